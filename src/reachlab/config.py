@@ -1,0 +1,269 @@
+"""Every setting of a run: frozen dataclasses, presets, validation, and their JSON form.
+
+A setting is one field with its unit and meaning below it. The command line, the keywords of
+`gymnasium.make` and `config.json` are all read from these classes, so field names are unique among
+them. This module imports nothing heavy.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import functools
+import math
+import types
+import typing
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Annotated, Any
+
+from typeguard import TypeCheckError, check_type
+
+
+class InputError(ValueError):
+    """Input that is refused, in one sentence: what, got, allowed, how to mend."""
+
+
+def choose(kind: str, name: str, names: Iterable[str]) -> str:
+    """The name itself if it is one of `names`.
+
+    Raises:
+        InputError: it is not; the sentence lists the names and the nearest one.
+    """
+    allowed = sorted(names)
+    if name in allowed:
+        return name
+    near = difflib.get_close_matches(str(name), allowed, n=1)
+    hint = f" Did you mean {near[0]!r}?" if near else ""
+    raise InputError(f"{kind} {name!r} is not one of: {', '.join(allowed)}.{hint}")
+
+
+@dataclass(frozen=True)
+class Range:
+    """Allowed values of a number; infinite and undefined ones never are."""
+
+    low: float = -math.inf
+    high: float = math.inf
+    open_low: bool = False
+
+    def __contains__(self, value: float) -> bool:
+        """Whether the value is finite and inside."""
+        above = value > self.low if self.open_low else value >= self.low
+        return math.isfinite(value) and above and value <= self.high
+
+    def __str__(self) -> str:
+        """The range in words."""
+        low = "" if math.isinf(self.low) else f"{'above' if self.open_low else 'at least'} {self.low:g}"
+        high = "" if math.isinf(self.high) else f"at most {self.high:g}"
+        return " and ".join(part for part in (low, high) if part)
+
+
+Count = Annotated[int, Range(1)]
+NonNegativeInt = Annotated[int, Range(0)]
+Positive = Annotated[float, Range(0.0, open_low=True)]
+NonNegative = Annotated[float, Range(0.0)]
+Fraction = Annotated[float, Range(0.0, 1.0)]
+
+
+class _Checked:
+    """Checks every field of a dataclass against its annotation when it is built."""
+
+    def __post_init__(self) -> None:
+        for name, hint in _hints(type(self)).items():
+            _check(name, getattr(self, name), hint)
+
+
+@functools.cache
+def _hints(cls: type) -> dict[str, Any]:
+    return typing.get_type_hints(cls, include_extras=True)
+
+
+def _check(name: str, value: Any, hint: Any) -> None:
+    base, limits = (hint.__origin__, hint.__metadata__) if hasattr(hint, "__metadata__") else (hint, ())
+    try:
+        check_type(value, base)
+    except TypeCheckError:
+        raise InputError(f"{name} must be {_type_name(base)}, got {value!r}.") from None
+    for limit in limits:
+        if value not in limit:
+            raise InputError(f"{name} must be {limit}, got {value!r}.")
+    if isinstance(value, tuple):
+        for item in value:
+            _check(f"each entry of {name}", item, typing.get_args(base)[0])
+
+
+def _type_name(hint: Any) -> str:
+    names = {int: "a whole number", float: "a number", str: "a name", bool: "true or false"}
+    if typing.get_origin(hint) in (typing.Union, types.UnionType):
+        return " or ".join(_type_name(arg) for arg in typing.get_args(hint) if arg is not type(None))
+    return names.get(hint, str(hint))
+
+
+@dataclass(frozen=True)
+class TaskConfig(_Checked):
+    """The rules of the reach task."""
+
+    tool: str = "link_7"
+    """Tool frame: a site or body of the robot whose position has to reach the target."""
+    observation: str = "target+tool"
+    """What the policy sees; see `reachlab list`."""
+    action: str = "tool_delta"
+    """What the policy commands; see `reachlab list`."""
+    reward: str = "dense"
+    """What the policy is paid for; see `reachlab list`."""
+    clip_actions: bool = True
+    """Clip actions to their box. The tutorial's own code does not."""
+    tool_scale: Positive = 0.005
+    """Displacement of the tool for an action of 1 with `tool_delta` [m]."""
+    joint_scale: Positive = 0.02
+    """Displacement of a joint for an action of 1 with `joint_delta` [rad or m]."""
+    success_distance: Positive = 0.1
+    """Tool to target within this distance is a success [m]."""
+    max_steps: Count = 1000
+    """An episode is truncated on this step."""
+    approach_weight: NonNegative = 5.0
+    """Reward of the `dense` reward for each metre that the tool comes closer [1/m]."""
+    target_height: Annotated[float, Range(-10.0, 10.0)] = -0.0083
+    """Height of the targets [m]; the tutorial's object settles there."""
+
+
+@dataclass(frozen=True)
+class SimConfig(_Checked):
+    """The physics."""
+
+    control_period: Positive = 1 / 240
+    """Time from one command to the next [s]."""
+
+
+@dataclass(frozen=True)
+class PPOConfig(_Checked):
+    """Proximal policy optimisation and its loop."""
+
+    total_steps: Count = 20_000_000
+    """Environment steps after which training ends in any case."""
+    stop_early: bool = True
+    """End training once a validation holds `stop_success`."""
+    stop_success: Fraction = 1.0
+    """Success rate of the deterministic policy on `validation_episodes` that ends training."""
+    validation_episodes: Count = 1000
+    """Episodes of a validation, from a random stream of its own."""
+    validation_interval: Count = 2
+    """Iterations between validations, once the training episodes themselves come near."""
+    report_episodes: Count = 1000
+    """Held-out episodes of the report at the end of training."""
+    lanes: Count = 256
+    """Environments stepped together."""
+    rollout_steps: Count = 64
+    """Steps of each lane between two updates."""
+    epochs: Count = 4
+    """Passes over a rollout."""
+    minibatches: Count = 4
+    """Parts of a rollout, one gradient step each."""
+    learning_rate: Positive = 1e-3
+    """Adam's step size at the start."""
+    final_learning_rate: NonNegative = 1e-4
+    """Step size after `anneal_steps`, reached on a straight line."""
+    anneal_steps: Count = 2_000_000
+    """Environment steps over which the learning rate falls."""
+    gamma: Fraction = 0.99
+    """Discount of a step."""
+    gae_lambda: Fraction = 0.95
+    """Decay of generalised advantage estimation."""
+    clip_ratio: Positive = 0.2
+    """PPO's bound on the change of an action's probability."""
+    value_weight: NonNegative = 0.5
+    """Weight of the value loss."""
+    entropy_weight: NonNegative = 0.0
+    """Weight of the entropy bonus."""
+    max_grad_norm: Positive = 0.5
+    """The gradient of all parameters together is shortened to this norm."""
+    hidden: tuple[Count, ...] = (64, 64)
+    """Widths of the hidden layers of actor and critic."""
+    initial_std: Positive = 0.6
+    """Standard deviation of the first policy, in halves of the action box."""
+
+
+@dataclass(frozen=True)
+class RunConfig(_Checked):
+    """Everything that decides a training run."""
+
+    task: str = "tutorial"
+    """Task preset; it sets the other defaults."""
+    robot: str = "iiwa14"
+    """Robot: a name of `reachlab list`, or the path of an MJCF or URDF file."""
+    sim: str = "kinematic"
+    """Simulator."""
+    seed: Annotated[int, Range(0, 2**31 - 1)] = 0
+    """Seed of everything random."""
+    rules: TaskConfig = field(default_factory=TaskConfig)
+    physics: SimConfig = field(default_factory=SimConfig)
+    ppo: PPOConfig = field(default_factory=PPOConfig)
+
+
+TASKS: dict[str, RunConfig] = {"tutorial": RunConfig()}
+"""Presets by name: `--task` starts from one of them and flags change it."""
+
+
+def preset(task: str) -> RunConfig:
+    """The preset of that name."""
+    return TASKS[choose("task", task, TASKS)]
+
+
+def configure(task: str = "tutorial", **settings: Any) -> RunConfig:
+    """Preset with the named settings changed, e.g. `configure("tutorial", reward="sparse", seed=3)`.
+
+    Raises:
+        InputError: a name that is no setting, or a value that is not allowed.
+    """
+    config = preset(task)
+    sections = _sections(config)
+    for name in settings:
+        choose("setting", name, sections)
+    changed: dict[str | None, dict[str, Any]] = {}
+    for name, value in settings.items():
+        changed.setdefault(sections[name], {})[name] = value
+    top = changed.pop(None, {})
+    nested = {part: dataclasses.replace(getattr(config, part), **values) for part, values in changed.items() if part}
+    return dataclasses.replace(config, **top, **nested)
+
+
+def _sections(config: RunConfig) -> dict[str, str | None]:
+    """For every setting but the preset's name, the part of `RunConfig` that holds it; None for itself."""
+    sections: dict[str, str | None] = {}
+    for outer in dataclasses.fields(config):
+        value = getattr(config, outer.name)
+        if dataclasses.is_dataclass(value):
+            sections |= dict.fromkeys((inner.name for inner in dataclasses.fields(value)), outer.name)
+        elif outer.name != "task":
+            sections[outer.name] = None
+    return sections
+
+
+def to_json(config: RunConfig) -> dict[str, Any]:
+    """Plain form of the config, for `json.dump`."""
+    return dataclasses.asdict(config)
+
+
+def from_json(data: Any) -> RunConfig:
+    """Config from its plain form; every field must be there, and no other.
+
+    Raises:
+        InputError: a field is missing, unknown, of the wrong type or out of range.
+    """
+    return _build(RunConfig, data, "the configuration")
+
+
+def _build(cls: type, data: Any, where: str) -> Any:
+    if not isinstance(data, Mapping):
+        raise InputError(f"{where} must be an object of settings, got {type(data).__name__}.")
+    hints = _hints(cls)
+    if unknown := sorted(set(data) - set(hints)):
+        raise InputError(f"{where} holds an unknown setting {unknown[0]!r}.")
+    if missing := sorted(set(hints) - set(data)):
+        raise InputError(f"{where} lacks the setting {missing[0]!r}.")
+    values = {}
+    for name, value in data.items():
+        if dataclasses.is_dataclass(hints[name]):
+            value = _build(typing.cast("type", hints[name]), value, f"{where}, {name},")
+        values[name] = tuple(value) if isinstance(value, list) else value
+    return cls(**values)

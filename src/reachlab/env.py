@@ -1,0 +1,176 @@
+"""The environment: a simulator, the task and a clock, on a batch of lanes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from reachlab import task
+from reachlab.compilation import jit
+from reachlab.config import RunConfig
+from reachlab.robots import load_robot
+from reachlab.sims import ArmState, make_simulator
+from reachlab.task import Reach, Situation, make_reach
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class EnvState:
+    """A batch of episodes under way.
+
+    Attributes:
+        arm: the simulator's state.
+        target: point to reach `[B, 3]` [m].
+        target_q: last joint command `[B, n]` [rad or m]; commands accumulate on it.
+        last_action: `[B, a]`, zero at the start.
+        distance: tool to target `[B]` [m].
+        clock: steps since the reset `[B]`.
+        key: random key of each lane `[B]`.
+    """
+
+    arm: ArmState
+    target: Array
+    target_q: Array
+    last_action: Array
+    distance: Array
+    clock: Array
+    key: Array
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Transition:
+    """What a step gave, before any reset.
+
+    Attributes:
+        observation: `[B, k]`, the final one where the episode ended.
+        reward: `[B]`.
+        terminated: the task ended the episode `[B]`.
+        truncated: the clock did `[B]`.
+        terms: `distance` [m], `success` and each term of the reward, `[B]`.
+    """
+
+    observation: Array
+    reward: Array
+    terminated: Array
+    truncated: Array
+    terms: dict[str, Array]
+
+    @property
+    def done(self) -> Array:
+        """Whether the episode ended, either way `[B]`."""
+        return self.terminated | self.truncated
+
+
+def lane_keys(seed: int, batch_size: int) -> Array:
+    """Random keys `[B]`: lane i of seed s has the key of lane 0 of seed s + i."""
+    return jax.vmap(jax.random.key)(np.arange(batch_size, dtype=np.uint32) + np.uint32(seed))
+
+
+class Env:
+    """A batch of reach environments as functions of an `EnvState`.
+
+    `step` never resets; `reset` does, lane by lane, with a new target. Where the simulator is pure both can
+    be traced by JAX.
+    """
+
+    def __init__(self, config: RunConfig, batch_size: int) -> None:
+        """Environment of `batch_size` lanes.
+
+        Raises:
+            InputError: a name in the configuration that does not exist.
+        """
+        self.config = config
+        self.batch_size = batch_size
+        self.reach: Reach = make_reach(config.rules, load_robot(config.robot, config.rules.tool))
+        self.simulator = make_simulator(config.sim, self.reach.robot, config.physics, batch_size)
+        self.observation_bounds = task.OBSERVATIONS[config.rules.observation].bounds(self.reach)
+        self.action_bounds = task.ACTIONS[config.rules.action].bounds(self.reach)
+        if not self.simulator.pure:
+            self._draw, self._command, self._finish, self._begin = map(
+                jit, (self._draw, self._command, self._finish, self._begin)
+            )
+
+    def init(self, keys: Array) -> EnvState:
+        """State in which every lane begins an episode; `keys [B]`, see `lane_keys`."""
+        key, q, target = self._draw(keys)
+        return self._begin(self.simulator.reset(None, q, target, None), target, key)
+
+    def reset(self, state: EnvState, mask: Array) -> EnvState:
+        """State in which the lanes of `mask [B]` begin a new episode."""
+        key, q, target = self._draw(state.key)
+        arm = self.simulator.reset(state.arm, q, target, mask)
+        return self._merge(mask, replace(self._begin(arm, target, key), arm=arm), replace(state, arm=arm))
+
+    def step(self, state: EnvState, action: Array) -> tuple[EnvState, Transition]:
+        """State and transition after `action [B, a]`."""
+        target_q = self._command(state, action)
+        return self._finish(state, self.simulator.step(state.arm, target_q), target_q, action)
+
+    def observe(self, state: EnvState) -> Array:
+        """Observation `[B, k]` of a state."""
+        return task.OBSERVATIONS[self.reach.config.observation].observe(self.reach, self.situation(state))
+
+    def situation(self, state: EnvState) -> Situation:
+        """What observations and baselines may look at."""
+        arm = state.arm
+        return Situation(arm.q, arm.qd, arm.tool_position, state.target, state.target_q, state.last_action)
+
+    def render(self, state: EnvState, lane: int = 0) -> np.ndarray:
+        """Picture of a lane, `[height, width, 3]` uint8."""
+        return self.simulator.render(state.arm, state.target, lane)
+
+    def close(self) -> None:
+        """Close the simulator."""
+        self.simulator.close()
+
+    def _draw(self, keys: Array) -> tuple[Array, Array, Array]:
+        def one(key: Array) -> tuple[Array, Array, Array]:
+            key, for_target, for_start = jax.random.split(key, 3)
+            return key, task.draw_start(self.reach, for_start), task.draw_target(self.reach, for_target)
+
+        return jax.vmap(one)(keys)
+
+    def _begin(self, arm: ArmState, target: Array, key: Array) -> EnvState:
+        lanes = target.shape[0]
+        return EnvState(
+            arm=arm,
+            target=target,
+            target_q=arm.q,
+            last_action=jnp.zeros((lanes, len(self.action_bounds[0]))),
+            distance=jnp.linalg.norm(arm.tool_position - target, axis=-1),
+            clock=jnp.zeros(lanes, jnp.int32),
+            key=key,
+        )
+
+    @staticmethod
+    def _merge(mask: Array, new: EnvState, old: EnvState) -> EnvState:
+        def pick(a: Array, b: Array) -> Array:
+            return jnp.where(mask.reshape(mask.shape + (1,) * (a.ndim - 1)), a, b)
+
+        return jax.tree.map(lambda a, b: a if a is b else pick(a, b), new, old)
+
+    def _command(self, state: EnvState, action: Array) -> Array:
+        return task.command(self.reach, state.target_q, action)
+
+    def _finish(
+        self, state: EnvState, arm: ArmState, target_q: Array, action: Array
+    ) -> tuple[EnvState, Transition]:
+        rules, clock = self.reach.config, state.clock + 1
+        outcome = task.judge(self.reach, state.distance, arm.tool_position, state.target, clock)
+        terms = task.REWARDS[rules.reward](rules, outcome)
+        state = replace(
+            state, arm=arm, target_q=target_q, last_action=action, distance=outcome.distance, clock=clock
+        )
+        transition = Transition(
+            observation=self.observe(state),
+            reward=sum(terms.values(), jnp.zeros_like(outcome.distance)),
+            terminated=outcome.outside | outcome.success,
+            truncated=outcome.timeout,
+            terms={"distance": outcome.distance, "success": outcome.success, **terms},
+        )
+        return state, transition

@@ -1,0 +1,280 @@
+"""Evaluation on held-out targets: every episode counted once, the result with intervals."""
+
+from __future__ import annotations
+
+import math
+import platform
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from reachlab import task
+from reachlab.compilation import jit
+from reachlab.config import InputError, choose
+from reachlab.env import Env, EnvState
+from reachlab.policy import Policy
+
+THRESHOLDS_MM = (100, 50, 20, 10, 5, 2, 1)
+"""Distances whose success rates a report gives."""
+
+REPORT_STREAM, VALIDATION_STREAM = 1, 2
+"""Random streams beside the one that lanes train on, so that no evaluation repeats a training target."""
+
+NORMAL_95 = 1.959964
+"""97.5 % quantile of the standard normal distribution."""
+
+LANES = 1000
+"""Episodes evaluated together."""
+
+Agent = Callable[[Env, Policy | None, EnvState, Array], Array]
+"""Gives actions `[B, a]` for a state; the key is for agents that draw them."""
+
+
+def _trained(env: Env, policy: Policy | None, state: EnvState, key: Array) -> Array:
+    del key
+    if policy is None:
+        raise InputError("agent 'trained' needs a run: name its directory.")
+    return policy.act(env.observe(state))
+
+
+def _random(env: Env, policy: Policy | None, state: EnvState, key: Array) -> Array:
+    del policy
+    low, high = env.action_bounds
+    return jax.random.uniform(key, state.last_action.shape, minval=low, maxval=high)
+
+
+def _zero(env: Env, policy: Policy | None, state: EnvState, key: Array) -> Array:
+    del env, policy, key
+    return jnp.zeros_like(state.last_action)
+
+
+def _ik(env: Env, policy: Policy | None, state: EnvState, key: Array) -> Array:
+    del policy, key
+    return task.ACTIONS[env.reach.config.action].towards(env.reach, env.situation(state))
+
+
+AGENTS: dict[str, Agent] = {"trained": _trained, "random": _random, "zero": _zero, "ik": _ik}
+"""Agents by name: the trained policy without noise, and what it has to beat."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Episodes:
+    """What became of `B` episodes.
+
+    Attributes:
+        done: the episode has ended `[B]`; nothing of it changes any more.
+        success: it ended in success `[B]`.
+        distance: tool to target at its end `[B]` [m].
+        steps: its length `[B]`.
+        returns: sum of its rewards `[B]`.
+        max_speed: largest joint speeds in it `[B, n]` [rad/s].
+        squared_jerk: sum over its steps of the squared jerk, mean of the joints `[B]` [rad²/s⁶].
+        motion: joint positions, displacement and its change at the last step, three `[B, n]`.
+    """
+
+    done: Array
+    success: Array
+    distance: Array
+    steps: Array
+    returns: Array
+    max_speed: Array
+    squared_jerk: Array
+    motion: tuple[Array, Array, Array]
+
+
+@dataclass(frozen=True)
+class Report:
+    """Result of an evaluation; `DESIGN` of the fields in `docs/report.md`."""
+
+    task: str
+    robot: str
+    sim: str
+    agent: str
+    seed: int
+    episodes: int
+    perturb: bool | None
+    success_rate: float
+    success_interval: tuple[float, float]
+    success_within: dict[str, float] | None
+    final_error_mm: dict[str, float]
+    return_mean: float
+    steps_mean: float
+    time_to_reach_s: float | None
+    max_joint_speed: list[float]
+    jerk: float
+    wall_s: float
+    versions: dict[str, str]
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain form, for `json.dump`."""
+        return asdict(self)
+
+
+def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
+    """95 % interval of a rate (Wilson, "Probable inference", J. Am. Stat. Assoc. 22, 1927)."""
+    z, rate = NORMAL_95, successes / trials
+    centre = rate + z**2 / (2 * trials)
+    half = z * math.sqrt(rate * (1 - rate) / trials + z**2 / (4 * trials**2))
+    scale = 1 + z**2 / trials
+    return max(0.0, (centre - half) / scale), min(1.0, (centre + half) / scale)
+
+
+def episode_keys(seed: int, stream: int, first: int, count: int) -> Array:
+    """Keys of the episodes `first ... first + count - 1` of a seed's stream; they depend on nothing else."""
+    key = jax.random.fold_in(jax.random.key(seed), stream)
+    return jax.vmap(jax.random.fold_in, (None, 0))(key, jnp.arange(first, first + count))
+
+
+def make_runner(env: Env, agent: str) -> Callable[[Policy | None, Array], Episodes]:
+    """Function that runs one episode for each key `[B]` to its end, with an agent of `AGENTS`."""
+    act = AGENTS[choose("agent", agent, AGENTS)]
+    period = env.config.physics.control_period
+
+    def begin(keys: Array) -> tuple[EnvState, Episodes, Array]:
+        state = env.init(keys)
+        lanes, still = len(keys), jnp.zeros_like(state.arm.q)
+        episodes = Episodes(
+            done=jnp.zeros(lanes, bool),
+            success=jnp.zeros(lanes, bool),
+            distance=state.distance,
+            steps=jnp.zeros(lanes, jnp.int32),
+            returns=jnp.zeros(lanes),
+            max_speed=still,
+            squared_jerk=jnp.zeros(lanes),
+            motion=(state.arm.q, still, still),
+        )
+        return state, episodes, jax.random.fold_in(keys[0], lanes)
+
+    def advance(policy: Policy | None, carry: tuple[EnvState, Episodes, Array]) -> tuple[EnvState, Episodes, Array]:
+        state, episodes, key = carry
+        key, now = jax.random.split(key)
+        state, transition = env.step(state, act(env, policy, state, now))
+        return state, _count(episodes, state, transition.done, transition.terms, transition.reward, period), key
+
+    if env.simulator.pure:
+
+        def run(policy: Policy | None, keys: Array) -> Episodes:
+            carry = begin(keys)
+            return jax.lax.while_loop(lambda c: ~c[1].done.all(), lambda c: advance(policy, c), carry)[1]
+
+        return jit(run)
+
+    def run_on_host(policy: Policy | None, keys: Array) -> Episodes:
+        carry = begin(keys)
+        while not carry[1].done.all():
+            carry = advance(policy, carry)
+        return carry[1]
+
+    return run_on_host
+
+
+def _count(
+    episodes: Episodes, state: EnvState, done: Array, terms: dict[str, Array], reward: Array, period: float
+) -> Episodes:
+    q, moved, change = episodes.motion
+    moved_now = state.arm.q - q
+    change_now = moved_now - moved
+    jerk = jnp.square((change_now - change) / period**3).mean(-1)
+    new = Episodes(
+        done=done,
+        success=terms["success"],
+        distance=terms["distance"],
+        steps=episodes.steps + 1,
+        returns=episodes.returns + reward,
+        max_speed=jnp.maximum(episodes.max_speed, jnp.abs(state.arm.qd)),
+        squared_jerk=episodes.squared_jerk + jerk,
+        motion=(state.arm.q, moved_now, change_now),
+    )
+
+    def keep(old: Array, now: Array) -> Array:
+        ended = episodes.done.reshape(episodes.done.shape + (1,) * (old.ndim - 1))
+        return jnp.where(ended, old, now)
+
+    return jax.tree.map(keep, episodes, new)
+
+
+def run_episodes(
+    runner: Callable[[Policy | None, Array], Episodes], policy: Policy | None, seed: int, stream: int, episodes: int
+) -> Episodes:
+    """Exactly `episodes` episodes of a seed's stream, `LANES` together, as NumPy arrays."""
+    lanes = min(LANES, episodes)
+    parts = []
+    for first in range(0, episodes, lanes):
+        part = runner(policy, episode_keys(seed, stream, first, lanes))
+        parts.append(jax.tree.map(lambda x, first=first: np.asarray(x)[: episodes - first], part))
+    return jax.tree.map(lambda *x: np.concatenate(x), *parts)
+
+
+def evaluate(
+    env: Env,
+    agent: str,
+    policy: Policy | None = None,
+    *,
+    seed: int,
+    episodes: int,
+    runner: Callable[[Policy | None, Array], Episodes] | None = None,
+) -> Report:
+    """Report of an agent on held-out targets.
+
+    Args:
+        env: the environment; any batch size if its simulator is pure, else `min(episodes, LANES)` lanes.
+        agent: name in `AGENTS`.
+        policy: the trained policy, for agent `trained`.
+        seed: seed of the targets; equal for all agents and simulators.
+        episodes: how many.
+        runner: of `make_runner`, if there is one already compiled.
+    """
+    start = time.perf_counter()
+    result = run_episodes(runner or make_runner(env, agent), policy, seed, REPORT_STREAM, episodes)
+    return summarise(env, agent, result, seed, time.perf_counter() - start)
+
+
+def summarise(env: Env, agent: str, result: Episodes, seed: int, wall_s: float) -> Report:
+    """Report of finished episodes."""
+    count, successes = len(result.done), int(result.success.sum())
+    error = np.asarray(result.distance, np.float64) * 1000
+    period = env.config.physics.control_period
+    reached = result.steps[np.asarray(result.success)]
+    return Report(
+        task=env.config.task,
+        robot=env.reach.robot.name,
+        sim=env.config.sim,
+        agent=agent,
+        seed=seed,
+        episodes=count,
+        perturb=None,
+        success_rate=successes / count,
+        success_interval=wilson_interval(successes, count),
+        success_within=None,
+        final_error_mm={
+            "median": float(np.median(error)),
+            "p95": float(np.quantile(error, 0.95)),
+            "p99": float(np.quantile(error, 0.99)),
+            "max": float(error.max()),
+        },
+        return_mean=float(result.returns.mean()),
+        steps_mean=float(result.steps.mean()),
+        time_to_reach_s=float(reached.mean() * period) if successes else None,
+        max_joint_speed=[float(speed) for speed in result.max_speed.max(axis=0)],
+        jerk=float((result.squared_jerk / result.steps).mean()),
+        wall_s=wall_s,
+        versions=versions(),
+    )
+
+
+def versions() -> dict[str, str]:
+    """Versions of what a result depends on, and the machine's kind."""
+    packages = ("reachlab", "jax", "jaxlib", "mujoco", "numpy", "gymnasium")
+    return {
+        "python": platform.python_version(),
+        **{package: version(package) for package in packages},
+        "machine": f"{platform.system()} {platform.machine()}",
+    }

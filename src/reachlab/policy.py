@@ -1,0 +1,154 @@
+"""The policy: two networks, a Gaussian head and the observation normaliser, as one pytree."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+OBSERVATION_CLIP = 10.0
+"""Normalised observations beyond this many standard deviations are clipped."""
+
+SMALLEST_STD = 1e-4
+"""Added to an observation's standard deviation, so that a constant one divides by no zero."""
+
+ACTOR_OUTPUT_GAIN = 0.01
+"""Scale of the actor's last layer at the start: first actions are near the centre of their box (Andrychowicz
+et al., "What matters in on-policy reinforcement learning?", 2021)."""
+
+Layers = list[tuple[Array, Array]]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Parameters:
+    """What is trained: layers of actor and critic, each `(weight [i, o], bias [o])`, and `log_std [a]`."""
+
+    actor: Layers
+    critic: Layers
+    log_std: Array
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Normaliser:
+    """Running mean `[k]` and variance `[k]` of `count` observations."""
+
+    mean: Array
+    variance: Array
+    count: Array
+
+    def __call__(self, observation: Array) -> Array:
+        """Observation `[..., k]` with mean 0 and variance 1, clipped."""
+        scaled = (observation - self.mean) / (jnp.sqrt(self.variance) + SMALLEST_STD)
+        return jnp.clip(scaled, -OBSERVATION_CLIP, OBSERVATION_CLIP)
+
+    def update(self, observations: Array) -> Normaliser:
+        """Normaliser that has also seen `observations [N, k]`.
+
+        Merging of moments: Chan, Golub, LeVeque, "Updating formulae and a pairwise algorithm for computing
+        sample variances", 1979.
+        """
+        n = observations.shape[0]
+        mean, variance = observations.mean(0), observations.var(0)
+        count = self.count + n
+        shift = mean - self.mean
+        moment = self.variance * self.count + variance * n + shift**2 * (self.count * n / count)
+        return Normaliser(self.mean + shift * (n / count), moment / count, count)
+
+
+class Gaussian(NamedTuple):
+    """A diagonal Gaussian: `mean [..., a]`, `log_std [a]`."""
+
+    mean: Array
+    log_std: Array
+
+    def sample(self, key: Array) -> Array:
+        """A draw `[..., a]`."""
+        return self.mean + jnp.exp(self.log_std) * jax.random.normal(key, self.mean.shape)
+
+    def log_prob(self, value: Array) -> Array:
+        """Log density `[...]` of `value [..., a]`."""
+        scaled = (value - self.mean) * jnp.exp(-self.log_std)
+        terms = -0.5 * scaled**2 - self.log_std - 0.5 * math.log(2 * math.pi)
+        return terms.sum(-1)
+
+    def entropy(self) -> Array:
+        """Differential entropy `[]`."""
+        return (self.log_std + 0.5 * math.log(2 * math.pi * math.e)).sum()
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Policy:
+    """Actor and critic with all they need to be used.
+
+    Networks work on normalised observations and on actions in halves of their box: the action is
+    `centre + half · output`.
+    """
+
+    parameters: Parameters
+    normaliser: Normaliser
+    centre: Array
+    half: Array
+
+    def act(self, observation: Array, key: Array | None = None) -> Array:
+        """Action `[..., a]` for `observation [..., k]`: the mean without a key, a draw with one."""
+        head = distribution(self.parameters, self.normaliser(observation))
+        return self.action(head.mean if key is None else head.sample(key))
+
+    def action(self, output: Array) -> Array:
+        """Action `[..., a]` in the environment's units of a network output."""
+        return self.centre + self.half * output
+
+
+def distribution(parameters: Parameters, normalised: Array) -> Gaussian:
+    """Distribution of network outputs at normalised observations `[..., k]`."""
+    return Gaussian(_forward(parameters.actor, normalised), parameters.log_std)
+
+
+def value(parameters: Parameters, normalised: Array) -> Array:
+    """Expected return `[...]` at normalised observations `[..., k]`."""
+    return _forward(parameters.critic, normalised)[..., 0]
+
+
+def make_policy(
+    key: Array,
+    observation_bounds: tuple[np.ndarray, np.ndarray],
+    action_bounds: tuple[np.ndarray, np.ndarray],
+    hidden: Sequence[int],
+    initial_std: float,
+) -> Policy:
+    """Untrained policy for observations and actions with these lower and upper bounds `[k]`, `[a]`."""
+    low, high = (jnp.asarray(bound) for bound in action_bounds)
+    k, a = len(observation_bounds[0]), len(low)
+    for_actor, for_critic = jax.random.split(key)
+    parameters = Parameters(
+        actor=_layers(for_actor, (k, *hidden, a), ACTOR_OUTPUT_GAIN),
+        critic=_layers(for_critic, (k, *hidden, 1), 1.0),
+        log_std=jnp.full(a, math.log(initial_std), jnp.float32),
+    )
+    normaliser = Normaliser(jnp.zeros(k), jnp.ones(k), jnp.zeros(()))
+    return Policy(parameters, normaliser, (low + high) / 2, (high - low) / 2)
+
+
+def _layers(key: Array, widths: Sequence[int], output_gain: float) -> Layers:
+    gains = [math.sqrt(2)] * (len(widths) - 2) + [output_gain]
+    keys = jax.random.split(key, len(gains))
+    return [
+        (jax.nn.initializers.orthogonal(gain)(one, (i, o)), jnp.zeros(o))
+        for one, gain, i, o in zip(keys, gains, widths[:-1], widths[1:], strict=True)
+    ]
+
+
+def _forward(layers: Layers, x: Array) -> Array:
+    for weight, bias in layers[:-1]:
+        x = jnp.tanh(x @ weight + bias)
+    weight, bias = layers[-1]
+    return x @ weight + bias

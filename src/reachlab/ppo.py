@@ -1,0 +1,137 @@
+"""Proximal policy optimisation as pure functions (Schulman et al., arXiv:1707.06347)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import optax
+from jax import Array
+
+from reachlab.config import PPOConfig
+from reachlab.policy import Parameters, Policy, distribution, value
+from reachlab.rollout import Rollout
+
+ADAM_EPSILON = 1e-5
+"""Adam's epsilon, as PPO's reference implementation sets it."""
+
+
+class Batch(NamedTuple):
+    """Samples of a rollout, `[N]` in front: normalised observations, outputs and what they are worth."""
+
+    observation: Array
+    output: Array
+    log_prob: Array
+    advantage: Array
+    returns: Array
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Learner:
+    """What learns: the policy and the optimiser's state."""
+
+    policy: Policy
+    optimiser: optax.OptState
+
+
+def make_optimiser(config: PPOConfig) -> optax.GradientTransformation:
+    """Adam on gradients clipped by their global norm, the step size falling on a straight line."""
+    updates = config.epochs * config.minibatches
+    iterations = -(-config.anneal_steps // (config.lanes * config.rollout_steps))
+    schedule = optax.linear_schedule(config.learning_rate, config.final_learning_rate, updates * iterations)
+    return optax.chain(
+        optax.clip_by_global_norm(config.max_grad_norm),
+        optax.adam(schedule, eps=ADAM_EPSILON),
+    )
+
+
+def make_learner(config: PPOConfig, policy: Policy) -> Learner:
+    """Learner that has learnt nothing yet."""
+    return Learner(policy, make_optimiser(config).init(policy.parameters))
+
+
+def gae(
+    reward: Array, v_t: Array, v_tp1: Array, terminated: Array, done: Array, gamma: float, gae_lambda: float
+) -> Array:
+    """Generalised advantage estimates `[T, B]` (Schulman et al., arXiv:1506.02438).
+
+    Args:
+        reward: `[T, B]`.
+        v_t: value of the state before each step `[T, B]`.
+        v_tp1: value of the state after it, before any reset `[T, B]`; used unless terminated, so that a
+            truncated episode bootstraps from its own final state.
+        terminated: the task ended the episode `[T, B]`.
+        done: it ended either way `[T, B]`; no credit flows back across.
+        gamma: discount.
+        gae_lambda: decay of the estimator.
+    """
+    delta = reward + gamma * v_tp1 * ~terminated - v_t
+
+    def back(advantage_tp1: Array, now: tuple[Array, Array]) -> tuple[Array, Array]:
+        delta_t, done_t = now
+        advantage_t = delta_t + gamma * gae_lambda * advantage_tp1 * ~done_t
+        return advantage_t, advantage_t
+
+    return jax.lax.scan(back, jnp.zeros_like(delta[0]), (delta, done), reverse=True)[1]
+
+
+def loss(parameters: Parameters, batch: Batch, config: PPOConfig) -> tuple[Array, dict[str, Array]]:
+    """Clipped surrogate loss `[]` of a batch, and scalars worth watching."""
+    head = distribution(parameters, batch.observation)
+    log_ratio = head.log_prob(batch.output) - batch.log_prob
+    ratio = jnp.exp(log_ratio)
+    advantage = (batch.advantage - batch.advantage.mean()) / (batch.advantage.std() + 1e-8)
+    clipped = jnp.clip(ratio, 1 - config.clip_ratio, 1 + config.clip_ratio)
+    policy_loss = -jnp.minimum(ratio * advantage, clipped * advantage).mean()
+    value_loss = 0.5 * jnp.square(value(parameters, batch.observation) - batch.returns).mean()
+    entropy = head.entropy()
+    total = policy_loss + config.value_weight * value_loss - config.entropy_weight * entropy
+    return total, {
+        "policy_loss": policy_loss,
+        "value_loss": value_loss,
+        "entropy": entropy,
+        # Schulman's low-variance estimator, joschu.net/blog/kl-approx.html
+        "kl": (ratio - 1 - log_ratio).mean(),
+        "clip_fraction": (jnp.abs(ratio - 1) > config.clip_ratio).mean(),
+    }
+
+
+def update(learner: Learner, rollout: Rollout, key: Array, config: PPOConfig) -> tuple[Learner, dict[str, Array]]:
+    """Learner after `epochs` passes over a rollout, and the means of what `loss` watches.
+
+    The rollout was drawn with the normaliser the learner holds; the new one takes effect afterwards.
+    """
+    policy, optimiser = learner.policy, make_optimiser(config)
+    samples = _samples(policy, rollout, config)
+    size = samples.log_prob.shape[0]
+
+    def gradient_step(carry: tuple[Parameters, optax.OptState], batch: Batch):
+        parameters, state = carry
+        gradient, watched = jax.grad(loss, has_aux=True)(parameters, batch, config)
+        change, state = optimiser.update(gradient, state, parameters)
+        watched["gradient_norm"] = optax.tree.norm(gradient)
+        return (optax.apply_updates(parameters, change), state), watched
+
+    def epoch(carry: tuple[Parameters, optax.OptState], key: Array):
+        order = jax.random.permutation(key, size).reshape(config.minibatches, -1)
+        return jax.lax.scan(lambda carry, rows: gradient_step(carry, jax.tree.map(lambda x: x[rows], samples)), carry, order)
+
+    carry = (policy.parameters, learner.optimiser)
+    (parameters, state), watched = jax.lax.scan(epoch, carry, jax.random.split(key, config.epochs))
+    normaliser = policy.normaliser.update(rollout.observation.reshape(size, -1))
+    watched = {name: x.mean() for name, x in watched.items()} | {"std": jnp.exp(parameters.log_std).mean()}
+    return Learner(replace(policy, parameters=parameters, normaliser=normaliser), state), watched
+
+
+def _samples(policy: Policy, rollout: Rollout, config: PPOConfig) -> Batch:
+    observation = policy.normaliser(rollout.observation)
+    v_t = value(policy.parameters, observation)
+    v_tp1 = value(policy.parameters, policy.normaliser(rollout.next_observation))
+    advantage = gae(
+        rollout.reward, v_t, v_tp1, rollout.terminated, rollout.done, config.gamma, config.gae_lambda
+    )
+    samples = Batch(observation, rollout.output, rollout.log_prob, advantage, advantage + v_t)
+    return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), samples)

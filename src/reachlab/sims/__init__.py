@@ -1,0 +1,82 @@
+"""Simulators: what the environment asks of one, and the table of those there are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Protocol
+
+import jax
+import numpy as np
+from jax import Array
+
+from reachlab.config import SimConfig, choose
+from reachlab.robots import Robot
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class ArmState:
+    """A batch of arms.
+
+    Attributes:
+        q: joint positions `[B, n]` [rad or m].
+        qd: joint speeds `[B, n]` [rad/s or m/s].
+        tool_position: `[B, 3]` [m].
+        tool_quaternion: `[B, 4]`, wxyz.
+    """
+
+    q: Array
+    qd: Array
+    tool_position: Array
+    tool_quaternion: Array
+
+
+class Simulator(Protocol):
+    """A batch of arms that follow joint commands.
+
+    `pure` says that all its state is the `ArmState`, so that `reset` and `step` can be traced by JAX.
+    """
+
+    pure: bool
+
+    def reset(self, state: ArmState | None, q: Array, target: Array, mask: Array | None) -> ArmState:
+        """State with the lanes of `mask [B]` at rest at `q [B, n]`, their target drawn at `target [B, 3]`.
+
+        Without a state (the first time) every lane is set.
+        """
+        ...
+
+    def step(self, state: ArmState, target_q: Array) -> ArmState:
+        """State one control period later, with the joints commanded to `target_q [B, n]`."""
+        ...
+
+    def render(self, state: ArmState, target: Array, lane: int) -> np.ndarray:
+        """Picture of one lane, `[height, width, 3]` uint8."""
+        ...
+
+    def close(self) -> None:
+        """Give back what the engine holds. May be called twice."""
+        ...
+
+
+MakeSimulator = Callable[[Robot, SimConfig, int], Simulator]
+
+
+def _lazy(module: str, name: str) -> MakeSimulator:
+    def make(robot: Robot, config: SimConfig, batch_size: int) -> Simulator:
+        return vars(import_module(module))[name](robot, config, batch_size)
+
+    return make
+
+
+SIMULATORS: dict[str, MakeSimulator] = {
+    "kinematic": _lazy("reachlab.sims.kinematic", "KinematicSimulator"),
+}
+"""Simulators by name; an engine is imported when its simulator is made."""
+
+
+def make_simulator(name: str, robot: Robot, config: SimConfig, batch_size: int) -> Simulator:
+    """Simulator of that name with `batch_size` arms."""
+    return SIMULATORS[choose("simulator", name, SIMULATORS)](robot, config, batch_size)

@@ -1,0 +1,62 @@
+"""The kinematic simulator: joints follow their commands exactly, as in the tutorial."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from reachlab.config import SimConfig
+from reachlab.kinematics import forward_kinematics
+from reachlab.robots import Robot
+from reachlab.sims import ArmState
+
+if TYPE_CHECKING:
+    from reachlab.scene import Camera
+
+
+class KinematicSimulator:
+    """Arithmetic in JAX: a step sets the joints and computes where the tool is."""
+
+    pure = True
+
+    def __init__(self, robot: Robot, config: SimConfig, batch_size: int) -> None:
+        """Simulator of `batch_size` arms; its functions take any batch."""
+        del batch_size
+        self._robot = robot
+        self._period = config.control_period
+        self._camera: Camera | None = None
+
+    def reset(self, state: ArmState | None, q: Array, target: Array, mask: Array | None) -> ArmState:
+        """See `Simulator.reset`."""
+        del target
+        if state is not None and mask is not None:
+            q = jnp.where(mask[:, None], q, state.q)
+            qd = jnp.where(mask[:, None], 0.0, state.qd)
+        else:
+            qd = jnp.zeros_like(q)
+        return self._arm(q, qd)
+
+    def step(self, state: ArmState, target_q: Array) -> ArmState:
+        """See `Simulator.step`."""
+        return self._arm(target_q, (target_q - state.q) / self._period)
+
+    def _arm(self, q: Array, qd: Array) -> ArmState:
+        pose = forward_kinematics(self._robot.chain, q)
+        return ArmState(q, qd, pose.position, pose.quaternion)
+
+    def render(self, state: ArmState, target: Array, lane: int) -> np.ndarray:
+        """See `Simulator.render`."""
+        if self._camera is None:
+            from reachlab.scene import Camera
+
+            self._camera = Camera(self._robot)
+        return self._camera.picture(np.asarray(state.q[lane]), np.asarray(target[lane]))
+
+    def close(self) -> None:
+        """See `Simulator.close`."""
+        if self._camera is not None:
+            self._camera.close()
+            self._camera = None
