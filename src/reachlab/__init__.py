@@ -1,0 +1,66 @@
+"""Robot arms that learn to reach, in seconds, with proof.
+
+Importing this package registers its Gymnasium environments and loads neither JAX nor a simulator.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from gymnasium.envs.registration import register
+
+if TYPE_CHECKING:
+    from reachlab.config import InputError, RunConfig, configure
+    from reachlab.env import Env
+    from reachlab.evaluate import Report, evaluate
+    from reachlab.gym_env import ReachEnv, ReachVectorEnv
+    from reachlab.robots import Robot, load_robot
+    from reachlab.train import TrainResult, train
+
+__version__ = "0.1.0"
+
+_HOMES = {
+    "Env": "env",
+    "InputError": "config",
+    "ReachEnv": "gym_env",
+    "ReachVectorEnv": "gym_env",
+    "Report": "evaluate",
+    "Robot": "robots",
+    "RunConfig": "config",
+    "TrainResult": "train",
+    "configure": "config",
+    "evaluate": "evaluate",
+    "load_robot": "robots",
+    "train": "train",
+}
+
+__all__ = [
+    "Env",
+    "InputError",
+    "ReachEnv",
+    "ReachVectorEnv",
+    "Report",
+    "Robot",
+    "RunConfig",
+    "TrainResult",
+    "configure",
+    "evaluate",
+    "load_robot",
+    "train",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOMES:
+        return vars(import_module(f"reachlab.{_HOMES[name]}"))[name]
+    raise AttributeError(f"module 'reachlab' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return __all__
+
+
+_FACES = {"entry_point": "reachlab.gym_env:ReachEnv", "vector_entry_point": "reachlab.gym_env:ReachVectorEnv"}
+register("reachlab/Reach-v0", **_FACES)
+register("reachlab/KukaReach-v0", **_FACES, kwargs={"task": "tutorial", "observation": "target", "reward": "sparse"})

@@ -5,18 +5,16 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import ParamSpec, TypeVar
+from typing import Any
 
 import jax
-
-P = ParamSpec("P")
-R = TypeVar("R")
+from jax.stages import Wrapped
 
 BARRIERS_HOLD = {"xla_disable_hlo_passes": "cse_barrier_expander"}
 """Without this XLA's CPU compiler drops optimisation barriers before it fuses (see `lanes.once`)."""
 
 
-def jit(function: Callable[P, R], *, donate: tuple[int, ...] = ()) -> Callable[P, R]:
+def jit(function: Callable[..., Any], *, donate: tuple[int, ...] = ()) -> Wrapped:
     """`jax.jit`, with barriers that hold on the CPU; `donate` names arguments whose memory is reused."""
     options = BARRIERS_HOLD if jax.default_backend() == "cpu" else None
     return jax.jit(function, donate_argnums=donate, compiler_options=options)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -91,8 +93,8 @@ class Env:
         self.observation_bounds = task.OBSERVATIONS[config.rules.observation].bounds(self.reach)
         self.action_bounds = task.ACTIONS[config.rules.action].bounds(self.reach)
         if not self.simulator.pure:
-            self._draw, self._command, self._finish, self._begin = map(
-                jit, (self._draw, self._command, self._finish, self._begin)
+            self._draw, self._command, self._finish, self._begin, self._merge = map(
+                jit, (self._draw, self._command, self._finish, self._begin, self._merge)
             )
 
     def init(self, keys: Array) -> EnvState:
@@ -119,6 +121,10 @@ class Env:
         """What observations and baselines may look at."""
         arm = state.arm
         return Situation(arm.q, arm.qd, arm.tool_position, state.target, state.target_q, state.last_action)
+
+    def compile(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        """A function that uses this environment, compiled as a whole if the simulator can be traced."""
+        return jit(function) if self.simulator.pure else function
 
     def render(self, state: EnvState, lane: int = 0) -> np.ndarray:
         """Picture of a lane, `[height, width, 3]` uint8."""

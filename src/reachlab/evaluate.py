@@ -31,13 +31,14 @@ NORMAL_95 = 1.959964
 """97.5 % quantile of the standard normal distribution."""
 
 LANES = 1000
-"""Episodes evaluated together."""
+"""Episodes evaluated together where the simulator is pure; one size, so one compiled program."""
 
 Agent = Callable[[Env, Policy | None, EnvState, Array], Array]
 """Gives actions `[B, a]` for a state; the key is for agents that draw them."""
 
 
 def _trained(env: Env, policy: Policy | None, state: EnvState, key: Array) -> Array:
+    """The trained policy, without noise."""
     del key
     if policy is None:
         raise InputError("agent 'trained' needs a run: name its directory.")
@@ -45,23 +46,26 @@ def _trained(env: Env, policy: Policy | None, state: EnvState, key: Array) -> Ar
 
 
 def _random(env: Env, policy: Policy | None, state: EnvState, key: Array) -> Array:
+    """Actions drawn uniformly from their box."""
     del policy
     low, high = env.action_bounds
     return jax.random.uniform(key, state.last_action.shape, minval=low, maxval=high)
 
 
 def _zero(env: Env, policy: Policy | None, state: EnvState, key: Array) -> Array:
+    """Actions of zero."""
     del env, policy, key
     return jnp.zeros_like(state.last_action)
 
 
 def _ik(env: Env, policy: Policy | None, state: EnvState, key: Array) -> Array:
+    """Inverse kinematics: straight to the target."""
     del policy, key
     return task.ACTIONS[env.reach.config.action].towards(env.reach, env.situation(state))
 
 
 AGENTS: dict[str, Agent] = {"trained": _trained, "random": _random, "zero": _zero, "ik": _ik}
-"""Agents by name: the trained policy without noise, and what it has to beat."""
+"""Agents by name: the trained policy, and what it has to beat."""
 
 
 @jax.tree_util.register_dataclass
@@ -92,7 +96,23 @@ class Episodes:
 
 @dataclass(frozen=True)
 class Report:
-    """Result of an evaluation; `DESIGN` of the fields in `docs/report.md`."""
+    """Result of an evaluation.
+
+    Attributes:
+        task, robot, sim, agent, seed, episodes: what was evaluated, on which seed's held-out targets.
+        perturb: whether the robot was perturbed; None where that does not exist.
+        success_rate: share of episodes that ended in success.
+        success_interval: its 95 % Wilson interval.
+        success_within: share within so many millimetres at the end; None where success ends the episode.
+        final_error_mm: distance from tool to target at the end: median, p95, p99, max.
+        return_mean: mean sum of rewards.
+        steps_mean: mean length, to success or the end.
+        time_to_reach_s: mean time of the successes [s]; None without any.
+        max_joint_speed: largest speed of each joint [rad/s].
+        jerk: mean squared joint jerk [rad²/s⁶].
+        wall_s: time that the evaluation took [s].
+        versions: of the packages that it depends on.
+    """
 
     task: str
     robot: str
@@ -133,8 +153,16 @@ def episode_keys(seed: int, stream: int, first: int, count: int) -> Array:
     return jax.vmap(jax.random.fold_in, (None, 0))(key, jnp.arange(first, first + count))
 
 
-def make_runner(env: Env, agent: str) -> Callable[[Policy | None, Array], Episodes]:
-    """Function that runs one episode for each key `[B]` to its end, with an agent of `AGENTS`."""
+@dataclass(frozen=True)
+class Runner:
+    """`run(policy, keys)` runs one episode for each of `lanes` keys to its end."""
+
+    run: Callable[[Policy | None, Array], Episodes]
+    lanes: int
+
+
+def make_runner(env: Env, agent: str) -> Runner:
+    """Runner for an agent of `AGENTS`."""
     act = AGENTS[choose("agent", agent, AGENTS)]
     period = env.config.physics.control_period
 
@@ -165,7 +193,7 @@ def make_runner(env: Env, agent: str) -> Callable[[Policy | None, Array], Episod
             carry = begin(keys)
             return jax.lax.while_loop(lambda c: ~c[1].done.all(), lambda c: advance(policy, c), carry)[1]
 
-        return jit(run)
+        return Runner(jit(run), LANES)
 
     def run_on_host(policy: Policy | None, keys: Array) -> Episodes:
         carry = begin(keys)
@@ -173,7 +201,7 @@ def make_runner(env: Env, agent: str) -> Callable[[Policy | None, Array], Episod
             carry = advance(policy, carry)
         return carry[1]
 
-    return run_on_host
+    return Runner(run_on_host, env.batch_size)
 
 
 def _count(
@@ -201,14 +229,11 @@ def _count(
     return jax.tree.map(keep, episodes, new)
 
 
-def run_episodes(
-    runner: Callable[[Policy | None, Array], Episodes], policy: Policy | None, seed: int, stream: int, episodes: int
-) -> Episodes:
-    """Exactly `episodes` episodes of a seed's stream, `LANES` together, as NumPy arrays."""
-    lanes = min(LANES, episodes)
+def run_episodes(runner: Runner, policy: Policy | None, seed: int, stream: int, episodes: int) -> Episodes:
+    """Exactly `episodes` episodes of a seed's stream, as NumPy arrays; lanes beyond them do not count."""
     parts = []
-    for first in range(0, episodes, lanes):
-        part = runner(policy, episode_keys(seed, stream, first, lanes))
+    for first in range(0, episodes, runner.lanes):
+        part = runner.run(policy, episode_keys(seed, stream, first, runner.lanes))
         parts.append(jax.tree.map(lambda x, first=first: np.asarray(x)[: episodes - first], part))
     return jax.tree.map(lambda *x: np.concatenate(x), *parts)
 
@@ -220,12 +245,12 @@ def evaluate(
     *,
     seed: int,
     episodes: int,
-    runner: Callable[[Policy | None, Array], Episodes] | None = None,
+    runner: Runner | None = None,
 ) -> Report:
     """Report of an agent on held-out targets.
 
     Args:
-        env: the environment; any batch size if its simulator is pure, else `min(episodes, LANES)` lanes.
+        env: the environment.
         agent: name in `AGENTS`.
         policy: the trained policy, for agent `trained`.
         seed: seed of the targets; equal for all agents and simulators.

@@ -87,8 +87,9 @@ def draw_start(reach: Reach, key: Array) -> Array:
 
 @dataclass(frozen=True)
 class Observation:
-    """An observation design: its bounds `[k]` and the function that gives `[B, k]`."""
+    """An observation design: what it holds, its bounds `[k]` and the function that gives `[B, k]`."""
 
+    summary: str
     bounds: Callable[[Reach], Bounds]
     observe: Callable[[Reach, Situation], Array]
 
@@ -117,8 +118,9 @@ def _join(*parts: Bounds) -> Bounds:
 
 
 OBSERVATIONS: dict[str, Observation] = {
-    "target": Observation(_target_bounds, lambda _, now: now.target),
+    "target": Observation("the target's position [m]", _target_bounds, lambda _, now: now.target),
     "target+tool": Observation(
+        "the target's and the tool's positions [m]",
         lambda reach: _join(_target_bounds(reach), _tool_bounds(reach)),
         lambda _, now: jnp.concatenate([now.target, now.tool_position], axis=-1),
     ),
@@ -134,11 +136,13 @@ class Action:
     """An action design.
 
     Attributes:
+        summary: what it moves.
         bounds: its box, lower and upper bounds `[a]`.
         command: next joint command `[B, n]` from the last one and an action `[B, a]`; within the joint limits.
         towards: the action `[B, a]` with which inverse kinematics goes straight to the target.
     """
 
+    summary: str
     bounds: Callable[[Reach], Bounds]
     command: Callable[[Reach, Array, Array], Array]
     towards: Callable[[Reach, Situation], Array]
@@ -187,8 +191,8 @@ def _joints_towards(reach: Reach, now: Situation) -> Array:
 
 
 ACTIONS: dict[str, Action] = {
-    "tool_delta": Action(_tool_box, _move_tool, _tool_towards),
-    "joint_delta": Action(_joint_box, _move_joints, _joints_towards),
+    "tool_delta": Action("a displacement of the tool, its orientation held", _tool_box, _move_tool, _tool_towards),
+    "joint_delta": Action("a displacement of every joint", _joint_box, _move_joints, _joints_towards),
 }
 """Action designs by name."""
 
@@ -205,6 +209,7 @@ def command(reach: Reach, target_q: Array, action: Array) -> Array:
 
 
 def _sparse(config: TaskConfig, outcome: Outcome) -> dict[str, Array]:
+    """1 for reaching the target, -0.1 for leaving the workspace or running out of time: the tutorial's."""
     del config
     return {
         "reach": SUCCESS_REWARD * outcome.success,
@@ -214,6 +219,7 @@ def _sparse(config: TaskConfig, outcome: Outcome) -> dict[str, Array]:
 
 
 def _dense(config: TaskConfig, outcome: Outcome) -> dict[str, Array]:
+    """As sparse, and for every metre that the tool comes closer."""
     approach = config.approach_weight * (outcome.distance_before - outcome.distance)
     return {**_sparse(config, outcome), "approach": approach}
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Protocol
@@ -61,22 +60,26 @@ class Simulator(Protocol):
         ...
 
 
-MakeSimulator = Callable[[Robot, SimConfig, int], Simulator]
+@dataclass(frozen=True)
+class Entry:
+    """A simulator of the table: what it is, and where its class lies; its engine is imported when it is made."""
+
+    summary: str
+    module: str
+    name: str
 
 
-def _lazy(module: str, name: str) -> MakeSimulator:
-    def make(robot: Robot, config: SimConfig, batch_size: int) -> Simulator:
-        return vars(import_module(module))[name](robot, config, batch_size)
-
-    return make
-
-
-SIMULATORS: dict[str, MakeSimulator] = {
-    "kinematic": _lazy("reachlab.sims.kinematic", "KinematicSimulator"),
+SIMULATORS: dict[str, Entry] = {
+    "kinematic": Entry("joints follow their commands exactly; batched in JAX", "reachlab.sims.kinematic", "KinematicSimulator"),
 }
-"""Simulators by name; an engine is imported when its simulator is made."""
+"""Simulators by name. Adding one takes its file and its line here."""
 
 
 def make_simulator(name: str, robot: Robot, config: SimConfig, batch_size: int) -> Simulator:
-    """Simulator of that name with `batch_size` arms."""
-    return SIMULATORS[choose("simulator", name, SIMULATORS)](robot, config, batch_size)
+    """Simulator of that name with `batch_size` arms.
+
+    Raises:
+        InputError: there is none of that name.
+    """
+    entry = SIMULATORS[choose("simulator", name, SIMULATORS)]
+    return vars(import_module(entry.module))[entry.name](robot, config, batch_size)

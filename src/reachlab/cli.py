@@ -1,0 +1,279 @@
+"""The command line: one verb, one function; flags are the fields of the dataclasses."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json as jsonlib
+import os
+import re
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from reachlab.config import TASKS, Count, InputError, RunConfig, choose, preset
+
+DONE, WRONG_INPUT, INTERRUPTED = 0, 2, 130
+"""Exit statuses."""
+
+
+@dataclass(frozen=True)
+class Train:
+    """Train a policy and report on held-out targets."""
+
+    run: RunConfig = field(default_factory=RunConfig)
+    out: Path | None = None
+    """Run directory to make; by default a new one below runs/."""
+    json: bool = False
+    """Print the result as one JSON object on standard output."""
+
+
+@dataclass(frozen=True)
+class Eval:
+    """Evaluate a run beside its baselines, on held-out targets."""
+
+    run: Annotated[Path, tyro.conf.Positional]
+    """Run directory."""
+    agent: tuple[str, ...] = ("trained",)
+    """Agents: trained, random, zero, ik."""
+    episodes: Count = 1000
+    """Held-out episodes."""
+    seed: int = 1
+    """Seed of the targets."""
+    json: bool = False
+    """Print the report as JSON on standard output; a list of them for several agents."""
+
+
+@dataclass(frozen=True)
+class Plot:
+    """Draw learning curves."""
+
+    runs: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """Run directories."""
+    out: Path | None = None
+    """Picture to write (.png or .svg); by default curve.png in the first run."""
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Measure speed, accuracy and learning on this machine."""
+
+    suite: str = "speed"
+    """Suite of measurements: speed, kinematics, learning, start."""
+    json: bool = False
+    """Print the measurements as a JSON list on standard output."""
+
+
+@dataclass(frozen=True)
+class List:
+    """Show tasks, robots, simulators, observations, actions, rewards and agents."""
+
+    json: bool = False
+    """Print them as one JSON object on standard output."""
+
+
+def train(arguments: Train) -> None:
+    """Run `reachlab train`."""
+    _prepare_jax()
+    from reachlab.console import TrainDisplay, console, print_reports
+    from reachlab.plots import plot_curves
+    from reachlab.train import train as run_training
+
+    config = arguments.run
+    out = arguments.out or Path("runs") / f"{time.strftime('%Y%m%d-%H%M%S')}-{config.task}"
+    with TrainDisplay() as display:
+        result = run_training(config, out, display)
+    plot_curves([out], out / "curve.png")
+    if arguments.json:
+        print(jsonlib.dumps(result.to_json()))
+    print_reports([result.to_json()])
+    if result.validated is False:
+        console.print(
+            f"No validation reached a success rate of {config.ppo.stop_success:g} within {config.ppo.total_steps:,} steps."
+        )
+    console.print(
+        f"{result.steps:,} steps in {result.train_wall_s:.1f} s, {result.steps_per_second:,.0f} steps/s;"
+        f" with the report {result.total_wall_s:.1f} s. Written to {out}: report.json, curve.png, checkpoint."
+    )
+    console.print(f"Next: reachlab eval {out} --agent trained random ik")
+
+
+def evaluate(arguments: Eval) -> None:
+    """Run `reachlab eval`."""
+    _prepare_jax()
+    from reachlab.checkpoint import RunDirectory
+    from reachlab.console import print_reports
+    from reachlab.env import Env
+    from reachlab.evaluate import AGENTS, LANES
+    from reachlab.evaluate import evaluate as run_evaluation
+    from reachlab.train import load_policy
+
+    for agent in arguments.agent:
+        choose("agent", agent, AGENTS)
+    run = RunDirectory(arguments.run)
+    config = run.read_config()
+    env = Env(config, LANES)
+    policy = load_policy(run, config, env)
+    reports = []
+    for agent in arguments.agent:
+        report = run_evaluation(env, agent, policy, seed=arguments.seed, episodes=arguments.episodes).to_json()
+        run.write_report(f"{report['sim']}-{agent}-{arguments.seed}", report)
+        reports.append(report)
+    env.close()
+    if arguments.json:
+        print(jsonlib.dumps(reports[0] if len(reports) == 1 else reports))
+    else:
+        print_reports(reports)
+
+
+def plot(arguments: Plot) -> None:
+    """Run `reachlab plot`."""
+    from reachlab.console import console
+    from reachlab.plots import plot_curves
+
+    if not arguments.runs:
+        raise InputError("plot needs at least one run directory.")
+    out = arguments.out or arguments.runs[0] / "curve.png"
+    plot_curves(arguments.runs, out)
+    console.print(f"Written: {out}")
+
+
+def bench(arguments: Bench) -> None:
+    """Run `reachlab bench`."""
+    _prepare_jax()
+    from reachlab.bench import run_suite
+    from reachlab.console import print_table
+
+    rows = run_suite(arguments.suite)
+    if arguments.json:
+        print(jsonlib.dumps(rows))
+    else:
+        cells = [(row["name"], f"{row['value']:.4g}", row["unit"], str(row["config"])) for row in rows]
+        print_table(f"suite {arguments.suite}", ("measurement", "value", "unit", "configuration"), cells)
+
+
+def list_names(arguments: List) -> None:
+    """Run `reachlab list`."""
+    _prepare_jax()
+    from reachlab.console import print_table
+    from reachlab.evaluate import AGENTS
+    from reachlab.robots import ROBOTS
+    from reachlab.sims import SIMULATORS
+    from reachlab.task import ACTIONS, OBSERVATIONS, REWARDS
+
+    names: dict[str, dict[str, str]] = {
+        "tasks": {name: f"{config.rules.observation}, {config.rules.action}, {config.rules.reward}; simulator {config.sim}" for name, config in TASKS.items()},
+        "robots": {name: f"tool frames {', '.join(robot.tools)}" for name, robot in ROBOTS.items()},
+        "simulators": {name: entry.summary for name, entry in SIMULATORS.items()},
+        "observations": {name: design.summary for name, design in OBSERVATIONS.items()},
+        "actions": {name: design.summary for name, design in ACTIONS.items()},
+        "rewards": {name: (reward.__doc__ or "").strip() for name, reward in REWARDS.items()},
+        "agents": {name: (agent.__doc__ or "").strip() for name, agent in AGENTS.items()},
+    }
+    if arguments.json:
+        print(jsonlib.dumps(names))
+    else:
+        for kind, entries in names.items():
+            print_table(kind, ("name", "what it is"), list(entries.items()))
+
+
+@dataclass(frozen=True)
+class Verb:
+    """A verb: its flags and its function."""
+
+    flags: type
+    run: Callable[[Any], None]
+
+
+VERBS: dict[str, Verb] = {
+    "train": Verb(Train, train),
+    "eval": Verb(Eval, evaluate),
+    "plot": Verb(Plot, plot),
+    "bench": Verb(Bench, bench),
+    "list": Verb(List, list_names),
+}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Exit status of the command line; see `DONE`, `WRONG_INPUT`, `INTERRUPTED`."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    try:
+        if not words or words[0] in ("-h", "--help"):
+            print(_overview())
+            return DONE
+        verb = VERBS[choose("command", words[0], VERBS)]
+        verb.run(_parse(words[0], verb.flags, words[1:]))
+    except InputError as error:
+        print(f"reachlab: {error}", file=sys.stderr)
+        return WRONG_INPUT
+    except KeyboardInterrupt:
+        print("reachlab: interrupted.", file=sys.stderr)
+        return INTERRUPTED
+    return DONE
+
+
+def _overview() -> str:
+    width = max(map(len, VERBS))
+    verbs = "\n".join(f"  {name:{width}}  {verb.flags.__doc__}" for name, verb in VERBS.items())
+    return (
+        "usage: reachlab COMMAND [OPTIONS]\n\nTrains robot arms to reach, and proves how well they do it.\n\n"
+        f"commands:\n{verbs}\n\n`reachlab COMMAND --help` shows a command's options. A first run: reachlab train"
+    )
+
+
+def _parse(verb: str, flags: type, words: list[str]) -> Any:
+    """Flags of a verb; `--task` is read first and sets the other defaults.
+
+    Raises:
+        InputError: a flag or value that is not allowed, in one sentence.
+    """
+    default: Any = tyro.MISSING_NONPROP
+    if flags is Train:
+        default = Train(run=preset(_value_of("--task", words) or "tutorial"))
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(said):
+            return tyro.cli(
+                flags, prog=f"reachlab {verb}", args=words, default=default, config=(tyro.conf.OmitArgPrefixes,)
+            )
+    except SystemExit as end:
+        if not end.code:
+            raise
+        raise InputError(f"{_sentence(said.getvalue())} See `reachlab {verb} --help`.") from None
+
+
+def _value_of(flag: str, words: Sequence[str]) -> str | None:
+    for word, following in zip(words, [*words[1:], None], strict=True):
+        if word == flag:
+            return following
+        if word.startswith(f"{flag}="):
+            return word.partition("=")[2]
+    return None
+
+
+def _sentence(box: str) -> str:
+    """The first statement of tyro's framed message, and the flag it suggests."""
+    lines = [line.strip("│╭╮╰╯ ") for line in box.splitlines()]
+    statement = []
+    for line in lines[1:]:
+        if line.startswith("─"):
+            break
+        statement.append(line)
+    text = re.sub(r"^Error parsing [\w.]+: ", "", " ".join(statement)).rstrip(".") + "."
+    if any(line.startswith("Perhaps you meant") for line in lines):
+        near = next((line.split()[0].rstrip(",") for line in lines if line.startswith("--")), None)
+        text += f" Did you mean {near}?" if near else ""
+    return text
+
+
+def _prepare_jax() -> None:
+    """Quiet XLA's log, which prints pages of CPU features when it reads the compilation cache, and use the cache."""
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+    from reachlab.compilation import use_compilation_cache
+
+    use_compilation_cache()

@@ -1,0 +1,99 @@
+"""What a person sees in the terminal: progress and tables, on standard error."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+if TYPE_CHECKING:
+    from reachlab.train import Progress as TrainProgress
+
+LINES = 20
+"""Plain progress lines printed of a run that uses all its steps."""
+
+console = Console(stderr=True, highlight=False)
+
+
+class TrainDisplay:
+    """Shows training: a bar on a terminal, plain lines elsewhere."""
+
+    def __init__(self) -> None:
+        """Display that shows nothing yet."""
+        self._bar = Progress(
+            SpinnerColumn(),
+            TextColumn("{task.description}"),
+            BarColumn(bar_width=24),
+            TextColumn("{task.fields[status]}"),
+            TimeElapsedColumn(),
+            console=console,
+            transient=True,
+            disable=not console.is_terminal,
+        )
+        self._task = self._bar.add_task("compiling", total=None, status="")
+        self._printed = -1
+
+    def __enter__(self) -> Self:
+        """Begin to show."""
+        self._bar.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Take the bar away."""
+        self._bar.stop()
+
+    def __call__(self, progress: TrainProgress) -> None:
+        """Show where training stands."""
+        now = progress.metrics
+        left = (progress.total_steps - progress.steps) / max(now["steps_per_second"], 1.0)
+        status = (
+            f"{progress.steps / 1e6:.2f}M steps  success {100 * now['success_rate']:5.1f} %"
+            f"  {now['steps_per_second'] / 1e3:.0f}k steps/s  at most {left:.0f} s left"
+        )
+        if "validation_success" in now:
+            status += f"  validation {100 * now['validation_success']:.1f} %"
+        self._bar.update(
+            self._task, description="training", completed=progress.steps, total=progress.total_steps, status=status
+        )
+        due = LINES * progress.steps // progress.total_steps
+        if not console.is_terminal and (due > self._printed or "validation_success" in now):
+            self._printed = due
+            console.print(status)
+
+
+def print_reports(reports: Sequence[dict[str, Any]]) -> None:
+    """One table with a row for each report."""
+    table = Table(title=f"{reports[0]['task']} task, {reports[0]['robot']}: held-out targets", title_justify="left")
+    for heading in ("agent", "simulator", "seed", "episodes", "success", "95 % interval", "error median", "p99", "steps"):
+        table.add_column(heading, justify="left" if heading in ("agent", "simulator") else "right")
+    for report in reports:
+        low, high = report["success_interval"]
+        error = report["final_error_mm"]
+        table.add_row(
+            report["agent"],
+            report["sim"],
+            str(report["seed"]),
+            str(report["episodes"]),
+            f"{100 * report['success_rate']:.2f} %",
+            f"{100 * low:.2f} to {100 * high:.2f}",
+            f"{error['median']:.1f} mm",
+            f"{error['p99']:.1f} mm",
+            f"{report['steps_mean']:.0f}",
+        )
+    console.print(table)
+
+
+def print_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """A plain table."""
+    table = Table(title=title, title_justify="left")
+    for heading in headings:
+        table.add_column(heading)
+    for row in rows:
+        table.add_row(*row)
+    console.print(table)

@@ -1,0 +1,141 @@
+"""Pictures of a robot at work: the scene around it, and a camera drawn by MuJoCo off screen."""
+
+from __future__ import annotations
+
+import os
+import platform
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from reachlab.config import InputError
+from reachlab.robots import Robot
+
+WIDTH, HEIGHT = 640, 480
+"""Size of a picture [pixels]."""
+
+TABLE_TOP = -0.065
+"""Centre height of the drawn table's slab [m]; its top is where the tutorial's targets come to rest."""
+
+TARGET_RADIUS = 0.022
+"""Radius of the drawn target [m]."""
+
+EDGE_RADIUS = 0.0015
+"""Radius of the workspace's drawn edges [m]."""
+
+
+def scene_spec(robot: Robot) -> mujoco.MjSpec:
+    """The robot on a table, with a target (mocap body `target`), the workspace's edges and light."""
+    spec = mujoco.MjSpec.from_file(str(robot.file))
+    world, visual = spec.worldbody, spec.visual
+    visual.global_.offwidth, visual.global_.offheight = WIDTH, HEIGHT
+    visual.headlight.ambient, visual.headlight.diffuse = [0.4] * 3, [0.3] * 3
+    visual.headlight.specular = [0.1] * 3
+    spec.add_texture(
+        name="sky",
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        rgb1=[0.98, 0.985, 0.99],
+        rgb2=[0.82, 0.87, 0.92],
+        width=64,
+        height=64,
+    )
+    world.add_light(
+        pos=[1.5, -1.5, 2.2],
+        dir=[-0.55, 0.55, -1.0],
+        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+        diffuse=[0.42] * 3,
+        specular=[0.3] * 3,
+        castshadow=True,
+    )
+    drawn: dict[str, Any] = {"contype": 0, "conaffinity": 0}
+    box, capsule, sphere = (mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_SPHERE)
+    world.add_geom(type=box, pos=[0.5, 0, TABLE_TOP], size=[0.75, 0.5, 0.035], rgba=[0.62, 0.65, 0.69, 1], **drawn)
+    for start, end in _edges(robot):
+        world.add_geom(type=capsule, fromto=[*start, *end], size=[EDGE_RADIUS, 0, 0], rgba=[1, 1, 1, 0.6], **drawn)
+    target = world.add_body(name="target", mocap=True)
+    target.add_geom(type=sphere, size=[TARGET_RADIUS, 0, 0], rgba=[0.85, 0.12, 0.15, 1], **drawn)
+    return spec
+
+
+def _edges(robot: Robot) -> list[tuple[np.ndarray, np.ndarray]]:
+    """The twelve edges of the workspace box."""
+    low, high = (np.array(corner) for corner in robot.workspace)
+    edges = []
+    for axis in range(3):
+        for choice in np.ndindex(2, 2):
+            start = low.copy()
+            start[[i for i in range(3) if i != axis]] = [
+                (low, high)[c][i] for c, i in zip(choice, (i for i in range(3) if i != axis), strict=True)
+            ]
+            end = start.copy()
+            end[axis] = high[axis]
+            edges.append((start, end))
+    return edges
+
+
+class Camera:
+    """Draws a robot and its target off screen."""
+
+    def __init__(self, robot: Robot, width: int = WIDTH, height: int = HEIGHT) -> None:
+        """Camera on a robot; pictures have `height` × `width` pixels.
+
+        Raises:
+            InputError: there is no OpenGL to draw with.
+        """
+        self._shape = (height, width, 3)
+        self._context = _gl_context(width, height)
+        self._context.make_current()
+        spec = scene_spec(robot)
+        spec.visual.global_.offwidth, spec.visual.global_.offheight = width, height
+        self._model = spec.compile()
+        self._data = mujoco.MjData(self._model)
+        self._joints = [int(self._model.joint(name).qposadr[0]) for name in robot.chain.joints]
+        self._scene = mujoco.MjvScene(self._model, maxgeom=1000)
+        self._draw = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_150)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._draw)
+        self._option, self._view = mujoco.MjvOption(), mujoco.MjvCamera()
+        centre = np.mean(robot.workspace, axis=0)
+        self._view.azimuth, self._view.elevation, self._view.distance = 130.0, -22.0, 1.75
+        self._view.lookat[:] = [centre[0] * 0.6, centre[1], 0.3]
+
+    def picture(self, q: np.ndarray, target: np.ndarray) -> np.ndarray:
+        """Picture `[height, width, 3]` uint8 of joints `q [n]` and a target `[3]`."""
+        self._data.qpos[self._joints] = q
+        self._data.mocap_pos[0] = target
+        mujoco.mj_forward(self._model, self._data)
+        self._context.make_current()
+        mujoco.mjv_updateScene(
+            self._model, self._data, self._option, None, self._view, mujoco.mjtCatBit.mjCAT_ALL, self._scene
+        )
+        height, width, _ = self._shape
+        viewport = mujoco.MjrRect(0, 0, width, height)
+        mujoco.mjr_render(viewport, self._scene, self._draw)
+        pixels = np.empty(self._shape, np.uint8)
+        mujoco.mjr_readPixels(pixels, None, viewport, self._draw)
+        return np.flipud(pixels).copy()
+
+    def close(self) -> None:
+        """Free the OpenGL context."""
+        self._draw.free()
+        self._context.free()
+
+
+def _gl_context(width: int, height: int) -> Any:
+    """Off-screen OpenGL context: EGL on Linux unless `MUJOCO_GL` says otherwise."""
+    chosen = os.environ.get("MUJOCO_GL", "").lower()
+    backend = chosen if chosen in ("egl", "osmesa", "glfw") else {"Linux": "egl", "Darwin": "cgl"}.get(platform.system(), "glfw")
+    try:
+        if backend == "egl":
+            from mujoco.egl import GLContext
+        elif backend == "osmesa":
+            from mujoco.osmesa import GLContext
+        elif backend == "cgl":
+            from mujoco.cgl import GLContext
+        else:
+            from mujoco.glfw import GLContext
+        return GLContext(width, height)
+    except Exception as error:
+        hint = "On Debian or Ubuntu: apt install libegl1 libopengl0 libgl1-mesa-dri."
+        raise InputError(f"pictures need OpenGL ({backend}), which does not start here ({error}). {hint}") from None

@@ -1,0 +1,227 @@
+"""Training: collect, update, validate, and in the end a report."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from jax import Array
+from jax.stages import Wrapped
+
+from reachlab import ppo
+from reachlab.checkpoint import RunDirectory, write_json
+from reachlab.compilation import jit
+from reachlab.config import InputError, RunConfig
+from reachlab.env import Env, EnvState
+from reachlab.evaluate import (
+    VALIDATION_STREAM,
+    Report,
+    Runner,
+    episode_keys,
+    evaluate,
+    make_runner,
+    run_episodes,
+)
+from reachlab.metrics import Metrics
+from reachlab.policy import Policy, make_policy
+from reachlab.rollout import collect, episode_statistics
+
+TRAINING_STREAM = 0
+"""Random stream of the lanes; those of `evaluate` differ."""
+
+VALIDATE_FROM = 0.9
+"""Success rate of the training episodes from which validations are worth their time."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class TrainState:
+    """All that training changes: enough to go on from."""
+
+    learner: ppo.Learner
+    env: EnvState
+    key: Array
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where training stands: `steps` of `total_steps`, the metrics of the last iteration."""
+
+    steps: int
+    total_steps: int
+    metrics: dict[str, float]
+
+
+@dataclass(frozen=True)
+class TrainResult:
+    """What training came to.
+
+    Attributes:
+        report: on held-out targets.
+        steps: environment steps taken.
+        train_wall_s: time of the loop, compilation and validations included [s].
+        total_wall_s: time of everything, the report included [s].
+        steps_per_second: of collecting and updating, without the first iteration and validations.
+        validated: whether a validation held; None if none was asked for.
+    """
+
+    report: Report
+    steps: int
+    train_wall_s: float
+    total_wall_s: float
+    steps_per_second: float
+    validated: bool | None
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain form: the report's fields and the times."""
+        times = {name: value for name, value in vars(self).items() if name != "report"}
+        return self.report.to_json() | times
+
+
+def make_initial_policy(config: RunConfig, env: Env, key: Array) -> Policy:
+    """Untrained policy for an environment."""
+    return make_policy(key, env.observation_bounds, env.action_bounds, config.ppo.hidden, config.ppo.initial_std)
+
+
+def load_policy(run: RunDirectory, config: RunConfig, env: Env) -> Policy:
+    """Policy of a run's newest checkpoint.
+
+    Raises:
+        InputError: see `RunDirectory.read_checkpoint`.
+    """
+    template = jax.eval_shape(lambda key: make_initial_policy(config, env, key), jax.random.key(0))
+    return run.read_checkpoint("learner/policy", template)
+
+
+def train(config: RunConfig, out: Path, watch: Callable[[Progress], None] = lambda _: None) -> TrainResult:
+    """Result of training, whose files are in the new directory `out`.
+
+    Args:
+        config: every setting.
+        out: run directory, made here.
+        watch: called after every iteration.
+
+    Raises:
+        InputError: a setting that does not exist or fit, or a directory that does.
+    """
+    start = time.perf_counter()
+    _check(config)
+    env = Env(config, config.ppo.lanes)
+    run = RunDirectory(out)
+    run.create(config)
+    with Metrics(run.metrics_file) as metrics:
+        loop = _Loop(config, env, metrics, watch)
+        state = loop.run()
+    run.write_checkpoint(loop.steps, state)
+    trained = time.perf_counter()
+    report = evaluate(
+        env,
+        "trained",
+        state.learner.policy,
+        seed=config.seed,
+        episodes=config.ppo.report_episodes,
+        runner=loop.runner,
+    )
+    result = TrainResult(
+        report=report,
+        steps=loop.steps,
+        train_wall_s=trained - start,
+        total_wall_s=time.perf_counter() - start,
+        steps_per_second=loop.steps_per_second,
+        validated=loop.validated if config.ppo.stop_early else None,
+    )
+    write_json(run.report_file, result.to_json())
+    env.close()
+    return result
+
+
+def _check(config: RunConfig) -> None:
+    settings = config.ppo
+    if (settings.lanes * settings.rollout_steps) % settings.minibatches:
+        raise InputError(
+            f"lanes × rollout_steps is {settings.lanes} × {settings.rollout_steps}, which {settings.minibatches}"
+            " minibatches do not divide: choose minibatches that do."
+        )
+
+
+def iteration(env: Env, config: RunConfig, state: TrainState) -> tuple[TrainState, dict[str, Array]]:
+    """State after one rollout and its update, and scalars of both."""
+    key, for_rollout, for_update = jax.random.split(state.key, 3)
+    lanes, rollout = collect(env, state.learner.policy, state.env, for_rollout, config.ppo.rollout_steps)
+    learner, watched = ppo.update(state.learner, rollout, for_update, config.ppo)
+    return TrainState(learner, lanes, key), {**episode_statistics(rollout), **watched}
+
+
+def initial_state(env: Env, config: RunConfig) -> TrainState:
+    """State before the first iteration."""
+
+    def make(seed: Array) -> TrainState:
+        key, for_policy = jax.random.split(jax.random.fold_in(jax.random.key(seed), TRAINING_STREAM))
+        lanes = episode_keys(seed, TRAINING_STREAM, 0, config.ppo.lanes)
+        learner = ppo.make_learner(config.ppo, make_initial_policy(config, env, for_policy))
+        return TrainState(learner, env.init(lanes), key)
+
+    return jit(make)(np.uint32(config.seed))
+
+
+class _Loop:
+    """Iterations until the steps are used up or a validation holds."""
+
+    def __init__(
+        self, config: RunConfig, env: Env, metrics: Metrics, watch: Callable[[Progress], None]
+    ) -> None:
+        self.config, self.env, self.metrics, self.watch = config, env, metrics, watch
+        self.steps = 0
+        self.steps_per_second = 0.0
+        self.validated = False
+        self.runner = make_runner(env, "trained")
+
+    def run(self) -> TrainState:
+        settings, config = self.config.ppo, self.config
+        per_iteration = settings.lanes * settings.rollout_steps
+        state = initial_state(self.env, config)
+        policy_shape = jax.eval_shape(lambda: state.learner.policy)
+        with ThreadPoolExecutor(1) as pool:
+            compiling = pool.submit(self._compile_runner, policy_shape)
+            step = jit(lambda state: iteration(self.env, config, state), donate=(0,)).lower(state).compile()
+            compiling.result()
+        start, busy = time.perf_counter(), 0.0
+        while self.steps < settings.total_steps and not self.validated:
+            begun = time.perf_counter()
+            state, watched = step(state)
+            watched = jax.device_get(watched)
+            busy += time.perf_counter() - begun
+            self.steps += per_iteration
+            self.steps_per_second = self.steps / busy
+            row = {name: float(x) for name, x in sorted(watched.items())}
+            if self._due(row):
+                row["validation_success"] = self._validate(state.learner.policy)
+            row |= {"steps": self.steps, "wall_s": time.perf_counter() - start, "steps_per_second": self.steps_per_second}
+            self.metrics.write(row)
+            self.watch(Progress(self.steps, settings.total_steps, row))
+        return state
+
+    def _compile_runner(self, policy: Policy) -> None:
+        """Compile the validation beside the training step; both take seconds and one core each."""
+        run = self.runner.run
+        if isinstance(run, Wrapped):
+            keys = jax.eval_shape(lambda: episode_keys(0, VALIDATION_STREAM, 0, self.runner.lanes))
+            self.runner = Runner(run.lower(policy, keys).compile(), self.runner.lanes)
+
+    def _due(self, row: dict[str, float]) -> bool:
+        settings = self.config.ppo
+        count = self.steps // (settings.lanes * settings.rollout_steps)
+        return settings.stop_early and count % settings.validation_interval == 0 and row["success_rate"] >= VALIDATE_FROM
+
+    def _validate(self, policy: Policy) -> float:
+        episodes = self.config.ppo.validation_episodes
+        result = run_episodes(self.runner, policy, self.config.seed, VALIDATION_STREAM, episodes)
+        success = float(result.success.mean())
+        self.validated = success >= self.config.ppo.stop_success
+        return success
