@@ -61,6 +61,11 @@ def __dir__() -> list[str]:
     return __all__
 
 
-_FACES = {"entry_point": "reachlab.gym_env:ReachEnv", "vector_entry_point": "reachlab.gym_env:ReachVectorEnv"}
-register("reachlab/Reach-v0", **_FACES)
-register("reachlab/KukaReach-v0", **_FACES, kwargs={"task": "tutorial", "observation": "target", "reward": "sparse"})
+_FACE, _VECTOR_FACE = "reachlab.gym_env:ReachEnv", "reachlab.gym_env:ReachVectorEnv"
+register("reachlab/Reach-v0", entry_point=_FACE, vector_entry_point=_VECTOR_FACE)
+register(
+    "reachlab/KukaReach-v0",
+    entry_point=_FACE,
+    vector_entry_point=_VECTOR_FACE,
+    kwargs={"task": "tutorial", "observation": "target", "reward": "sparse"},
+)

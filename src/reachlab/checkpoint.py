@@ -46,7 +46,9 @@ class RunDirectory:
         try:
             self.path.mkdir(parents=True)
         except FileExistsError:
-            raise InputError(f"run directory '{self.path}' exists and is not overwritten: name another with --out.") from None
+            raise InputError(
+                f"run directory '{self.path}' exists and is not overwritten: name another with --out."
+            ) from None
         except OSError as error:
             raise InputError(f"run directory '{self.path}' cannot be made: {error.strerror}.") from None
         write_json(self.config_file, to_json(config))
@@ -58,7 +60,9 @@ class RunDirectory:
             InputError: no such run, or a configuration that is not one.
         """
         if not self.path.is_dir():
-            raise InputError(f"run directory '{self.path}' does not exist: train one with `reachlab train --out {self.path}`.")
+            raise InputError(
+                f"run directory '{self.path}' does not exist: train one with `reachlab train --out {self.path}`."
+            )
         data = _read_json(self.config_file)
         try:
             return from_json(data)
@@ -164,5 +168,5 @@ def _unflatten(arrays: Mapping[str, np.ndarray], part: str, template: Tree, wher
         wanted = jax.eval_shape(jax.random.key_data, like) if _is_key(like) else like
         if array is None or array.shape != wanted.shape or array.dtype != wanted.dtype:
             raise InputError(f"checkpoint '{where}' does not fit the run's configuration at {name!r}.")
-        leaves.append(jax.random.wrap_key_data(array) if _is_key(like) else jax.numpy.asarray(array))
+        leaves.append(jax.random.wrap_key_data(jax.numpy.asarray(array)) if _is_key(like) else jax.numpy.asarray(array))
     return jax.tree.unflatten(jax.tree.structure(template), leaves)

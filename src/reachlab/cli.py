@@ -167,7 +167,10 @@ def list_names(arguments: List) -> None:
     from reachlab.task import ACTIONS, OBSERVATIONS, REWARDS
 
     names: dict[str, dict[str, str]] = {
-        "tasks": {name: f"{config.rules.observation}, {config.rules.action}, {config.rules.reward}; simulator {config.sim}" for name, config in TASKS.items()},
+        "tasks": {
+            name: f"{config.rules.observation}, {config.rules.action}, {config.rules.reward}; simulator {config.sim}"
+            for name, config in TASKS.items()
+        },
         "robots": {name: f"tool frames {', '.join(robot.tools)}" for name, robot in ROBOTS.items()},
         "simulators": {name: entry.summary for name, entry in SIMULATORS.items()},
         "observations": {name: design.summary for name, design in OBSERVATIONS.items()},

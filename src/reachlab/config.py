@@ -145,7 +145,7 @@ class PPOConfig(_Checked):
     """End training once a validation holds `stop_success`."""
     stop_success: Fraction = 1.0
     """Success rate of the deterministic policy on `validation_episodes` that ends training."""
-    validation_episodes: Count = 1000
+    validation_episodes: Count = 3000
     """Episodes of a validation, from a random stream of its own."""
     validation_interval: Count = 2
     """Iterations between validations, once the training episodes themselves come near."""
@@ -155,7 +155,7 @@ class PPOConfig(_Checked):
     """Environments stepped together."""
     rollout_steps: Count = 64
     """Steps of each lane between two updates."""
-    epochs: Count = 4
+    epochs: Count = 8
     """Passes over a rollout."""
     minibatches: Count = 4
     """Parts of a rollout, one gradient step each."""
@@ -165,7 +165,7 @@ class PPOConfig(_Checked):
     """Step size after `anneal_steps`, reached on a straight line."""
     anneal_steps: Count = 2_000_000
     """Environment steps over which the learning rate falls."""
-    gamma: Fraction = 0.99
+    gamma: Fraction = 0.98
     """Discount of a step."""
     gae_lambda: Fraction = 0.95
     """Decay of generalised advantage estimation."""
@@ -179,7 +179,7 @@ class PPOConfig(_Checked):
     """The gradient of all parameters together is shortened to this norm."""
     hidden: tuple[Count, ...] = (64, 64)
     """Widths of the hidden layers of actor and critic."""
-    initial_std: Positive = 0.6
+    initial_std: Positive = 0.4
     """Standard deviation of the first policy, in halves of the action box."""
 
 
@@ -264,6 +264,7 @@ def _build(cls: type, data: Any, where: str) -> Any:
     values = {}
     for name, value in data.items():
         if dataclasses.is_dataclass(hints[name]):
-            value = _build(typing.cast("type", hints[name]), value, f"{where}, {name},")
-        values[name] = tuple(value) if isinstance(value, list) else value
+            values[name] = _build(typing.cast("type", hints[name]), value, f"{where}, {name},")
+        else:
+            values[name] = tuple(value) if isinstance(value, list) else value
     return cls(**values)

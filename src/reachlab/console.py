@@ -70,7 +70,17 @@ class TrainDisplay:
 def print_reports(reports: Sequence[dict[str, Any]]) -> None:
     """One table with a row for each report."""
     table = Table(title=f"{reports[0]['task']} task, {reports[0]['robot']}: held-out targets", title_justify="left")
-    for heading in ("agent", "simulator", "seed", "episodes", "success", "95 % interval", "error median", "p99", "steps"):
+    for heading in (
+        "agent",
+        "simulator",
+        "seed",
+        "episodes",
+        "success",
+        "95 % interval",
+        "error median",
+        "p99",
+        "steps",
+    ):
         table.add_column(heading, justify="left" if heading in ("agent", "simulator") else "right")
     for report in reports:
         low, high = report["success_interval"]

@@ -163,15 +163,11 @@ class Env:
     def _command(self, state: EnvState, action: Array) -> Array:
         return task.command(self.reach, state.target_q, action)
 
-    def _finish(
-        self, state: EnvState, arm: ArmState, target_q: Array, action: Array
-    ) -> tuple[EnvState, Transition]:
+    def _finish(self, state: EnvState, arm: ArmState, target_q: Array, action: Array) -> tuple[EnvState, Transition]:
         rules, clock = self.reach.config, state.clock + 1
         outcome = task.judge(self.reach, state.distance, arm.tool_position, state.target, clock)
         terms = task.REWARDS[rules.reward](rules, outcome)
-        state = replace(
-            state, arm=arm, target_q=target_q, last_action=action, distance=outcome.distance, clock=clock
-        )
+        state = replace(state, arm=arm, target_q=target_q, last_action=action, distance=outcome.distance, clock=clock)
         transition = Transition(
             observation=self.observe(state),
             reward=sum(terms.values(), jnp.zeros_like(outcome.distance)),

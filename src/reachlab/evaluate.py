@@ -147,7 +147,7 @@ def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
     return max(0.0, (centre - half) / scale), min(1.0, (centre + half) / scale)
 
 
-def episode_keys(seed: int, stream: int, first: int, count: int) -> Array:
+def episode_keys(seed: int | Array, stream: int, first: int, count: int) -> Array:
     """Keys of the episodes `first ... first + count - 1` of a seed's stream; they depend on nothing else."""
     key = jax.random.fold_in(jax.random.key(seed), stream)
     return jax.vmap(jax.random.fold_in, (None, 0))(key, jnp.arange(first, first + count))
@@ -229,12 +229,15 @@ def _count(
     return jax.tree.map(keep, episodes, new)
 
 
-def run_episodes(runner: Runner, policy: Policy | None, seed: int, stream: int, episodes: int) -> Episodes:
-    """Exactly `episodes` episodes of a seed's stream, as NumPy arrays; lanes beyond them do not count."""
+def run_episodes(
+    runner: Runner, policy: Policy | None, seed: int, stream: int, episodes: int, first: int = 0
+) -> Episodes:
+    """Exactly `episodes` episodes of a seed's stream from number `first` on, as NumPy arrays."""
     parts = []
-    for first in range(0, episodes, runner.lanes):
-        part = runner.run(policy, episode_keys(seed, stream, first, runner.lanes))
-        parts.append(jax.tree.map(lambda x, first=first: np.asarray(x)[: episodes - first], part))
+    for done in range(0, episodes, runner.lanes):
+        part = runner.run(policy, episode_keys(seed, stream, first + done, runner.lanes))
+        # Lanes beyond the last episode ran too; they do not count.
+        parts.append(jax.tree.map(lambda x, left=episodes - done: np.asarray(x)[:left], part))
     return jax.tree.map(lambda *x: np.concatenate(x), *parts)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium
 import jax
@@ -29,7 +29,7 @@ class ReachEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     `info` holds `is_success` and `distance` [m].
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": list(RENDER_MODES), "render_fps": 30}
+    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 30}  # noqa: RUF012 (Gymnasium's)
 
     def __init__(self, task: str = "tutorial", render_mode: str | None = None, **settings: Any) -> None:
         """Environment of a task preset, with any field of the configuration as a keyword.
@@ -46,6 +46,7 @@ class ReachEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """First observation of a new episode, and info; equal seeds give equal episodes from there on."""
+        del options
         super().reset(seed=seed)
         self._lanes.reset([seed], None, self.np_random)
         observation, distance = self._lanes.look()
@@ -105,7 +106,9 @@ class ReachVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Observations `[B, k]` and info; `options["reset_mask"] [B]` picks the lanes that begin anew."""
         super().reset(seed=seed if isinstance(seed, int) else None)
-        seeds = [seed + i for i in range(self.num_envs)] if isinstance(seed, int) else list(seed or [None] * self.num_envs)
+        seeds = (
+            [seed + i for i in range(self.num_envs)] if isinstance(seed, int) else list(seed or [None] * self.num_envs)
+        )
         if len(seeds) != self.num_envs:
             raise InputError(f"seed must be one number or {self.num_envs} of them, got {len(seeds)}.")
         mask = self._checked_mask(options)
@@ -114,9 +117,7 @@ class ReachVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         observation, distance = self._lanes.look()
         return observation, _batch_info({"is_success": np.zeros(self.num_envs, bool), "distance": distance}, mask)
 
-    def step(
-        self, actions: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+    def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """What the actions `[B, a]` led to.
 
         Raises:
@@ -176,9 +177,9 @@ class _Lanes:
             raise InputError(f"num_envs must be at least 1, got {lanes}.")
         self.env = Env(config, lanes)
         self._state: EnvState | None = None
-        compile = self.env.compile
-        self._init, self._step, self._reset = map(compile, (self.env.init, self.env.step, self.env.reset))
-        self._look = compile(lambda state: (self.env.observe(state), state.distance))
+        compiled = self.env.compile
+        self._init, self._step, self._reset = map(compiled, (self.env.init, self.env.step, self.env.reset))
+        self._look = compiled(lambda state: (self.env.observe(state), state.distance))
 
     def reset(self, seeds: Sequence[int | None], mask: np.ndarray | None, random: np.random.Generator) -> None:
         """New episodes in the lanes of `mask`: seeded, or the next of the lane's own stream."""

@@ -29,12 +29,11 @@ def plot_curves(runs: Sequence[Path], out: Path) -> None:
     axes: list[Axes] = list(figure.subplots(1, 3))
     for run in runs:
         rows = _rows(run)
-        steps = [row["steps"] for row in rows]
         label = run.name
         ended = [row for row in rows if row["episodes"] > 0]
         axes[0].plot([row["steps"] for row in ended], [100 * row["success_rate"] for row in ended], label=label)
         axes[1].plot([row["wall_s"] for row in ended], [100 * row["success_rate"] for row in ended], label=label)
-        axes[2].plot(steps, [1000 * row["final_distance"] if row["episodes"] else None for row in rows], label=label)
+        axes[2].plot([row["steps"] for row in ended], [1000 * row["final_distance"] for row in ended], label=label)
         held = [row for row in rows if "validation_success" in row]
         axes[0].plot([r["steps"] for r in held], [100 * r["validation_success"] for r in held], "k.", ms=5)
         axes[1].plot([r["wall_s"] for r in held], [100 * r["validation_success"] for r in held], "k.", ms=5)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -16,6 +16,9 @@ from reachlab.rollout import Rollout
 
 ADAM_EPSILON = 1e-5
 """Adam's epsilon, as PPO's reference implementation sets it."""
+
+
+Carry = tuple[Parameters, optax.OptState]
 
 
 class Batch(NamedTuple):
@@ -50,7 +53,7 @@ def make_optimiser(config: PPOConfig) -> optax.GradientTransformation:
 
 def make_learner(config: PPOConfig, policy: Policy) -> Learner:
     """Learner that has learnt nothing yet."""
-    return Learner(policy, make_optimiser(config).init(policy.parameters))
+    return Learner(policy, make_optimiser(config).init(cast("optax.Params", policy.parameters)))
 
 
 def gae(
@@ -108,16 +111,18 @@ def update(learner: Learner, rollout: Rollout, key: Array, config: PPOConfig) ->
     samples = _samples(policy, rollout, config)
     size = samples.log_prob.shape[0]
 
-    def gradient_step(carry: tuple[Parameters, optax.OptState], batch: Batch):
+    def gradient_step(carry: Carry, batch: Batch) -> tuple[Carry, dict[str, Array]]:
         parameters, state = carry
         gradient, watched = jax.grad(loss, has_aux=True)(parameters, batch, config)
-        change, state = optimiser.update(gradient, state, parameters)
+        change, state = optimiser.update(gradient, state)
         watched["gradient_norm"] = optax.tree.norm(gradient)
-        return (optax.apply_updates(parameters, change), state), watched
+        return (jax.tree.map(jnp.add, parameters, change), state), watched
 
-    def epoch(carry: tuple[Parameters, optax.OptState], key: Array):
-        order = jax.random.permutation(key, size).reshape(config.minibatches, -1)
-        return jax.lax.scan(lambda carry, rows: gradient_step(carry, jax.tree.map(lambda x: x[rows], samples)), carry, order)
+    def epoch(carry: Carry, key: Array) -> tuple[Carry, dict[str, Array]]:
+        batches = _shuffle(key, *rollout.reward.shape).reshape(config.minibatches, -1)
+        return jax.lax.scan(
+            lambda carry, rows: gradient_step(carry, jax.tree.map(lambda x: x[rows], samples)), carry, batches
+        )
 
     carry = (policy.parameters, learner.optimiser)
     (parameters, state), watched = jax.lax.scan(epoch, carry, jax.random.split(key, config.epochs))
@@ -126,12 +131,22 @@ def update(learner: Learner, rollout: Rollout, key: Array, config: PPOConfig) ->
     return Learner(replace(policy, parameters=parameters, normaliser=normaliser), state), watched
 
 
+def _shuffle(key: Array, steps: int, lanes: int) -> Array:
+    """Order `[T · B]` of the samples in which every part draws, at each step, its own lanes.
+
+    The lanes are permuted once and shifted at random for every step: a full permutation's sort would take
+    as long as the gradients.
+    """
+    for_lanes, for_shift = jax.random.split(key)
+    shift = jax.random.randint(for_shift, (steps, 1), 0, lanes)
+    lane = jax.random.permutation(for_lanes, lanes)[(jnp.arange(lanes) + shift) % lanes]
+    return (jnp.arange(steps)[:, None] * lanes + lane).T.reshape(-1)
+
+
 def _samples(policy: Policy, rollout: Rollout, config: PPOConfig) -> Batch:
     observation = policy.normaliser(rollout.observation)
     v_t = value(policy.parameters, observation)
     v_tp1 = value(policy.parameters, policy.normaliser(rollout.next_observation))
-    advantage = gae(
-        rollout.reward, v_t, v_tp1, rollout.terminated, rollout.done, config.gamma, config.gae_lambda
-    )
+    advantage = gae(rollout.reward, v_t, v_tp1, rollout.terminated, rollout.done, config.gamma, config.gae_lambda)
     samples = Batch(observation, rollout.output, rollout.log_prob, advantage, advantage + v_t)
     return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), samples)

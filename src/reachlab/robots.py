@@ -7,11 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 
 from reachlab.config import InputError, choose
-from reachlab.kinematics import Chain, chain_from_model
+from reachlab.kinematics import Chain, chain_from_model, forward_kinematics
 
 ASSETS = Path(__file__).parent / "assets"
 
@@ -99,7 +100,7 @@ def _load(name: str, tool: str | None) -> Robot:
         choose("robot", name, [*ROBOTS, "a path to an .xml or .urdf file"])
     file = known.file if known else Path(name)
     model = _compile(file)
-    tool = tool or (known.tools[0] if known else model.body(model.nbody - 1).name)
+    tool = tool or (known.tools[0] if known else str(model.body(model.nbody - 1).name))
     try:
         chain = chain_from_model(model, tool)
     except ValueError as error:
@@ -160,10 +161,8 @@ def _torques(model: mujoco.MjModel, ids: Sequence[int]) -> tuple[float, ...]:
 
 
 def _workspace(chain: Chain) -> Box:
-    from reachlab.kinematics import forward_kinematics
-
     lower, upper = _finite_limits(chain)
-    q = np.random.default_rng(0).uniform(lower, upper, (WORKSPACE_SAMPLES, chain.n)).astype(np.float32)
+    q = jnp.asarray(np.random.default_rng(0).uniform(lower, upper, (WORKSPACE_SAMPLES, chain.n)), jnp.float32)
     points = np.asarray(forward_kinematics(chain, q).position)
     low, high = np.quantile(points, (0.1, 0.9), axis=0)
     low[2] = min(max(low[2], 0.0), high[2])
@@ -171,6 +170,4 @@ def _workspace(chain: Chain) -> Box:
 
 
 def _tool_quaternion(chain: Chain, home: tuple[float, ...]) -> tuple[float, ...]:
-    from reachlab.kinematics import forward_kinematics
-
-    return tuple(np.asarray(forward_kinematics(chain, np.asarray(home, np.float32)).quaternion).tolist())
+    return tuple(np.asarray(forward_kinematics(chain, jnp.asarray(home, jnp.float32)).quaternion).tolist())

@@ -125,7 +125,11 @@ class Camera:
 def _gl_context(width: int, height: int) -> Any:
     """Off-screen OpenGL context: EGL on Linux unless `MUJOCO_GL` says otherwise."""
     chosen = os.environ.get("MUJOCO_GL", "").lower()
-    backend = chosen if chosen in ("egl", "osmesa", "glfw") else {"Linux": "egl", "Darwin": "cgl"}.get(platform.system(), "glfw")
+    backend = (
+        chosen
+        if chosen in ("egl", "osmesa", "glfw")
+        else {"Linux": "egl", "Darwin": "cgl"}.get(platform.system(), "glfw")
+    )
     try:
         if backend == "egl":
             from mujoco.egl import GLContext

@@ -104,7 +104,7 @@ def _target_bounds(reach: Reach) -> Bounds:
 def _tool_bounds(reach: Reach) -> Bounds:
     """A cube that holds every point the arm can reach: all its offsets and slides in one line."""
     chain = reach.robot.chain
-    offsets = sum(float(np.linalg.norm(offset)) for _, offset in chain.frames)
+    offsets = sum(float(np.linalg.norm(np.array(offset))) for _, offset in chain.frames)
     slides = sum(
         max(abs(low), abs(high)) for low, high, s in zip(chain.lower, chain.upper, chain.slides, strict=True) if s
     )

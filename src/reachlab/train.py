@@ -173,9 +173,7 @@ def initial_state(env: Env, config: RunConfig) -> TrainState:
 class _Loop:
     """Iterations until the steps are used up or a validation holds."""
 
-    def __init__(
-        self, config: RunConfig, env: Env, metrics: Metrics, watch: Callable[[Progress], None]
-    ) -> None:
+    def __init__(self, config: RunConfig, env: Env, metrics: Metrics, watch: Callable[[Progress], None]) -> None:
         self.config, self.env, self.metrics, self.watch = config, env, metrics, watch
         self.steps = 0
         self.steps_per_second = 0.0
@@ -202,7 +200,11 @@ class _Loop:
             row = {name: float(x) for name, x in sorted(watched.items())}
             if self._due(row):
                 row["validation_success"] = self._validate(state.learner.policy)
-            row |= {"steps": self.steps, "wall_s": time.perf_counter() - start, "steps_per_second": self.steps_per_second}
+            row |= {
+                "steps": self.steps,
+                "wall_s": time.perf_counter() - start,
+                "steps_per_second": self.steps_per_second,
+            }
             self.metrics.write(row)
             self.watch(Progress(self.steps, settings.total_steps, row))
         return state
@@ -217,11 +219,17 @@ class _Loop:
     def _due(self, row: dict[str, float]) -> bool:
         settings = self.config.ppo
         count = self.steps // (settings.lanes * settings.rollout_steps)
-        return settings.stop_early and count % settings.validation_interval == 0 and row["success_rate"] >= VALIDATE_FROM
+        return (
+            settings.stop_early and count % settings.validation_interval == 0 and row["success_rate"] >= VALIDATE_FROM
+        )
 
     def _validate(self, policy: Policy) -> float:
-        episodes = self.config.ppo.validation_episodes
-        result = run_episodes(self.runner, policy, self.config.seed, VALIDATION_STREAM, episodes)
-        success = float(result.success.mean())
-        self.validated = success >= self.config.ppo.stop_success
-        return success
+        """Success rate of the validation so far; it ends as soon as it can no longer hold."""
+        settings, lanes = self.config.ppo, self.runner.lanes
+        failures, allowed, seen = 0, (1 - settings.stop_success) * settings.validation_episodes, 0
+        while seen < settings.validation_episodes and failures <= allowed:
+            count = min(lanes, settings.validation_episodes - seen)
+            result = run_episodes(self.runner, policy, self.config.seed, VALIDATION_STREAM, count, first=seen)
+            seen, failures = seen + count, failures + int((~result.success).sum())
+        self.validated = failures <= allowed
+        return 1 - failures / seen

@@ -70,7 +70,9 @@ class Entry:
 
 
 SIMULATORS: dict[str, Entry] = {
-    "kinematic": Entry("joints follow their commands exactly; batched in JAX", "reachlab.sims.kinematic", "KinematicSimulator"),
+    "kinematic": Entry(
+        "joints follow their commands exactly; batched in JAX", "reachlab.sims.kinematic", "KinematicSimulator"
+    ),
 }
 """Simulators by name. Adding one takes its file and its line here."""
 
