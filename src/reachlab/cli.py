@@ -94,7 +94,7 @@ def train(arguments: Train) -> None:
     print_reports([result.to_json()])
     if result.validated is False:
         console.print(
-            f"No validation reached a success rate of {config.ppo.stop_success:g} within {config.ppo.total_steps:,} steps."
+            f"No validation reached {config.ppo.stop_success:g} success within {config.ppo.total_steps:,} steps."
         )
     console.print(
         f"{result.steps:,} steps in {result.train_wall_s:.1f} s, {result.steps_per_second:,.0f} steps/s;"

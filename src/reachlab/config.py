@@ -151,13 +151,13 @@ class PPOConfig(_Checked):
     """Iterations between validations, once the training episodes themselves come near."""
     report_episodes: Count = 1000
     """Held-out episodes of the report at the end of training."""
-    lanes: Count = 256
+    lanes: Count = 128
     """Environments stepped together."""
     rollout_steps: Count = 64
     """Steps of each lane between two updates."""
     epochs: Count = 8
     """Passes over a rollout."""
-    minibatches: Count = 4
+    minibatches: Count = 2
     """Parts of a rollout, one gradient step each."""
     learning_rate: Positive = 1e-3
     """Adam's step size at the start."""

@@ -41,8 +41,11 @@ ROUND_TO_EXACT = 1e-12
 DAMPING = 1e-5
 """Added to the diagonal of J Jᵀ; the tutorial's joint damping."""
 
-SUGIHARA = 0.5
+SUGIHARA = 0.1
 """Weight of the squared error in the damping of the inverse-kinematics solver."""
+
+MAX_SOLVER_STEP = 1.0
+"""Largest joint displacement of one step of the solver [rad or m]; its damping does the rest."""
 
 MAX_TURN = 0.1
 """Largest orientation error handed to one linearised step [rad]; more is turned over several steps."""
@@ -138,8 +141,9 @@ def chain_from_model(model: mujoco.MjModel, tool: str) -> Chain:
             transform = back
             limited = bool(model.jnt_limited[joint])
             slides.append(slide)
-            lower.append(float(model.jnt_range[joint, 0]) if limited else -np.inf)
-            upper.append(float(model.jnt_range[joint, 1]) if limited else np.inf)
+            low, high = model.jnt_range[joint] if limited else (-np.inf, np.inf)
+            lower.append(_inward(low, np.inf))
+            upper.append(_inward(high, -np.inf))
             names.append(name)
     if not slides:
         raise ValueError(f"no joint moves tool {tool!r}")
@@ -157,6 +161,13 @@ def _tool_body(model: mujoco.MjModel, tool: str) -> tuple[int, np.ndarray]:
     if body < 0:
         raise ValueError(f"tool {tool!r} is neither a site nor a body of the model")
     return body, np.eye(4)
+
+
+def _inward(limit: float, inside: float) -> float:
+    """The limit as a float32 number that is not beyond it."""
+    rounded = np.float32(limit)
+    beyond = rounded < limit if inside > limit else rounded > limit
+    return float(np.nextafter(rounded, np.float32(inside)) if beyond else rounded)
 
 
 def _transform(position: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
@@ -254,7 +265,7 @@ def ik_step(chain: Chain, q: Array, target: Pose) -> Array:
     lanes = _lanes(q)
     linear, angular, columns = _error(chain, lanes, target)
     turn = angular.times(_shrink(MAX_TURN, angular.norm()))
-    return _stack(_bounded_step(chain, lanes, columns, linear, turn, DAMPING), q)
+    return _stack(_bounded_step(chain, lanes, columns, linear, turn, DAMPING, MAX_JOINT_STEP), q)
 
 
 def inverse_kinematics(
@@ -264,7 +275,7 @@ def inverse_kinematics(
     key: Array,
     *,
     restarts: int = 40,
-    iterations: int = 40,
+    iterations: int = 25,
     position_tolerance: float = 1e-5,
     angle_tolerance: float = 1e-4,
 ) -> IKSolution:
@@ -299,7 +310,7 @@ def inverse_kinematics(
         q, _, count = carry
         linear, angular, columns, distance, angle, reached = errors(q)
         damping = DAMPING + SUGIHARA * (distance**2 + angle**2)
-        moved = _stack(_bounded_step(chain, _lanes(q), columns, linear, angular, damping), q)
+        moved = _stack(_bounded_step(chain, _lanes(q), columns, linear, angular, damping, MAX_SOLVER_STEP), q)
         again = (count + 1) % iterations == 0
         moved = jnp.where(again, seeds[(count + 1) // iterations - 1], moved)
         return jnp.where(reached[..., None], q, moved), reached, count + 1
@@ -338,13 +349,14 @@ def _bounded_step(
     linear: Vec,
     angular: Vec,
     damping: Scalar,
+    bound: float,
 ) -> list[Scalar]:
-    """Joint vector after one step of bounded length inside the limits."""
+    """Joint vector after one step of at most `bound` a joint, inside the limits."""
     step = _least_squares(columns, (*linear, *angular), damping)
     longest = jnp.abs(step[0])
     for component in step[1:]:
         longest = jnp.maximum(longest, jnp.abs(component))
-    scale = once(_shrink(MAX_JOINT_STEP, longest))
+    scale = once(_shrink(bound, longest))
     clipped = once(_clip(chain, [add(a, mul(scale, s)) for a, s in zip(q, step, strict=True)]))
 
     moved = [sub(new, old) for new, old in zip(clipped, q, strict=True)]
@@ -358,7 +370,7 @@ def _bounded_step(
     ]
     masked = once([tuple(mul(f, c) for c in column[:3]) for f, column in zip(free, columns, strict=True)])
     repair = _least_squares(masked, left, damping)
-    bounded = [jnp.clip(r, -MAX_JOINT_STEP, MAX_JOINT_STEP) for r in repair]
+    bounded = [jnp.clip(r, -bound, bound) for r in repair]
     return _clip(chain, [add(c, r) for c, r in zip(clipped, bounded, strict=True)])
 
 
