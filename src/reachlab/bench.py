@@ -85,7 +85,7 @@ def speed() -> Iterator[Row]:
     yield _row("env_steps_per_second/kinematic", best, "1/s", lanes=lanes, machine=_machine())
     config = configure()
     env = Env(config, config.ppo.lanes)
-    state = initial_state(env, config)
+    state = jit(lambda seed: initial_state(env, config, seed))(config.seed)
     step = jit(lambda state: iteration(env, config, state)).lower(state).compile()
     per_call = config.ppo.lanes * config.ppo.rollout_steps
     yield _row("train_steps_per_second/kinematic", per_call / _best(lambda: step(state)), "1/s", lanes=config.ppo.lanes)

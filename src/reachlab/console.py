@@ -16,7 +16,12 @@ if TYPE_CHECKING:
 LINES = 20
 """Plain progress lines printed of a run that uses all its steps."""
 
+PLAIN_WIDTH = 100
+"""Width of tables and lines where there is no terminal [characters]."""
+
 console = Console(stderr=True, highlight=False)
+if not console.is_terminal:
+    console = Console(stderr=True, highlight=False, width=PLAIN_WIDTH)
 
 
 class TrainDisplay:
@@ -69,27 +74,19 @@ class TrainDisplay:
 
 def print_reports(reports: Sequence[dict[str, Any]]) -> None:
     """One table with a row for each report."""
-    table = Table(title=f"{reports[0]['task']} task, {reports[0]['robot']}: held-out targets", title_justify="left")
-    for heading in (
-        "agent",
-        "simulator",
-        "seed",
-        "episodes",
-        "success",
-        "95 % interval",
-        "error median",
-        "p99",
-        "steps",
-    ):
-        table.add_column(heading, justify="left" if heading in ("agent", "simulator") else "right")
+    first = reports[0]
+    title = f"{first['task']} task, {first['robot']}: {first['episodes']:,} held-out targets of seed {first['seed']}"
+    table = Table(title=title, title_justify="left")
+    for heading in ("agent", "simulator"):
+        table.add_column(heading)
+    for heading in ("success", "95 % interval", "error median", "p99", "steps"):
+        table.add_column(heading, justify="right")
     for report in reports:
         low, high = report["success_interval"]
         error = report["final_error_mm"]
         table.add_row(
             report["agent"],
             report["sim"],
-            str(report["seed"]),
-            str(report["episodes"]),
             f"{100 * report['success_rate']:.2f} %",
             f"{100 * low:.2f} to {100 * high:.2f}",
             f"{error['median']:.1f} mm",

@@ -18,6 +18,9 @@ SIZE = (9.0, 3.6)
 
 DOTS_PER_INCH = 150
 
+POOL = 50
+"""Training episodes that a point of a curve stands for at least."""
+
 
 def plot_curves(runs: Sequence[Path], out: Path) -> None:
     """Draw the learning curves of runs into one picture: success and return of training against steps and seconds.
@@ -30,7 +33,7 @@ def plot_curves(runs: Sequence[Path], out: Path) -> None:
     for run in runs:
         rows = _rows(run)
         label = run.name
-        ended = [row for row in rows if row["episodes"] > 0]
+        ended = _pooled(rows)
         axes[0].plot([row["steps"] for row in ended], [100 * row["success_rate"] for row in ended], label=label)
         axes[1].plot([row["wall_s"] for row in ended], [100 * row["success_rate"] for row in ended], label=label)
         axes[2].plot([row["steps"] for row in ended], [1000 * row["final_distance"] for row in ended], label=label)
@@ -48,7 +51,7 @@ def plot_curves(runs: Sequence[Path], out: Path) -> None:
 def _dress(axes: Sequence[Axes]) -> None:
     axes[0].set(xlabel="environment steps", ylabel="success [%]", ylim=(-3, 103), title="success while training")
     axes[1].set(xlabel="seconds", ylabel="success [%]", ylim=(-3, 103), title="the same against time")
-    axes[2].set(xlabel="environment steps", ylabel="distance [mm]", title="distance at the end", yscale="log")
+    axes[2].set(xlabel="environment steps", ylabel="distance [mm]", title="distance at the end", ylim=(0, None))
     axes[0].plot([], [], "k.", ms=5, label="validation")
     axes[0].legend(loc="lower right", frameon=False, fontsize="small")
     for axis in axes:
@@ -56,6 +59,19 @@ def _dress(axes: Sequence[Axes]) -> None:
         axis.spines[["top", "right"]].set_visible(False)
     axes[0].ticklabel_format(axis="x", style="sci", scilimits=(0, 4))
     axes[2].ticklabel_format(axis="x", style="sci", scilimits=(0, 4))
+
+
+def _pooled(rows: Sequence[dict[str, Any]]) -> list[dict[str, float]]:
+    """Rows joined until each stands for at least `POOL` episodes; a rest at the end that is smaller is left out."""
+    points, episodes, sums = [], 0.0, {"success_rate": 0.0, "final_distance": 0.0}
+    for row in rows:
+        episodes += row["episodes"]
+        sums = {name: total + row[name] * row["episodes"] for name, total in sums.items()}
+        if episodes >= POOL:
+            means = {name: total / episodes for name, total in sums.items()}
+            points.append({"steps": row["steps"], "wall_s": row["wall_s"], **means})
+            episodes, sums = 0.0, dict.fromkeys(sums, 0.0)
+    return points
 
 
 def _rows(run: Path) -> list[dict[str, Any]]:

@@ -158,16 +158,12 @@ def iteration(env: Env, config: RunConfig, state: TrainState) -> tuple[TrainStat
     return TrainState(learner, lanes, key), {**episode_statistics(rollout), **watched}
 
 
-def initial_state(env: Env, config: RunConfig) -> TrainState:
+def initial_state(env: Env, config: RunConfig, seed: int | Array) -> TrainState:
     """State before the first iteration."""
-
-    def make(seed: Array) -> TrainState:
-        key, for_policy = jax.random.split(jax.random.fold_in(jax.random.key(seed), TRAINING_STREAM))
-        lanes = episode_keys(seed, TRAINING_STREAM, 0, config.ppo.lanes)
-        learner = ppo.make_learner(config.ppo, make_initial_policy(config, env, for_policy))
-        return TrainState(learner, env.init(lanes), key)
-
-    return jit(make)(np.uint32(config.seed))
+    key, for_policy = jax.random.split(jax.random.fold_in(jax.random.key(seed), TRAINING_STREAM))
+    lanes = episode_keys(seed, TRAINING_STREAM, 0, config.ppo.lanes)
+    learner = ppo.make_learner(config.ppo, make_initial_policy(config, env, for_policy))
+    return TrainState(learner, env.init(lanes), key)
 
 
 class _Loop:
@@ -181,20 +177,20 @@ class _Loop:
         self.runner = make_runner(env, "trained")
 
     def run(self) -> TrainState:
-        settings, config = self.config.ppo, self.config
+        settings, config, env = self.config.ppo, self.config, self.env
         per_iteration = settings.lanes * settings.rollout_steps
-        state = initial_state(self.env, config)
-        policy_shape = jax.eval_shape(lambda: state.learner.policy)
-        with ThreadPoolExecutor(1) as pool:
-            compiling = pool.submit(self._compile_runner, policy_shape)
-            step = jit(lambda state: iteration(self.env, config, state), donate=(0,)).lower(state).compile()
-            compiling.result()
+        shape = jax.eval_shape(lambda: initial_state(env, config, config.seed))
+        with ThreadPoolExecutor(2) as pool:  # compiling takes seconds, and the three programs are independent
+            begun = pool.submit(env.compile(lambda seed: initial_state(env, config, seed)), np.uint32(config.seed))
+            runner = pool.submit(self._compiled_runner, shape.learner.policy)
+            step = jit(lambda state: iteration(env, config, state), donate=(0,)).lower(shape).compile()
+            state, self.runner = begun.result(), runner.result()
         start, busy = time.perf_counter(), 0.0
         while self.steps < settings.total_steps and not self.validated:
-            begun = time.perf_counter()
+            tick = time.perf_counter()
             state, watched = step(state)
             watched = jax.device_get(watched)
-            busy += time.perf_counter() - begun
+            busy += time.perf_counter() - tick
             self.steps += per_iteration
             self.steps_per_second = self.steps / busy
             row = {name: float(x) for name, x in sorted(watched.items())}
@@ -209,12 +205,11 @@ class _Loop:
             self.watch(Progress(self.steps, settings.total_steps, row))
         return state
 
-    def _compile_runner(self, policy: Policy) -> None:
-        """Compile the validation beside the training step; both take seconds and one core each."""
-        run = self.runner.run
-        if isinstance(run, Wrapped):
-            keys = jax.eval_shape(lambda: episode_keys(0, VALIDATION_STREAM, 0, self.runner.lanes))
-            self.runner = Runner(run.lower(policy, keys).compile(), self.runner.lanes)
+    def _compiled_runner(self, policy: Policy) -> Runner:
+        if not isinstance(self.runner.run, Wrapped):
+            return self.runner
+        keys = jax.eval_shape(lambda: episode_keys(0, VALIDATION_STREAM, 0, self.runner.lanes))
+        return Runner(self.runner.run.lower(policy, keys).compile(), self.runner.lanes)
 
     def _due(self, row: dict[str, float]) -> bool:
         settings = self.config.ppo

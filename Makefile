@@ -1,0 +1,43 @@
+# Two commands need nothing but Python >= 3.11 and make: `make demo` and `make test`.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+RUN := runs/demo-$(shell date +%Y%m%d-%H%M%S)
+PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
+
+.PHONY: demo test lint types unit bench clean
+
+demo: $(VENV)/installed
+	@$(BIN)/reachlab train --out $(RUN)
+	@$(BIN)/reachlab eval $(RUN) --agent trained ik random zero
+	@echo "Curve: $(RUN)/curve.png   Report: $(RUN)/report.json   Shorter from here: source $(VENV)/bin/activate"
+
+test: lint types unit
+
+lint: $(VENV)/installed-dev
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+
+types: $(VENV)/installed-dev
+	$(BIN)/pyright
+
+unit: $(VENV)/installed-dev
+	$(BIN)/python -m pytest -n 2
+
+bench: $(VENV)/installed
+	for suite in start speed kinematics learning; do $(BIN)/reachlab bench --suite $$suite; done
+
+$(VENV)/bin/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "reachlab needs Python 3.11 or newer; this is " + sys.version.split()[0] + ". Name another: make PYTHON=python3.12")'
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/installed: $(VENV)/bin/python pyproject.toml constraints.txt
+	$(PIP) install --constraint constraints.txt --editable .
+	@touch $@
+
+$(VENV)/installed-dev: $(VENV)/bin/python pyproject.toml constraints.txt
+	$(PIP) install --constraint constraints.txt --editable '.[dev]'
+	@touch $@ $(VENV)/installed
+
+clean:
+	rm -rf $(VENV) .pytest_cache .ruff_cache
