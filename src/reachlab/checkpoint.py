@@ -156,7 +156,7 @@ def _is_key(leaf: Any) -> bool:
 
 def _flatten(tree: object) -> dict[str, np.ndarray]:
     return {
-        name: np.ascontiguousarray(jax.random.key_data(leaf) if _is_key(leaf) else leaf)
+        name: np.asarray(jax.random.key_data(leaf) if _is_key(leaf) else leaf, order="C")
         for name, leaf in _named_leaves(tree)
     }
 

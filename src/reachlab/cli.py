@@ -16,7 +16,10 @@ from typing import Annotated, Any
 
 import tyro
 
-from reachlab.config import TASKS, Count, InputError, RunConfig, choose, preset
+from reachlab.config import TASKS, Count, InputError, RunConfig, choose, in_simulator, override, preset
+
+EVALUATION_LANES = {"pybullet": 8}
+"""Lanes of an evaluation where they are dear."""
 
 DONE, WRONG_INPUT, INTERRUPTED = 0, 2, 130
 """Exit statuses."""
@@ -39,14 +42,20 @@ class Eval:
 
     run: Annotated[Path, tyro.conf.Positional]
     """Run directory."""
+    sim: str | None = None
+    """Simulator, or `all` of them; by default the run's own."""
     agent: tuple[str, ...] = ("trained",)
     """Agents: trained, random, zero, ik."""
     episodes: Count = 1000
     """Held-out episodes."""
     seed: int = 1
     """Seed of the targets."""
+    gui: bool = False
+    """PyBullet: open its window."""
+    slow: bool = False
+    """PyBullet: slow down to be followed by eye."""
     json: bool = False
-    """Print the report as JSON on standard output; a list of them for several agents."""
+    """Print the report as JSON on standard output; a list of them for several agents or simulators."""
 
 
 @dataclass(frozen=True)
@@ -111,20 +120,25 @@ def evaluate(arguments: Eval) -> None:
     from reachlab.env import Env
     from reachlab.evaluate import AGENTS, LANES
     from reachlab.evaluate import evaluate as run_evaluation
+    from reachlab.sims import SIMULATORS
     from reachlab.train import load_policy
 
     for agent in arguments.agent:
         choose("agent", agent, AGENTS)
     run = RunDirectory(arguments.run)
-    config = run.read_config()
-    env = Env(config, LANES)
-    policy = load_policy(run, config, env)
+    trained = run.read_config()
+    names = list(SIMULATORS) if arguments.sim == "all" else [arguments.sim or trained.sim]
     reports = []
-    for agent in arguments.agent:
-        report = run_evaluation(env, agent, policy, seed=arguments.seed, episodes=arguments.episodes).to_json()
-        run.write_report(f"{report['sim']}-{agent}-{arguments.seed}", report)
-        reports.append(report)
-    env.close()
+    for name in names:
+        config = in_simulator(trained, choose("simulator", name, [*SIMULATORS, "all"]))
+        config = override(config, gui=arguments.gui, slow=arguments.slow)
+        env = Env(config, 1 if arguments.gui else min(arguments.episodes, EVALUATION_LANES.get(name, LANES)))
+        policy = load_policy(run, config, env)
+        for agent in arguments.agent:
+            report = run_evaluation(env, agent, policy, seed=arguments.seed, episodes=arguments.episodes).to_json()
+            run.write_report(f"{report['sim']}-{agent}-{arguments.seed}", report)
+            reports.append(report)
+        env.close()
     if arguments.json:
         print(jsonlib.dumps(reports[0] if len(reports) == 1 else reports))
     else:
@@ -230,14 +244,14 @@ def _overview() -> str:
 
 
 def _parse(verb: str, flags: type, words: list[str]) -> Any:
-    """Flags of a verb; `--task` is read first and sets the other defaults.
+    """Flags of a verb; `--task` and `--sim` are read first and set the other defaults.
 
     Raises:
         InputError: a flag or value that is not allowed, in one sentence.
     """
     default: Any = tyro.MISSING_NONPROP
     if flags is Train:
-        default = Train(run=preset(_value_of("--task", words) or "tutorial"))
+        default = Train(run=preset(_value_of("--task", words) or "tutorial", _value_of("--sim", words)))
     said = io.StringIO()
     try:
         with contextlib.redirect_stderr(said):

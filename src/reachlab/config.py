@@ -133,6 +133,16 @@ class SimConfig(_Checked):
 
     control_period: Positive = 1 / 240
     """Time from one command to the next [s]."""
+    physics_steps: Count = 5
+    """MuJoCo: steps of the engine in a control period."""
+    collisions: bool = False
+    """MuJoCo: the arm meets the table. With the tutorial's targets its flange would enter it."""
+    gravity_compensation: bool = False
+    """MuJoCo: the arm weighs nothing."""
+    gui: bool = False
+    """PyBullet: open its window, on the first lane."""
+    slow: bool = False
+    """PyBullet: slow down to be followed by eye."""
 
 
 @dataclass(frozen=True)
@@ -204,9 +214,26 @@ TASKS: dict[str, RunConfig] = {"tutorial": RunConfig()}
 """Presets by name: `--task` starts from one of them and flags change it."""
 
 
-def preset(task: str) -> RunConfig:
-    """The preset of that name."""
-    return TASKS[choose("task", task, TASKS)]
+SIM_DEFAULTS: dict[str, dict[str, Any]] = {
+    "mujoco": {"control_period": 0.02},
+    "pybullet": {"lanes": 16, "rollout_steps": 256},
+}
+"""Settings that a simulator changes in every preset: where time is real a command takes longer to be followed, and
+a PyBullet lane is a client of its own."""
+
+
+def in_simulator(config: RunConfig, sim: str) -> RunConfig:
+    """A configuration in another simulator, with that one's defaults."""
+    if sim == config.sim:
+        return config
+    back = {name: getattr(TASKS[config.task].physics, name) for name in ("control_period",)}
+    return override(config, sim=sim, **(back | SIM_DEFAULTS.get(sim, {})))
+
+
+def preset(task: str = "tutorial", sim: str | None = None) -> RunConfig:
+    """The preset of that name, with the defaults of a simulator that is not its own."""
+    config = TASKS[choose("task", task, TASKS)]
+    return config if sim is None else in_simulator(config, sim)
 
 
 def configure(task: str = "tutorial", **settings: Any) -> RunConfig:
@@ -215,7 +242,15 @@ def configure(task: str = "tutorial", **settings: Any) -> RunConfig:
     Raises:
         InputError: a name that is no setting, or a value that is not allowed.
     """
-    config = preset(task)
+    return override(preset(task, settings.get("sim")), **settings)
+
+
+def override(config: RunConfig, **settings: Any) -> RunConfig:
+    """A configuration with the named settings changed.
+
+    Raises:
+        InputError: a name that is no setting, or a value that is not allowed.
+    """
     sections = _sections(config)
     for name in settings:
         choose("setting", name, sections)

@@ -15,7 +15,7 @@ from reachlab import task
 from reachlab.compilation import jit
 from reachlab.config import RunConfig
 from reachlab.robots import load_robot
-from reachlab.sims import ArmState, make_simulator
+from reachlab.sims import SIMULATORS, ArmState, make_simulator
 from reachlab.task import Reach, Situation, make_reach
 
 
@@ -90,6 +90,7 @@ class Env:
         self.batch_size = batch_size
         self.reach: Reach = make_reach(config.rules, load_robot(config.robot, config.rules.tool))
         self.simulator = make_simulator(config.sim, self.reach.robot, config.physics, batch_size)
+        self._real_time = SIMULATORS[config.sim].real_time
         self.observation_bounds = task.OBSERVATIONS[config.rules.observation].bounds(self.reach)
         self.action_bounds = task.ACTIONS[config.rules.action].bounds(self.reach)
         if not self.simulator.pure:
@@ -121,6 +122,10 @@ class Env:
         """What observations and baselines may look at."""
         arm = state.arm
         return Situation(arm.q, arm.qd, arm.tool_position, state.target, state.target_q, state.last_action)
+
+    def traced(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        """A function beside the simulator: itself where a caller traces everything, compiled where none can."""
+        return function if self.simulator.pure else jit(function)
 
     def compile(self, function: Callable[..., Any]) -> Callable[..., Any]:
         """A function that uses this environment, compiled as a whole if the simulator can be traced."""
@@ -161,7 +166,11 @@ class Env:
         return jax.tree.map(lambda a, b: a if a is b else pick(a, b), new, old)
 
     def _command(self, state: EnvState, action: Array) -> Array:
-        return task.command(self.reach, state.target_q, action)
+        target_q = task.command(self.reach, state.target_q, action)
+        if not self._real_time:
+            return target_q
+        most = jnp.array(self.reach.robot.speed) * self.config.physics.control_period
+        return jnp.clip(target_q, state.target_q - most, state.target_q + most)
 
     def _finish(self, state: EnvState, arm: ArmState, target_q: Array, action: Array) -> tuple[EnvState, Transition]:
         rules, clock = self.reach.config, state.clock + 1

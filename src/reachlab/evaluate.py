@@ -7,6 +7,7 @@ import platform
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from functools import partial
 from importlib.metadata import version
 from typing import Any
 
@@ -18,7 +19,7 @@ from jax import Array
 from reachlab import task
 from reachlab.compilation import jit
 from reachlab.config import InputError, choose
-from reachlab.env import Env, EnvState
+from reachlab.env import Env, EnvState, Transition
 from reachlab.policy import Policy
 
 THRESHOLDS_MM = (100, 50, 20, 10, 5, 2, 1)
@@ -181,11 +182,14 @@ def make_runner(env: Env, agent: str) -> Runner:
         )
         return state, episodes, jax.random.fold_in(keys[0], lanes)
 
+    decide = env.traced(lambda policy, state, key: act(env, policy, state, key))
+    count = env.traced(partial(_count, period=period))
+
     def advance(policy: Policy | None, carry: tuple[EnvState, Episodes, Array]) -> tuple[EnvState, Episodes, Array]:
         state, episodes, key = carry
         key, now = jax.random.split(key)
-        state, transition = env.step(state, act(env, policy, state, now))
-        return state, _count(episodes, state, transition.done, transition.terms, transition.reward, period), key
+        state, transition = env.step(state, decide(policy, state, now))
+        return state, count(episodes, state, transition), key
 
     if env.simulator.pure:
 
@@ -204,19 +208,17 @@ def make_runner(env: Env, agent: str) -> Runner:
     return Runner(run_on_host, env.batch_size)
 
 
-def _count(
-    episodes: Episodes, state: EnvState, done: Array, terms: dict[str, Array], reward: Array, period: float
-) -> Episodes:
+def _count(episodes: Episodes, state: EnvState, transition: Transition, period: float) -> Episodes:
     q, moved, change = episodes.motion
     moved_now = state.arm.q - q
     change_now = moved_now - moved
     jerk = jnp.square((change_now - change) / period**3).mean(-1)
     new = Episodes(
-        done=done,
-        success=terms["success"],
-        distance=terms["distance"],
+        done=transition.done,
+        success=transition.terms["success"],
+        distance=transition.terms["distance"],
         steps=episodes.steps + 1,
-        returns=episodes.returns + reward,
+        returns=episodes.returns + transition.reward,
         max_speed=jnp.maximum(episodes.max_speed, jnp.abs(state.arm.qd)),
         squared_jerk=episodes.squared_jerk + jerk,
         motion=(state.arm.q, moved_now, change_now),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -50,6 +51,11 @@ class Robot:
     torque: tuple[float, ...]
     workspace: Box
     held_quaternion: tuple[float, ...]
+
+    def workspace_edges(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """The twelve edges of the workspace box, each from one corner to another [m]."""
+        corners = np.array(list(itertools.product(*zip(*self.workspace, strict=True))))
+        return [(a, b) for a, b in itertools.combinations(corners, 2) if np.count_nonzero(a != b) == 1]
 
 
 @dataclass(frozen=True)

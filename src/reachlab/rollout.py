@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
+from reachlab.compilation import jit
 from reachlab.env import Env, EnvState, Transition
 from reachlab.policy import Policy, distribution
 
@@ -46,25 +50,59 @@ class Rollout:
         return self.terminated | self.truncated
 
 
+Collect = Callable[[Env, Policy, EnvState, Array, int], tuple[EnvState, Rollout]]
+
+
 def collect(env: Env, policy: Policy, state: EnvState, key: Array, steps: int) -> tuple[EnvState, Rollout]:
     """State after `steps` steps of every lane, and the experience; lanes that end begin anew."""
 
     def step(state: EnvState, key: Array) -> tuple[EnvState, Rollout]:
-        observation = env.observe(state)
-        head = distribution(policy.parameters, policy.normaliser(observation))
-        output = head.sample(key)
-        state, transition = env.step(state, policy.action(output))
-        row = _row(observation, output, head.log_prob(output), state, transition)
+        choice = draw(policy, env.observe(state), key)
+        state, transition = env.step(state, choice.action)
+        row = _row(choice, state, transition)
         return env.reset(state, transition.done), row
 
     return jax.lax.scan(step, state, jax.random.split(key, steps))
 
 
-def _row(observation: Array, output: Array, log_prob: Array, state: EnvState, transition: Transition) -> Rollout:
+def host_collector(env: Env) -> Collect:
+    """As `collect`, for a simulator that JAX cannot trace: compiled parts around its steps."""
+    choose = jit(lambda policy, state, key: draw(policy, env.observe(state), key))
+
+    def collect(env: Env, policy: Policy, state: EnvState, key: Array, steps: int) -> tuple[EnvState, Rollout]:
+        rows = []
+        for step_key in jax.random.split(key, steps):
+            choice = choose(policy, state, step_key)
+            state, transition = env.step(state, choice.action)
+            rows.append(_row(choice, state, transition))
+            if np.asarray(transition.done).any():
+                state = env.reset(state, transition.done)
+        return state, jax.tree.map(lambda *x: np.stack(x), *rows)
+
+    return collect
+
+
+class Choice(NamedTuple):
+    """What a policy saw and drew: `observation [B, k]`, `output`, `action [B, a]`, `log_prob [B]`."""
+
+    observation: Array
+    output: Array
+    action: Array
+    log_prob: Array
+
+
+def draw(policy: Policy, observation: Array, key: Array) -> Choice:
+    """A draw from the policy's distribution."""
+    head = distribution(policy.parameters, policy.normaliser(observation))
+    output = head.sample(key)
+    return Choice(observation, output, policy.action(output), head.log_prob(output))
+
+
+def _row(choice: Choice, state: EnvState, transition: Transition) -> Rollout:
     return Rollout(
-        observation=observation,
-        output=output,
-        log_prob=log_prob,
+        observation=choice.observation,
+        output=choice.output,
+        log_prob=choice.log_prob,
         next_observation=transition.observation,
         reward=transition.reward,
         terminated=transition.terminated,

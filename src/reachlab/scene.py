@@ -15,8 +15,8 @@ from reachlab.robots import Robot
 WIDTH, HEIGHT = 640, 480
 """Size of a picture [pixels]."""
 
-TABLE_TOP = -0.065
-"""Centre height of the drawn table's slab [m]; its top is where the tutorial's targets come to rest."""
+TABLE_CENTRE, TABLE_SIZE, TABLE_COLOUR = (0.5, 0.0, -0.065), (0.75, 0.5, 0.035), (0.62, 0.65, 0.69, 1.0)
+"""The table's slab [m]: its top, at z = -0.03, is where the tutorial's object, 2 cm thick, comes to rest."""
 
 TARGET_RADIUS = 0.022
 """Radius of the drawn target [m]."""
@@ -50,29 +50,26 @@ def scene_spec(robot: Robot) -> mujoco.MjSpec:
         castshadow=True,
     )
     drawn: dict[str, Any] = {"contype": 0, "conaffinity": 0}
-    box, capsule, sphere = (mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_SPHERE)
-    world.add_geom(type=box, pos=[0.5, 0, TABLE_TOP], size=[0.75, 0.5, 0.035], rgba=[0.62, 0.65, 0.69, 1], **drawn)
-    for start, end in _edges(robot):
+    capsule, sphere = mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_SPHERE
+    add_table(spec)
+    for start, end in robot.workspace_edges():
         world.add_geom(type=capsule, fromto=[*start, *end], size=[EDGE_RADIUS, 0, 0], rgba=[1, 1, 1, 0.6], **drawn)
     target = world.add_body(name="target", mocap=True)
     target.add_geom(type=sphere, size=[TARGET_RADIUS, 0, 0], rgba=[0.85, 0.12, 0.15, 1], **drawn)
     return spec
 
 
-def _edges(robot: Robot) -> list[tuple[np.ndarray, np.ndarray]]:
-    """The twelve edges of the workspace box."""
-    low, high = (np.array(corner) for corner in robot.workspace)
-    edges = []
-    for axis in range(3):
-        for choice in np.ndindex(2, 2):
-            start = low.copy()
-            start[[i for i in range(3) if i != axis]] = [
-                (low, high)[c][i] for c, i in zip(choice, (i for i in range(3) if i != axis), strict=True)
-            ]
-            end = start.copy()
-            end[axis] = high[axis]
-            edges.append((start, end))
-    return edges
+def add_table(spec: mujoco.MjSpec, *, solid: bool = False) -> None:
+    """Put a table under the arm; a solid one stops what touches it."""
+    touch = int(solid)
+    spec.worldbody.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        contype=touch,
+        conaffinity=touch,
+        pos=TABLE_CENTRE,
+        size=TABLE_SIZE,
+        rgba=TABLE_COLOUR,
+    )
 
 
 class Camera:
@@ -120,6 +117,27 @@ class Camera:
         """Free the OpenGL context."""
         self._draw.free()
         self._context.free()
+
+
+class LazyCamera:
+    """A camera that is opened for the first picture."""
+
+    def __init__(self, robot: Robot) -> None:
+        """Camera on a robot, not opened yet."""
+        self._robot = robot
+        self._camera: Camera | None = None
+
+    def picture(self, q: np.ndarray, target: np.ndarray) -> np.ndarray:
+        """See `Camera.picture`."""
+        if self._camera is None:
+            self._camera = Camera(self._robot)
+        return self._camera.picture(q, target)
+
+    def close(self) -> None:
+        """Close the camera if it was opened; it opens again when needed."""
+        if self._camera is not None:
+            self._camera.close()
+            self._camera = None
 
 
 def _gl_context(width: int, height: int) -> Any:

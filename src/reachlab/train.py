@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -30,10 +31,12 @@ from reachlab.evaluate import (
 )
 from reachlab.metrics import Metrics
 from reachlab.policy import Policy, make_policy
-from reachlab.rollout import collect, episode_statistics
+from reachlab.rollout import Collect, Rollout, collect, episode_statistics, host_collector
 
 TRAINING_STREAM = 0
 """Random stream of the lanes; those of `evaluate` differ."""
+
+Learn = Callable[[ppo.Learner, Rollout, Array], tuple[ppo.Learner, dict[str, Array]]]
 
 VALIDATE_FROM = 0.9
 """Success rate of the training episodes from which validations are worth their time."""
@@ -150,19 +153,35 @@ def _check(config: RunConfig) -> None:
         )
 
 
-def iteration(env: Env, config: RunConfig, state: TrainState) -> tuple[TrainState, dict[str, Array]]:
-    """State after one rollout and its update, and scalars of both."""
-    key, for_rollout, for_update = jax.random.split(state.key, 3)
-    lanes, rollout = collect(env, state.learner.policy, state.env, for_rollout, config.ppo.rollout_steps)
-    learner, watched = ppo.update(state.learner, rollout, for_update, config.ppo)
-    return TrainState(learner, lanes, key), {**episode_statistics(rollout), **watched}
+Iteration = Callable[[TrainState], tuple[TrainState, dict[str, Array]]]
+
+
+def compile_iteration(env: Env, config: RunConfig, shape: TrainState) -> Iteration:
+    """Function that gives the state after one rollout and its update, and scalars of both.
+
+    With a pure simulator it is one program; else the environment steps on the host, between compiled parts.
+    """
+
+    def learn(learner: ppo.Learner, rollout: Rollout, key: Array) -> tuple[ppo.Learner, dict[str, Array]]:
+        learner, watched = ppo.update(learner, rollout, key, config.ppo)
+        return learner, {**episode_statistics(rollout), **watched}
+
+    def iterate(gather: Collect, learn: Learn, state: TrainState) -> tuple[TrainState, dict[str, Array]]:
+        key, for_rollout, for_update = jax.random.split(state.key, 3)
+        lanes, rollout = gather(env, state.learner.policy, state.env, for_rollout, config.ppo.rollout_steps)
+        learner, watched = learn(state.learner, rollout, for_update)
+        return TrainState(learner, lanes, key), watched
+
+    if env.simulator.pure:
+        return jit(partial(iterate, collect, learn), donate=(0,)).lower(shape).compile()
+    return partial(iterate, host_collector(env), jit(learn, donate=(0,)))
 
 
 def initial_state(env: Env, config: RunConfig, seed: int | Array) -> TrainState:
     """State before the first iteration."""
     key, for_policy = jax.random.split(jax.random.fold_in(jax.random.key(seed), TRAINING_STREAM))
     lanes = episode_keys(seed, TRAINING_STREAM, 0, config.ppo.lanes)
-    learner = ppo.make_learner(config.ppo, make_initial_policy(config, env, for_policy))
+    learner = env.traced(lambda key: ppo.make_learner(config.ppo, make_initial_policy(config, env, key)))(for_policy)
     return TrainState(learner, env.init(lanes), key)
 
 
@@ -177,14 +196,9 @@ class _Loop:
         self.runner = make_runner(env, "trained")
 
     def run(self) -> TrainState:
-        settings, config, env = self.config.ppo, self.config, self.env
+        settings = self.config.ppo
         per_iteration = settings.lanes * settings.rollout_steps
-        shape = jax.eval_shape(lambda: initial_state(env, config, config.seed))
-        with ThreadPoolExecutor(2) as pool:  # compiling takes seconds, and the three programs are independent
-            begun = pool.submit(env.compile(lambda seed: initial_state(env, config, seed)), np.uint32(config.seed))
-            runner = pool.submit(self._compiled_runner, shape.learner.policy)
-            step = jit(lambda state: iteration(env, config, state), donate=(0,)).lower(shape).compile()
-            state, self.runner = begun.result(), runner.result()
+        state, step = self._prepare()
         start, busy = time.perf_counter(), 0.0
         while self.steps < settings.total_steps and not self.validated:
             tick = time.perf_counter()
@@ -204,6 +218,20 @@ class _Loop:
             self.metrics.write(row)
             self.watch(Progress(self.steps, settings.total_steps, row))
         return state
+
+    def _prepare(self) -> tuple[TrainState, Iteration]:
+        """First state and the compiled iteration; with a pure simulator three programs are compiled at once."""
+        env, config = self.env, self.config
+        if not env.simulator.pure:
+            state = initial_state(env, config, config.seed)
+            return state, compile_iteration(env, config, state)
+        shape = jax.eval_shape(lambda: initial_state(env, config, config.seed))
+        with ThreadPoolExecutor(2) as pool:
+            begun = pool.submit(jit(lambda seed: initial_state(env, config, seed)), np.uint32(config.seed))
+            runner = pool.submit(self._compiled_runner, shape.learner.policy)
+            step = compile_iteration(env, config, shape)
+            self.runner = runner.result()
+            return begun.result(), step
 
     def _compiled_runner(self, policy: Policy) -> Runner:
         if not isinstance(self.runner.run, Wrapped):

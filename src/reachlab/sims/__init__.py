@@ -24,12 +24,14 @@ class ArmState:
         qd: joint speeds `[B, n]` [rad/s or m/s].
         tool_position: `[B, 3]` [m].
         tool_quaternion: `[B, 4]`, wxyz.
+        engine: whatever else an engine needs to go on exactly from here, `[B, m]` uint32, the bits of its numbers.
     """
 
     q: Array
     qd: Array
     tool_position: Array
     tool_quaternion: Array
+    engine: Array | None = None
 
 
 class Simulator(Protocol):
@@ -67,11 +69,24 @@ class Entry:
     summary: str
     module: str
     name: str
+    real_time: bool = False
+    """Joints take time to move: a command may change no faster than they can."""
 
 
 SIMULATORS: dict[str, Entry] = {
     "kinematic": Entry(
         "joints follow their commands exactly; batched in JAX", "reachlab.sims.kinematic", "KinematicSimulator"
+    ),
+    "mujoco": Entry(
+        "full dynamics: gravity, inertia, position servos with torque limits; batched on all cores",
+        "reachlab.sims.mujoco",
+        "MujocoSimulator",
+        real_time=True,
+    ),
+    "pybullet": Entry(
+        "the tutorial's own: joints are set, an object falls; at most 16 lanes, needs the extra 'pybullet'",
+        "reachlab.sims.pybullet",
+        "PybulletSimulator",
     ),
 }
 """Simulators by name. Adding one takes its file and its line here."""

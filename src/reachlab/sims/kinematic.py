@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -11,10 +9,8 @@ from jax import Array
 from reachlab.config import SimConfig
 from reachlab.kinematics import forward_kinematics
 from reachlab.robots import Robot
+from reachlab.scene import LazyCamera
 from reachlab.sims import ArmState
-
-if TYPE_CHECKING:
-    from reachlab.scene import Camera
 
 
 class KinematicSimulator:
@@ -27,7 +23,7 @@ class KinematicSimulator:
         del batch_size
         self._robot = robot
         self._period = config.control_period
-        self._camera: Camera | None = None
+        self._camera = LazyCamera(robot)
 
     def reset(self, state: ArmState | None, q: Array, target: Array, mask: Array | None) -> ArmState:
         """See `Simulator.reset`."""
@@ -49,14 +45,8 @@ class KinematicSimulator:
 
     def render(self, state: ArmState, target: Array, lane: int) -> np.ndarray:
         """See `Simulator.render`."""
-        if self._camera is None:
-            from reachlab.scene import Camera
-
-            self._camera = Camera(self._robot)
         return self._camera.picture(np.asarray(state.q[lane]), np.asarray(target[lane]))
 
     def close(self) -> None:
         """See `Simulator.close`."""
-        if self._camera is not None:
-            self._camera.close()
-            self._camera = None
+        self._camera.close()

@@ -1,0 +1,126 @@
+"""MuJoCo with full dynamics: gravity, inertia, and position servos with torque limits."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from jax import Array
+from mujoco.batch import Batch
+
+from reachlab.compilation import jit
+from reachlab.config import InputError, SimConfig
+from reachlab.kinematics import forward_kinematics
+from reachlab.robots import Robot
+from reachlab.scene import LazyCamera, add_table
+from reachlab.sims import ArmState
+
+SERVO_STIFFNESS, SERVO_DAMPING = 2000.0, 200.0
+"""Gains of servos added to an arm whose file has none [Nm/rad, Nm s/rad]; those of MuJoCo Menagerie's iiwa."""
+
+
+class MujocoSimulator:
+    """Arms under full dynamics, stepped together on all cores.
+
+    A control period is `physics_steps` steps of the engine, with the joints' targets held. The engine's state, float64
+    rows, travels in `ArmState.engine` as its bits, so that any state can be gone on from exactly.
+    """
+
+    pure = False
+
+    def __init__(self, robot: Robot, config: SimConfig, batch_size: int, threads: int = 0) -> None:
+        """Simulator of `batch_size` arms on `threads` threads, 0 for one a core; results do not depend on them."""
+        self._model = physics_model(robot, config)
+        self._substeps = config.physics_steps
+        self._batch = Batch(self._model, nsim=batch_size, nthread=threads)
+        self._qpos, self._qvel, self._ctrl = (self._batch.bind(name) for name in ("qpos", "qvel", "ctrl"))
+        joints = [self._model.joint(name) for name in robot.chain.joints]
+        self._positions = np.array([int(joint.qposadr[0]) for joint in joints])
+        self._speeds = np.array([int(joint.dofadr[0]) for joint in joints])
+        self._servos = _servos(self._model, robot)
+        self._begin = self._batch.state[0].copy()
+        self._pose = jit(lambda q: forward_kinematics(robot.chain, q))
+        self._camera = LazyCamera(robot)
+
+    def reset(self, state: ArmState | None, q: Array, target: Array, mask: Array | None) -> ArmState:
+        """See `Simulator.reset`."""
+        del target
+        lanes = np.ones(len(q), bool) if state is None or mask is None else np.asarray(mask)
+        if state is not None:
+            self._restore(state)
+        self._batch.state[lanes] = self._begin
+        for rows, columns in ((self._qpos, self._positions), (self._ctrl, self._servos)):
+            rows[np.ix_(lanes, columns)] = np.asarray(q)[lanes]
+        return self._arm()
+
+    def step(self, state: ArmState, target_q: Array) -> ArmState:
+        """See `Simulator.step`.
+
+        Raises:
+            FloatingPointError: an arm's state is not finite any more.
+        """
+        self._restore(state)
+        self._ctrl[:, self._servos] = np.asarray(target_q)
+        self._batch.step(nstep=self._substeps)
+        broken = ~np.isfinite(self._qpos).all(axis=1)
+        if broken.any():
+            raise FloatingPointError(f"MuJoCo's state of lane {int(np.flatnonzero(broken)[0])} is not finite any more")
+        return self._arm()
+
+    def render(self, state: ArmState, target: Array, lane: int) -> np.ndarray:
+        """See `Simulator.render`."""
+        return self._camera.picture(np.asarray(state.q[lane]), np.asarray(target[lane]))
+
+    def close(self) -> None:
+        """See `Simulator.close`."""
+        self._camera.close()
+
+    def _restore(self, state: ArmState) -> None:
+        self._batch.state[:] = np.asarray(state.engine).view(np.float64)
+
+    def _arm(self) -> ArmState:
+        q = jnp.asarray(self._qpos[:, self._positions], jnp.float32)
+        qd = jnp.asarray(self._qvel[:, self._speeds], jnp.float32)
+        # From the joints: the engine's own site positions are one physics step old after a step.
+        pose = self._pose(q)
+        return ArmState(q, qd, pose.position, pose.quaternion, jnp.array(self._batch.state.view(np.uint32)))
+
+
+def physics_model(robot: Robot, config: SimConfig) -> mujoco.MjModel:
+    """Compiled model of a robot with the options of a configuration.
+
+    Raises:
+        InputError: the robot file has other actuators than one position servo for each joint.
+    """
+    spec = mujoco.MjSpec.from_file(str(robot.file))
+    spec.option.timestep = config.control_period / config.physics_steps
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    # A state that is not finite must be noticed, not silently set back.
+    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+    if config.collisions:
+        add_table(spec, solid=True)
+    else:
+        spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    if config.gravity_compensation:
+        for body in spec.bodies:
+            body.gravcomp = 1.0
+    if not spec.actuators:
+        for joint, torque in zip(robot.chain.joints, robot.torque, strict=True):
+            servo = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+            servo.set_to_position(kp=SERVO_STIFFNESS, kv=SERVO_DAMPING)
+            if np.isfinite(torque):
+                servo.forcerange = [-torque, torque]
+    return spec.compile()
+
+
+def _servos(model: mujoco.MjModel, robot: Robot) -> np.ndarray:
+    """Index of the position servo of each joint."""
+    servo = {
+        int(model.actuator_trnid[i, 0]): i
+        for i in range(model.nu)
+        if model.actuator_biastype[i] == int(mujoco.mjtBias.mjBIAS_AFFINE)
+    }
+    ids = [int(model.joint(name).id) for name in robot.chain.joints]
+    if missing := [name for name, i in zip(robot.chain.joints, ids, strict=True) if i not in servo]:
+        raise InputError(f"robot {robot.name!r} has no position servo on joint {missing[0]!r}: give it a <position>.")
+    return np.array([servo[i] for i in ids])
