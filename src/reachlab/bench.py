@@ -18,11 +18,12 @@ import mujoco
 import numpy as np
 from jax import Array
 
+from reachlab.chain import Chain
 from reachlab.compilation import jit
 from reachlab.config import choose, configure
 from reachlab.env import Env, EnvState, lane_keys
 from reachlab.evaluate import versions
-from reachlab.kinematics import Chain, forward_kinematics, inverse_kinematics, jacobian
+from reachlab.kinematics import forward_kinematics, inverse_kinematics, jacobian
 from reachlab.robots import Robot, load_robot
 from reachlab.train import compile_iteration, initial_state
 

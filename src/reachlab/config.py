@@ -81,6 +81,8 @@ def _hints(cls: type) -> dict[str, Any]:
 def _check(name: str, value: Any, hint: Any) -> None:
     base, limits = (hint.__origin__, hint.__metadata__) if hasattr(hint, "__metadata__") else (hint, ())
     try:
+        if isinstance(value, bool) and base is not bool:
+            raise TypeCheckError("a truth value is no number")
         check_type(value, base)
     except TypeCheckError:
         raise InputError(f"{name} must be {_type_name(base)}, got {value!r}.") from None
@@ -152,9 +154,11 @@ class PPOConfig(_Checked):
     total_steps: Count = 20_000_000
     """Environment steps after which training ends in any case."""
     stop_early: bool = True
-    """End training once a validation holds `stop_success`."""
+    """End training once `stop_streak` validations in a row hold `stop_success`."""
+    stop_streak: Count = 3
+    """Validations in a row that have to hold: a policy that only just does is brittle in other simulators."""
     stop_success: Fraction = 1.0
-    """Success rate of the deterministic policy on `validation_episodes` that ends training."""
+    """Success rate of the deterministic policy that a validation has to reach."""
     validation_episodes: Count = 3000
     """Episodes of a validation, from a random stream of its own."""
     validation_interval: Count = 2

@@ -7,15 +7,15 @@ quaternions unit and ordered w, x, y, z.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 
+from reachlab.chain import Chain
 from reachlab.lanes import (
     IDENTITY,
     ZERO,
@@ -33,10 +33,7 @@ from reachlab.lanes import (
 )
 
 if TYPE_CHECKING:
-    import mujoco
-
-ROUND_TO_EXACT = 1e-12
-"""Constants of a joint frame this close to 0 or 1 are those numbers; they differ by float64 rounding."""
+    pass
 
 DAMPING = 1e-5
 """Added to the diagonal of J Jᵀ; the tutorial's joint damping."""
@@ -52,32 +49,6 @@ MAX_TURN = 0.1
 
 MAX_JOINT_STEP = 0.2
 """Largest joint displacement of one linearised step [rad or m], beyond which J has changed."""
-
-
-@dataclass(frozen=True)
-class Chain:
-    """A serial chain; constants of the robot, known while tracing.
-
-    The pose of the tool is `F_0 J_0(q_0) F_1 J_1(q_1) ... F_n`, where `J_i` turns about the z axis of
-    its frame (hinge) or moves along it (slide).
-
-    Attributes:
-        frames: the fixed transforms `F_0 ... F_n`, `n + 1` pairs of rotation and position [m].
-        slides: for each joint, whether it slides.
-        lower, upper: joint limits [rad or m]; infinite where the joint has none.
-        joints: the joints' names, base to tool.
-    """
-
-    frames: tuple[tuple[Rotation, Vec], ...]
-    slides: tuple[bool, ...]
-    lower: tuple[float, ...]
-    upper: tuple[float, ...]
-    joints: tuple[str, ...]
-
-    @property
-    def n(self) -> int:
-        """Number of joints."""
-        return len(self.slides)
 
 
 class Pose(NamedTuple):
@@ -106,96 +77,6 @@ class _Frames(NamedTuple):
     origins: list[Vec]
     rotation: Rotation
     position: Vec
-
-
-# --- from a compiled model ------------------------------------------------------------------------
-
-
-def chain_from_model(model: mujoco.MjModel, tool: str) -> Chain:
-    """Chain from the world to the site or body `tool` of a compiled MuJoCo model.
-
-    Raises:
-        ValueError: no such site or body, or a ball or free joint on the way.
-    """
-    import mujoco
-
-    body, tip = _tool_body(model, tool)
-    path = []
-    while body != 0:
-        path.append(body)
-        body = int(model.body_parentid[body])
-    frames, slides, lower, upper, names = [], [], [], [], []
-    transform = np.eye(4)
-    for body in reversed(path):
-        transform = transform @ _transform(model.body_pos[body], model.body_quat[body])
-        first = int(model.body_jntadr[body])
-        for joint in range(first, first + int(model.body_jntnum[body])):
-            kind, name = mujoco.mjtJoint(model.jnt_type[joint]), model.joint(joint).name
-            if kind not in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
-                raise ValueError(f"joint {name!r} is a ball or free joint; a chain takes hinge and slide joints only")
-            slide = kind == mujoco.mjtJoint.mjJNT_SLIDE
-            align = _align_z(model.jnt_pos[joint], model.jnt_axis[joint])
-            back = np.linalg.inv(align)
-            reference = float(model.qpos0[model.jnt_qposadr[joint]])
-            frames.append(transform @ align @ _joint_transform(slide, -reference))
-            transform = back
-            limited = bool(model.jnt_limited[joint])
-            slides.append(slide)
-            low, high = model.jnt_range[joint] if limited else (-np.inf, np.inf)
-            lower.append(_inward(low, np.inf))
-            upper.append(_inward(high, -np.inf))
-            names.append(name)
-    if not slides:
-        raise ValueError(f"no joint moves tool {tool!r}")
-    frames.append(transform @ tip)
-    return Chain(tuple(map(_constants, frames)), tuple(slides), tuple(lower), tuple(upper), tuple(names))
-
-
-def _tool_body(model: mujoco.MjModel, tool: str) -> tuple[int, np.ndarray]:
-    import mujoco
-
-    site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, tool)
-    if site >= 0:
-        return int(model.site_bodyid[site]), _transform(model.site_pos[site], model.site_quat[site])
-    body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, tool)
-    if body < 0:
-        raise ValueError(f"tool {tool!r} is neither a site nor a body of the model")
-    return body, np.eye(4)
-
-
-def _inward(limit: float, inside: float) -> float:
-    """The limit as a float32 number that is not beyond it."""
-    rounded = np.float32(limit)
-    beyond = rounded < limit if inside > limit else rounded > limit
-    return float(np.nextafter(rounded, np.float32(inside)) if beyond else rounded)
-
-
-def _transform(position: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
-    w, x, y, z = (float(c) for c in np.asarray(quaternion) / np.linalg.norm(quaternion))
-    transform = np.eye(4)
-    transform[:3, :3] = np.array(rotation_from_quaternion(w, x, y, z)).T
-    transform[:3, 3] = position
-    return transform
-
-
-def _align_z(position: np.ndarray, axis: np.ndarray) -> np.ndarray:
-    """Transform to a frame at `position` whose z is `axis`, by the shortest turn."""
-    axis = axis / np.linalg.norm(axis)
-    half = np.array([1.0 + axis[2], -axis[1], axis[0], 0.0])
-    return _transform(position, half if half[0] > ROUND_TO_EXACT else np.array([0.0, 1.0, 0.0, 0.0]))
-
-
-def _joint_transform(slide: bool, value: float) -> np.ndarray:
-    if slide:
-        return _transform(np.array([0.0, 0.0, value]), np.array([1.0, 0.0, 0.0, 0.0]))
-    return _transform(np.zeros(3), np.array([np.cos(value / 2), 0.0, 0.0, np.sin(value / 2)]))
-
-
-def _constants(transform: np.ndarray) -> tuple[Rotation, Vec]:
-    nearest = np.round(transform)
-    exact = np.where(np.abs(transform - nearest) < ROUND_TO_EXACT, nearest, transform)
-    rotation = Rotation(*(Vec(*(float(c) for c in column)) for column in exact[:3, :3].T))
-    return rotation, Vec(*(float(c) for c in exact[:3, 3]))
 
 
 # --- forward --------------------------------------------------------------------------------------
@@ -296,7 +177,7 @@ def inverse_kinematics(
         position_tolerance: largest position error [m] of a converged pose.
         angle_tolerance: largest angle error [rad] of a converged pose.
     """
-    lower, upper = (jnp.clip(jnp.asarray(limit), -jnp.pi, jnp.pi) for limit in (chain.lower, chain.upper))
+    lower, upper = chain.finite_limits()
     seeds = jax.random.uniform(key, (restarts, chain.n), minval=lower, maxval=upper)
     start = jnp.broadcast_to(start, (*target.position.shape[:-1], chain.n))
 
@@ -353,10 +234,7 @@ def _bounded_step(
 ) -> list[Scalar]:
     """Joint vector after one step of at most `bound` a joint, inside the limits."""
     step = _least_squares(columns, (*linear, *angular), damping)
-    longest = jnp.abs(step[0])
-    for component in step[1:]:
-        longest = jnp.maximum(longest, jnp.abs(component))
-    scale = once(_shrink(bound, longest))
+    scale = once(_shrink(bound, _longest(step)))
     clipped = once(_clip(chain, [add(a, mul(scale, s)) for a, s in zip(q, step, strict=True)]))
 
     moved = [sub(new, old) for new, old in zip(clipped, q, strict=True)]
@@ -370,7 +248,8 @@ def _bounded_step(
     ]
     masked = once([tuple(mul(f, c) for c in column[:3]) for f, column in zip(free, columns, strict=True)])
     repair = _least_squares(masked, left, damping)
-    bounded = [jnp.clip(r, -bound, bound) for r in repair]
+    shorten = once(_shrink(bound, _longest(repair)))
+    bounded = [mul(shorten, r) for r in repair]
     return _clip(chain, [add(c, r) for c, r in zip(clipped, bounded, strict=True)])
 
 
@@ -386,6 +265,11 @@ def _least_squares(columns: Sequence[Sequence[Scalar]], error: Sequence[Scalar],
 def _shrink(bound: float, length: Scalar) -> Scalar:
     """Factor that brings `length` down to `bound`, 1 where it is shorter."""
     return bound / jnp.maximum(length, bound)
+
+
+def _longest(step: Sequence[Scalar]) -> Array:
+    """Largest component, by its size."""
+    return functools.reduce(jnp.maximum, [jnp.abs(component) for component in step])
 
 
 def _clip(chain: Chain, q: Sequence[Scalar]) -> list[Scalar]:

@@ -12,8 +12,9 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from reachlab.chain import Chain, chain_from_model
 from reachlab.config import InputError, choose
-from reachlab.kinematics import Chain, chain_from_model, forward_kinematics
+from reachlab.kinematics import forward_kinematics
 
 ASSETS = Path(__file__).parent / "assets"
 
@@ -106,13 +107,14 @@ def _load(name: str, tool: str | None) -> Robot:
         choose("robot", name, [*ROBOTS, "a path to an .xml or .urdf file"])
     file = known.file if known else Path(name)
     model = _compile(file)
+    if not tool and not known and not model.body(model.nbody - 1).name:
+        raise InputError(f"robot file {str(file)!r} does not name its last body: say which site or body is the --tool.")
     tool = tool or (known.tools[0] if known else str(model.body(model.nbody - 1).name))
     try:
         chain = chain_from_model(model, tool)
     except ValueError as error:
         raise InputError(f"robot {name!r}: {error}.") from None
-    ids = [model.joint(joint).id for joint in chain.joints]
-    home = _home(model, chain, ids)
+    home = _home(model, chain)
     return Robot(
         name=name if known else file.stem,
         file=file,
@@ -120,7 +122,7 @@ def _load(name: str, tool: str | None) -> Robot:
         chain=chain,
         home=home,
         speed=_speeds(model, chain.n),
-        torque=_torques(model, ids),
+        torque=_torques(model, chain.joints),
         workspace=known.workspace if known else _workspace(chain),
         held_quaternion=known.held_quaternion if known else _tool_quaternion(chain, home),
     )
@@ -132,19 +134,15 @@ def _compile(file: Path) -> mujoco.MjModel:
     try:
         return mujoco.MjSpec.from_file(str(file)).compile()
     except ValueError as error:
-        raise InputError(f"robot file {str(file)!r} does not compile: {str(error).splitlines()[0]}") from None
+        raise InputError(f"robot file {str(file)!r} does not compile: {' '.join(str(error).split())}") from None
 
 
-def _home(model: mujoco.MjModel, chain: Chain, ids: Sequence[int]) -> tuple[float, ...]:
+def _home(model: mujoco.MjModel, chain: Chain) -> tuple[float, ...]:
     key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home")
     if key >= 0:
-        return tuple(float(model.key_qpos[key, model.jnt_qposadr[i]]) for i in ids)
-    lower, upper = _finite_limits(chain)
+        return tuple(float(model.key_qpos[key, model.jnt_qposadr[i]]) for i in chain.joints)
+    lower, upper = chain.finite_limits()
     return tuple(((lower + upper) / 2).tolist())
-
-
-def _finite_limits(chain: Chain) -> tuple[np.ndarray, np.ndarray]:
-    return np.clip(chain.lower, -np.pi, np.pi), np.clip(chain.upper, -np.pi, np.pi)
 
 
 def _speeds(model: mujoco.MjModel, n: int) -> tuple[float, ...]:
@@ -167,7 +165,7 @@ def _torques(model: mujoco.MjModel, ids: Sequence[int]) -> tuple[float, ...]:
 
 
 def _workspace(chain: Chain) -> Box:
-    lower, upper = _finite_limits(chain)
+    lower, upper = chain.finite_limits()
     q = jnp.asarray(np.random.default_rng(0).uniform(lower, upper, (WORKSPACE_SAMPLES, chain.n)), jnp.float32)
     points = np.asarray(forward_kinematics(chain, q).position)
     low, high = np.quantile(points, (0.1, 0.9), axis=0)

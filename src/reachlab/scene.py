@@ -88,7 +88,7 @@ class Camera:
         spec.visual.global_.offwidth, spec.visual.global_.offheight = width, height
         self._model = spec.compile()
         self._data = mujoco.MjData(self._model)
-        self._joints = [int(self._model.joint(name).qposadr[0]) for name in robot.chain.joints]
+        self._joints = self._model.jnt_qposadr[list(robot.chain.joints)]
         self._scene = mujoco.MjvScene(self._model, maxgeom=1000)
         self._draw = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_150)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._draw)

@@ -146,10 +146,9 @@ def train(config: RunConfig, out: Path, watch: Callable[[Progress], None] = lamb
 
 def _check(config: RunConfig) -> None:
     settings = config.ppo
-    if (settings.lanes * settings.rollout_steps) % settings.minibatches:
+    if settings.lanes % settings.minibatches:
         raise InputError(
-            f"lanes × rollout_steps is {settings.lanes} × {settings.rollout_steps}, which {settings.minibatches}"
-            " minibatches do not divide: choose minibatches that do."
+            f"{settings.lanes} lanes cannot be divided among {settings.minibatches} minibatches: choose a divisor."
         )
 
 
@@ -192,7 +191,7 @@ class _Loop:
         self.config, self.env, self.metrics, self.watch = config, env, metrics, watch
         self.steps = 0
         self.steps_per_second = 0.0
-        self.validated = False
+        self.streak = 0
         self.runner = make_runner(env, "trained")
 
     def run(self) -> TrainState:
@@ -239,6 +238,11 @@ class _Loop:
         keys = jax.eval_shape(lambda: episode_keys(0, VALIDATION_STREAM, 0, self.runner.lanes))
         return Runner(self.runner.run.lower(policy, keys).compile(), self.runner.lanes)
 
+    @property
+    def validated(self) -> bool:
+        """Whether enough validations in a row have held."""
+        return self.streak >= self.config.ppo.stop_streak
+
     def _due(self, row: dict[str, float]) -> bool:
         settings = self.config.ppo
         count = self.steps // (settings.lanes * settings.rollout_steps)
@@ -254,5 +258,5 @@ class _Loop:
             count = min(lanes, settings.validation_episodes - seen)
             result = run_episodes(self.runner, policy, self.config.seed, VALIDATION_STREAM, count, first=seen)
             seen, failures = seen + count, failures + int((~result.success).sum())
-        self.validated = failures <= allowed
+        self.streak = self.streak + 1 if failures <= allowed else 0
         return 1 - failures / seen

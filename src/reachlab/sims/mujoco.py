@@ -34,9 +34,8 @@ class MujocoSimulator:
         self._substeps = config.physics_steps
         self._batch = Batch(self._model, nsim=batch_size, nthread=threads)
         self._qpos, self._qvel, self._ctrl = (self._batch.bind(name) for name in ("qpos", "qvel", "ctrl"))
-        joints = [self._model.joint(name) for name in robot.chain.joints]
-        self._positions = np.array([int(joint.qposadr[0]) for joint in joints])
-        self._speeds = np.array([int(joint.dofadr[0]) for joint in joints])
+        joints = list(robot.chain.joints)
+        self._positions, self._speeds = self._model.jnt_qposadr[joints], self._model.jnt_dofadr[joints]
         self._servos = _servos(self._model, robot)
         self._begin = self._batch.state[0].copy()
         self._pose = jit(lambda q: forward_kinematics(robot.chain, q))
@@ -105,8 +104,9 @@ def physics_model(robot: Robot, config: SimConfig) -> mujoco.MjModel:
         for body in spec.bodies:
             body.gravcomp = 1.0
     if not spec.actuators:
-        for joint, torque in zip(robot.chain.joints, robot.torque, strict=True):
-            servo = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        names = [spec.joints[joint].name for joint in robot.chain.joints]
+        for name, torque in zip(names, robot.torque, strict=True):
+            servo = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
             servo.set_to_position(kp=SERVO_STIFFNESS, kv=SERVO_DAMPING)
             if np.isfinite(torque):
                 servo.forcerange = [-torque, torque]
@@ -120,7 +120,9 @@ def _servos(model: mujoco.MjModel, robot: Robot) -> np.ndarray:
         for i in range(model.nu)
         if model.actuator_biastype[i] == int(mujoco.mjtBias.mjBIAS_AFFINE)
     }
-    ids = [int(model.joint(name).id) for name in robot.chain.joints]
-    if missing := [name for name, i in zip(robot.chain.joints, ids, strict=True) if i not in servo]:
-        raise InputError(f"robot {robot.name!r} has no position servo on joint {missing[0]!r}: give it a <position>.")
-    return np.array([servo[i] for i in ids])
+    for joint in robot.chain.joints:
+        if joint not in servo:
+            raise InputError(
+                f"robot {robot.name!r} has no position servo on its joint number {joint}: add a <position>."
+            )
+    return np.array([servo[joint] for joint in robot.chain.joints])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import os
 import platform
 import sys
@@ -243,6 +244,7 @@ def _quiet_stdout() -> Iterator[None]:
         os.dup2(null, 1)
         yield
     finally:
+        ctypes.CDLL(None).fflush(None)  # what C has printed so far waits in its own buffer
         os.dup2(kept, 1)
         os.close(kept)
         os.close(null)

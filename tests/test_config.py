@@ -1,0 +1,191 @@
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+
+import pytest
+
+from reachlab.config import (
+    TASKS,
+    InputError,
+    PPOConfig,
+    RunConfig,
+    SimConfig,
+    TaskConfig,
+    choose,
+    configure,
+    from_json,
+    preset,
+    to_json,
+)
+
+
+PHYSICS = to_json(RunConfig())["physics"]
+
+
+def plain(**changes):
+    """JSON form of the tutorial's preset, through text, with top-level entries changed."""
+    return json.loads(json.dumps(to_json(preset("tutorial")))) | changes
+
+
+# --- names -------------------------------------------------------------------------------------------
+
+
+def test_choose_gives_the_name_itself():
+    assert choose("reward", "dense", ["sparse", "dense"]) == "dense"
+
+
+def test_choose_names_what_is_allowed_and_what_is_near():
+    with pytest.raises(InputError) as refused:
+        choose("reward", "spars", ["sparse", "dense"])
+    assert str(refused.value) == "reward 'spars' is not one of: dense, sparse. Did you mean 'sparse'?"
+
+
+def test_choose_guesses_nothing_where_nothing_is_near():
+    with pytest.raises(InputError, match=r"is not one of: dense, sparse\.$"):
+        choose("reward", "xyz", ["sparse", "dense"])
+
+
+def test_unknown_task_is_refused_with_the_nearest():
+    with pytest.raises(InputError, match=r"task 'tutorail' is not one of: .* Did you mean 'tutorial'\?"):
+        configure("tutorail")
+
+
+def test_unknown_setting_is_refused_with_the_nearest():
+    with pytest.raises(InputError, match=r"setting 'learning_rat' is not one of: .* Did you mean 'learning_rate'\?"):
+        configure(learning_rat=1e-3)
+
+
+@pytest.mark.parametrize("name", ["rules", "physics", "ppo"])
+def test_sections_are_no_settings(name):
+    with pytest.raises(InputError, match="setting"):
+        configure("tutorial", **{name: None})
+
+
+# --- configure ---------------------------------------------------------------------------------------
+
+
+def test_configure_changes_only_what_is_named_wherever_it_lives():
+    config = configure("tutorial", seed=3, reward="sparse", control_period=0.01, gamma=0.9)
+    before = preset("tutorial")
+    assert (config.seed, config.rules.reward, config.physics.control_period, config.ppo.gamma) == (
+        3,
+        "sparse",
+        0.01,
+        0.9,
+    )
+    assert dataclasses.replace(config.rules, reward=before.rules.reward) == before.rules
+    assert dataclasses.replace(config.ppo, gamma=before.ppo.gamma) == before.ppo
+    assert config.robot == before.robot
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_configure_without_settings_is_the_preset(task):
+    assert configure(task) == preset(task)
+    assert preset(task).task == task
+
+
+def test_a_setting_belongs_to_one_section():
+    sections = (RunConfig, TaskConfig, SimConfig, PPOConfig)
+    names = [field.name for section in sections for field in dataclasses.fields(section)]
+    assert len(names) == len(set(names))
+
+
+def test_settings_cannot_be_changed_behind_the_checks():
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        preset("tutorial").ppo.gamma = 2.0  # pyright: ignore[reportAttributeAccessIssue]
+
+
+# --- values ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("gamma", 1.01, r"gamma must be at least 0 and at most 1, got 1\.01"),
+        ("gamma", -0.01, "gamma must be"),
+        ("learning_rate", 0.0, r"learning_rate must be above 0, got 0\.0"),
+        ("learning_rate", math.nan, "learning_rate must be above 0, got nan"),
+        ("learning_rate", math.inf, "learning_rate must be above 0, got inf"),
+        ("target_height", -math.inf, "target_height must be"),
+        ("approach_weight", -1.0, "approach_weight must be at least 0"),
+        ("lanes", 0, "lanes must be at least 1, got 0"),
+        ("seed", -1, "seed must be"),
+        ("seed", 2**31, "seed must be"),
+        ("hidden", (64, 0), r"each entry of hidden must be at least 1, got 0"),
+        ("control_period", -0.01, "control_period must be above 0"),
+    ],
+)
+def test_number_out_of_range_is_refused(name, value, message):
+    with pytest.raises(InputError, match=message):
+        configure("tutorial", **{name: value})
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("lanes", 1.5, "lanes must be a whole number, got 1.5"),
+        ("lanes", "256", "lanes must be a whole number, got '256'"),
+        ("gamma", "0.9", "gamma must be a number, got '0.9'"),
+        ("gamma", None, "gamma must be a number, got None"),
+        ("clip_actions", "no", "clip_actions must be true or false, got 'no'"),
+        ("clip_actions", 1, "clip_actions must be true or false, got 1"),
+        ("reward", 3, "reward must be a name, got 3"),
+        ("hidden", (64, "64"), "hidden"),
+        ("hidden", 64, "hidden"),
+    ],
+)
+def test_value_of_the_wrong_type_is_refused(name, value, message):
+    with pytest.raises(InputError, match=message):
+        configure("tutorial", **{name: value})
+
+
+@pytest.mark.parametrize("name", ["lanes", "gamma", "seed"])
+def test_truth_value_is_no_number(name):
+    with pytest.raises(InputError, match=f"{name} must be"):
+        configure("tutorial", **{name: True})
+
+
+def test_whole_number_will_do_where_a_number_is_asked_for():
+    assert configure(gamma=1, learning_rate=1, target_height=0).ppo.gamma == 1
+
+
+@pytest.mark.parametrize(("name", "value"), [("gamma", 0.0), ("gamma", 1.0), ("seed", 2**31 - 1), ("lanes", 1)])
+def test_bounds_of_a_range_belong_to_it(name, value):
+    configure("tutorial", **{name: value})
+
+
+# --- JSON --------------------------------------------------------------------------------------------
+
+
+def test_config_survives_json_text():
+    config = configure("tutorial", hidden=(32, 16, 8), seed=5, control_period=1 / 240, learning_rate=1e-3 / 3)
+    again = from_json(json.loads(json.dumps(to_json(config))))
+    assert again == config
+    assert again.ppo.hidden == (32, 16, 8)
+    assert hash(again) == hash(config)
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        ([], "must be an object of settings, got list"),
+        (None, "must be an object of settings, got NoneType"),
+        ({}, "lacks the setting"),
+        (plain(colour="red"), "holds an unknown setting 'colour'"),
+        (plain(ppo=[]), "ppo, must be an object of settings"),
+        (plain(physics={}), "physics, lacks the setting 'collisions'"),
+        (plain(physics=PHYSICS | {"gravity": 1}), "physics, holds an unknown setting 'gravity'"),
+        (plain(physics=PHYSICS | {"control_period": "fast"}), "control_period must be a number, got 'fast'"),
+        (plain(physics=PHYSICS | {"control_period": math.nan}), "control_period must be above 0, got nan"),
+        (plain(seed=None), "seed must be"),
+        (plain(seed=1.0), "seed must be"),
+        (plain(seed=[1]), "seed must be"),
+        (plain(ppo=plain()["ppo"] | {"hidden": "64"}), "hidden"),
+        (plain(ppo=plain()["ppo"] | {"hidden": [64, None]}), "hidden"),
+    ],
+)
+def test_damaged_json_is_refused(data, message):
+    with pytest.raises(InputError, match=message):
+        from_json(data)

@@ -1,0 +1,164 @@
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from reachlab.compilation import jit
+from reachlab.policy import Gaussian, Normaliser, distribution, make_policy, value
+
+K, A = 5, 3
+
+ACTION_BOUNDS = np.array([-0.4, -0.4, -0.6], np.float32), np.array([0.4, 0.4, 0.3], np.float32)
+"""The tutorial's box, which is not centred."""
+
+
+@jit
+def make(key):
+    bounds = -np.ones(K, np.float32), np.ones(K, np.float32)
+    return make_policy(key, bounds, ACTION_BOUNDS, (16, 8), initial_std=0.4)
+
+
+@pytest.fixture(scope="module")
+def policy():
+    return make(jax.random.key(0))
+
+
+def fresh(k):
+    return Normaliser(jnp.zeros(k), jnp.ones(k), jnp.zeros(()))
+
+
+# --- the normaliser ----------------------------------------------------------------------------------
+
+# Few shapes, as JAX compiles for each; the data vary by seed, offset and spread.
+chunks = st.lists(st.sampled_from([1, 2, 9]), min_size=1, max_size=5)
+
+
+@settings(max_examples=25, deadline=None)
+@given(chunks, st.integers(0, 2**32 - 1), st.floats(-50, 50), st.floats(0.1, 20))
+def test_normaliser_knows_the_moments_of_all_it_has_seen(sizes, seed, offset, spread):
+    rng = np.random.default_rng(seed)
+    # Every chunk has its own mean, so that merging them has something to get wrong.
+    parts = [(offset + spread * (rng.normal() + rng.normal(size=(n, 2)))).astype(np.float32) for n in sizes]
+    normaliser = fresh(2)
+    for part in parts:
+        normaliser = normaliser.update(jnp.asarray(part))
+    seen = np.concatenate(parts).astype(np.float64)
+    scale = np.abs(seen).max()
+    assert normaliser.count == len(seen)
+    np.testing.assert_allclose(normaliser.mean, seen.mean(0), atol=1e-5 * scale)
+    # Differences of numbers of this scale are squared.
+    np.testing.assert_allclose(normaliser.variance, seen.var(0), rtol=1e-4, atol=1e-5 * scale * spread)
+
+
+def test_normalised_observations_have_mean_0_and_variance_1():
+    data = np.random.default_rng(0).normal([3.0, -200.0], [0.01, 40.0], (1000, 2)).astype(np.float32)
+    scaled = np.asarray(fresh(2).update(jnp.asarray(data))(jnp.asarray(data)))
+    np.testing.assert_allclose(scaled.mean(0), 0.0, atol=0.01)
+    np.testing.assert_allclose(scaled.std(0), 1.0, atol=0.02)
+
+
+def test_a_constant_observation_and_an_outlier_stay_finite_and_bounded():
+    normaliser = fresh(1).update(jnp.full((10, 1), 2.0))
+    np.testing.assert_allclose(normaliser(jnp.asarray([2.0])), 0.0)
+    far = np.asarray(normaliser(jnp.asarray([[1e9], [-1e9]])))[:, 0]
+    assert np.isfinite(far).all()
+    assert far[0] == -far[1] > 0
+
+
+# --- the Gaussian ------------------------------------------------------------------------------------
+
+
+def test_log_prob_is_the_density_of_independent_normals():
+    mean, std = np.array([[0.5, -1.0, 2.0], [0.0, 0.0, 0.0]]), np.array([0.1, 1.0, 3.0])
+    at = np.array([[0.6, -3.0, 2.0], [0.05, 1.0, -4.0]])
+    density = np.prod(np.exp(-((at - mean) ** 2) / (2 * std**2)) / np.sqrt(2 * math.pi * std**2), axis=1)
+    head = Gaussian(jnp.asarray(mean), jnp.log(jnp.asarray(std)))
+    np.testing.assert_allclose(head.log_prob(jnp.asarray(at)), np.log(density), rtol=1e-5)
+
+
+def test_samples_have_the_mean_and_spread_and_entropy_they_claim():
+    mean, std = np.array([0.5, -1.0]), np.array([0.1, 2.0])
+    head = Gaussian(jnp.broadcast_to(jnp.asarray(mean, jnp.float32), (40_000, 2)), jnp.log(jnp.asarray(std)))
+    drawn = head.sample(jax.random.key(0))
+    # Five standard errors.
+    np.testing.assert_allclose((drawn.mean(0) - mean) / std, 0.0, atol=5 / 200)
+    np.testing.assert_allclose(drawn.std(0) / std, 1.0, atol=5 / 280)
+    np.testing.assert_allclose(np.corrcoef(drawn.T)[0, 1], 0.0, atol=5 / 200)
+    # Entropy is the mean of -log p.
+    np.testing.assert_allclose(-head.log_prob(drawn).mean(), head.entropy(), atol=5 / 200)
+
+
+# --- the policy --------------------------------------------------------------------------------------
+
+
+def test_without_a_key_the_policy_is_deterministic(policy):
+    observation = jax.random.normal(jax.random.key(1), (4, K))
+    mean = policy.act(observation)
+    np.testing.assert_array_equal(mean, policy.act(observation))
+    drawn = policy.act(observation, jax.random.key(2))
+    np.testing.assert_array_equal(drawn, policy.act(observation, jax.random.key(2)))
+    assert not np.array_equal(drawn, mean)
+    assert not np.array_equal(drawn, policy.act(observation, jax.random.key(3)))
+
+
+def test_draws_scatter_around_the_deterministic_action_in_units_of_the_box(policy):
+    observation = jnp.broadcast_to(jnp.arange(float(K)), (20_000, K))
+    drawn = policy.act(observation, jax.random.key(4))
+    half = (ACTION_BOUNDS[1] - ACTION_BOUNDS[0]) / 2
+    np.testing.assert_allclose((drawn.mean(0) - policy.act(observation[0])) / half, 0.0, atol=0.02)
+    np.testing.assert_allclose(drawn.std(0) / half, 0.4, atol=0.02)
+
+
+def test_network_outputs_of_minus_1_0_and_1_are_the_lower_bound_centre_and_upper_bound(policy):
+    low, high = ACTION_BOUNDS
+    np.testing.assert_allclose(policy.action(jnp.zeros(A)), (low + high) / 2, atol=1e-7)
+    np.testing.assert_allclose(policy.action(jnp.ones(A)), high, atol=1e-6)
+    np.testing.assert_allclose(policy.action(-jnp.ones(A)), low, atol=1e-6)
+
+
+def test_first_actions_are_near_the_centre_of_the_box(policy):
+    observation = jax.random.normal(jax.random.key(5), (100, K))
+    output = (policy.act(observation) - policy.centre) / policy.half
+    assert 0 < np.abs(output).max() < 0.1
+
+
+def test_act_normalises_what_it_sees(policy):
+    seen = 1000.0 + jax.random.normal(jax.random.key(6), (500, K))
+    trained = replace(policy, normaliser=policy.normaliser.update(seen))
+    scaled = (seen - seen.mean(0)) / seen.std(0)
+    np.testing.assert_allclose(trained.act(seen), policy.act(scaled), atol=1e-3 * 0.4)
+    # Without the normaliser all of them look the same to the saturated network.
+    assert np.asarray(trained.act(seen)).std(0).min() > 10 * np.asarray(policy.act(seen)).std(0).max()
+
+
+@pytest.mark.parametrize("shape", [(), (4,), (2, 3)])
+def test_leading_shapes_pass_through(policy, shape):
+    observation = jax.random.normal(jax.random.key(7), (*shape, K))
+    assert policy.act(observation).shape == (*shape, A)
+    assert value(policy.parameters, observation).shape == shape
+    assert distribution(policy.parameters, observation).log_prob(jnp.zeros((*shape, A))).shape == shape
+
+
+def test_a_policy_survives_being_taken_apart(policy):
+    leaves, structure = jax.tree.flatten(policy)
+    again = jax.tree.unflatten(structure, [jnp.asarray(np.asarray(leaf)) for leaf in leaves])
+    observation = jax.random.normal(jax.random.key(8), (4, K))
+    np.testing.assert_array_equal(again.act(observation), policy.act(observation))
+    np.testing.assert_array_equal(
+        value(again.parameters, again.normaliser(observation)), value(policy.parameters, policy.normaliser(observation))
+    )
+
+
+def test_equal_keys_make_equal_policies_and_others_do_not(policy):
+    same, other = (make(jax.random.key(seed)) for seed in (0, 1))
+    jax.tree.map(np.testing.assert_array_equal, same, policy)
+    assert not np.array_equal(other.parameters.actor[0][0], policy.parameters.actor[0][0])
+    # Actor and critic start from draws of their own.
+    assert not np.array_equal(same.parameters.actor[0][0], same.parameters.critic[0][0])

@@ -1,0 +1,204 @@
+from __future__ import annotations
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from reachlab.config import InputError
+from reachlab.kinematics import forward_kinematics
+from reachlab.robots import ROBOTS, load_robot
+
+TWO_LINKS = """
+<mujoco model="two_links">
+  <compiler angle="radian"/>
+  <worldbody>
+    <body name="upper" pos="0 0 0.5">
+      <joint name="shoulder" axis="0 0 1" range="-2 1"/><geom size="0.02"/>
+      <body name="lower" pos="0.4 0 0">
+        <joint name="elbow" axis="0 1 0" range="-1 1.5"/><geom size="0.02"/>
+        <body name="hand" pos="0.3 0 0"><geom size="0.02"/><site name="grip" pos="0.1 0 0"/></body>
+      </body>
+    </body>
+  </worldbody>
+  {extra}
+</mujoco>"""
+
+
+@pytest.fixture
+def write(tmp_path):
+    def write(extra="", text=TWO_LINKS, name="two_links.xml"):
+        file = tmp_path / name
+        file.write_text(text.replace("{extra}", extra))
+        return str(file)
+
+    return write
+
+
+# --- the iiwa ----------------------------------------------------------------------------------------
+
+
+def test_iiwa_has_the_limits_of_kukas_tables():
+    robot = load_robot("iiwa14")
+    np.testing.assert_allclose(np.rad2deg(robot.chain.upper), [170, 120, 170, 120, 170, 120, 175])
+    np.testing.assert_allclose(robot.chain.lower, np.negative(robot.chain.upper))
+    np.testing.assert_allclose(np.rad2deg(robot.speed), [85, 85, 100, 75, 130, 135, 135])
+    np.testing.assert_allclose(robot.torque, [320, 320, 176, 176, 110, 40, 40])
+
+
+def test_flange_is_45_mm_beyond_link_7_along_its_axis():
+    link, flange = load_robot("iiwa14", "link_7"), load_robot("iiwa14", "flange")
+    q = jnp.asarray(np.random.default_rng(0).uniform(link.chain.lower, link.chain.upper, (50, 7)), jnp.float32)
+    a, b = forward_kinematics(link.chain, q), forward_kinematics(flange.chain, q)
+    w, x, y, z = np.moveaxis(np.asarray(a.quaternion), -1, 0)
+    z_axis = np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], -1)
+    np.testing.assert_allclose(b.position - a.position, 0.045 * z_axis, atol=1e-6)
+    np.testing.assert_allclose(a.quaternion, b.quaternion, atol=1e-6)
+
+
+def test_held_orientation_is_the_tutorials():
+    """Euler (0, −π, π/2): the tool's z points down, its x along the world's −y."""
+    w, x, y, z = load_robot("iiwa14").held_quaternion
+    np.testing.assert_allclose([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], [0, 0, -1])
+    x_axis = [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)]
+    np.testing.assert_allclose(x_axis, [0, -1, 0], atol=1e-15)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_every_tool_of_a_known_robot_starts_inside_limits_and_workspace(name):
+    for tool in ROBOTS[name].tools:
+        robot = load_robot(name, tool)
+        n = robot.chain.n
+        assert robot.tool == tool
+        assert len(robot.home) == len(robot.speed) == len(robot.torque) == n
+        assert (np.array(robot.chain.lower) < robot.home).all()
+        assert (robot.home < np.array(robot.chain.upper)).all()
+        np.testing.assert_allclose(np.linalg.norm(robot.held_quaternion), 1.0)
+        position = np.asarray(forward_kinematics(robot.chain, jnp.asarray(robot.home)).position)
+        low, high = np.array(robot.workspace)
+        assert ((low < position) & (position < high)).all()
+
+
+def test_the_first_tool_is_the_default():
+    assert load_robot("iiwa14") == load_robot("iiwa14", ROBOTS["iiwa14"].tools[0])
+
+
+# --- a file of one's own -----------------------------------------------------------------------------
+
+
+def test_own_file_loads_with_its_keyframe_and_a_default_speed(write):
+    extra = '<keyframe><key name="rest" qpos="0 0"/><key name="home" qpos="0.3 -0.4"/></keyframe>'
+    robot = load_robot(write(extra), "grip")
+    assert robot.name == "two_links"
+    assert robot.chain.joints == (0, 1)
+    assert robot.home == (0.3, -0.4)
+    assert len(robot.speed) == 2
+    assert all(0 < speed < np.inf for speed in robot.speed)
+    assert robot.torque == (np.inf, np.inf)
+
+
+def test_own_file_without_a_keyframe_starts_in_the_middle_of_its_limits(write):
+    assert load_robot(write(), "grip").home == (-0.5, 0.25)
+
+
+def test_own_file_holds_the_tool_as_it_is_at_home(write):
+    robot = load_robot(write(), "grip")
+    pose = forward_kinematics(robot.chain, jnp.asarray(robot.home))
+    np.testing.assert_allclose(robot.held_quaternion, pose.quaternion, atol=1e-6)
+
+
+def test_own_file_states_its_speeds_and_torques(write):
+    extra = (
+        '<custom><numeric name="speed_limit" data="0.5 2"/></custom>'
+        '<actuator><motor joint="elbow" forcerange="-7 7"/></actuator>'
+    )
+    robot = load_robot(write(extra), "grip")
+    assert robot.speed == (0.5, 2.0)
+    assert robot.torque == (np.inf, 7.0)
+
+
+@pytest.mark.parametrize("height", ["0.5", "0.2"], ids=["above the floor", "reaching below it"])
+def test_workspace_of_an_own_file_is_a_box_the_tool_can_be_in(write, height):
+    robot = load_robot(write(text=TWO_LINKS.replace("0 0 0.5", f"0 0 {height}")), "grip")
+    low, high = np.array(robot.workspace)
+    q = np.random.default_rng(1).uniform(robot.chain.lower, robot.chain.upper, (2000, 2))
+    points = np.asarray(forward_kinematics(robot.chain, jnp.asarray(q, jnp.float32)).position)
+    assert (points.min(0) - 1e-3 <= low).all()
+    assert (low < high).all()
+    assert (high <= points.max(0) + 1e-3).all()
+    assert low[2] >= 0.0
+    assert ((points >= low) & (points <= high)).all(1).mean() > 0.2
+
+
+def test_tool_of_an_own_file_is_by_default_its_last_body(write):
+    robot = load_robot(write())
+    assert robot.tool == "hand"
+    position = forward_kinematics(robot.chain, jnp.zeros(2)).position
+    np.testing.assert_allclose(position, [0.7, 0, 0.5], atol=1e-6)
+
+
+@pytest.mark.parametrize("limits", ["4 6", "-6 -4", "-1 5"])
+def test_own_file_starts_within_its_limits_wherever_they_lie(write, limits):
+    robot = load_robot(write(text=TWO_LINKS.replace("-2 1", limits)), "grip")
+    assert robot.chain.lower[0] <= robot.home[0] <= robot.chain.upper[0]
+
+
+def test_joints_of_an_own_file_need_no_names(write):
+    text = TWO_LINKS.replace('name="shoulder"', "").replace('name="elbow"', "")
+    named, nameless = load_robot(write(), "grip"), load_robot(write(text=text, name="nameless.xml"), "grip")
+    assert nameless.home == named.home
+    assert nameless.chain.frames == named.chain.frames
+
+
+def test_urdf_loads(write):
+    urdf = """
+    <robot name="one">
+      <link name="base"/>
+      <link name="arm">
+        <inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
+      </link>
+      <joint name="turn" type="revolute"><parent link="base"/><child link="arm"/><origin xyz="0.1 0.2 0.3"/>
+        <axis xyz="0 0 1"/><limit lower="-1" upper="2" effort="5" velocity="3"/></joint>
+    </robot>"""
+    robot = load_robot(write(text=urdf, name="one.urdf"), "arm")
+    assert robot.chain.joints == (0,)
+    np.testing.assert_allclose((robot.chain.lower[0], robot.chain.upper[0]), (-1, 2))
+    np.testing.assert_allclose(forward_kinematics(robot.chain, jnp.ones(1)).position, [0.1, 0.2, 0.3], atol=1e-7)
+
+
+# --- refusals ----------------------------------------------------------------------------------------
+
+
+def test_unknown_robot_is_refused_with_the_nearest_name():
+    with pytest.raises(InputError) as refused:
+        load_robot("iiwa41")
+    assert str(refused.value).startswith("robot 'iiwa41' is not one of: ")
+    assert str(refused.value).endswith("Did you mean 'iiwa14'?")
+
+
+def test_missing_file_is_refused(tmp_path):
+    with pytest.raises(InputError, match=r"nowhere\.xml' does not exist"):
+        load_robot(str(tmp_path / "nowhere.xml"))
+
+
+@pytest.mark.parametrize(
+    "text", ["<mujoco><worldbody>", "<mujoco><worldbody><body><joint/></body></worldbody></mujoco>"]
+)
+def test_broken_file_is_refused_in_one_line(write, text):
+    with pytest.raises(InputError, match="does not compile") as refused:
+        load_robot(write(text=text))
+    assert "\n" not in str(refused.value)
+
+
+def test_unknown_tool_is_refused():
+    with pytest.raises(InputError, match="robot 'iiwa14': tool 'gripper' is neither a site nor a body"):
+        load_robot("iiwa14", "gripper")
+
+
+def test_arm_that_cannot_move_its_tool_is_refused(write):
+    with pytest.raises(InputError, match="no joint moves tool 'base'"):
+        load_robot(write(text='<mujoco><worldbody><body name="base"><geom size="1"/></body></worldbody></mujoco>'))
+
+
+def test_speed_limits_of_another_number_of_joints_are_refused(write):
+    with pytest.raises(InputError, match="'speed_limit' has 3 entries, the arm 2 joints"):
+        load_robot(write('<custom><numeric name="speed_limit" data="1 2 3"/></custom>'), "grip")
