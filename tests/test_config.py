@@ -20,7 +20,6 @@ from reachlab.config import (
     to_json,
 )
 
-
 PHYSICS = to_json(RunConfig())["physics"]
 
 

@@ -13,10 +13,10 @@ from gymnasium.envs.registration import register
 if TYPE_CHECKING:
     from reachlab.config import InputError, RunConfig, configure
     from reachlab.env import Env
-    from reachlab.evaluate import Report, evaluate
+    from reachlab.evaluation import Report, evaluate
     from reachlab.gym_env import ReachEnv, ReachVectorEnv
     from reachlab.robots import Robot, load_robot
-    from reachlab.train import TrainResult, train
+    from reachlab.training import TrainResult, train
 
 __version__ = "0.1.0"
 
@@ -25,14 +25,14 @@ _HOMES = {
     "InputError": "config",
     "ReachEnv": "gym_env",
     "ReachVectorEnv": "gym_env",
-    "Report": "evaluate",
+    "Report": "evaluation",
     "Robot": "robots",
     "RunConfig": "config",
-    "TrainResult": "train",
+    "TrainResult": "training",
     "configure": "config",
-    "evaluate": "evaluate",
+    "evaluate": "evaluation",
     "load_robot": "robots",
-    "train": "train",
+    "train": "training",
 }
 
 __all__ = [

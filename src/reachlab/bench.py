@@ -18,16 +18,15 @@ import mujoco
 import numpy as np
 from jax import Array
 
+from reachlab.bench_sims import Row, row, simulators
 from reachlab.chain import Chain
 from reachlab.compilation import jit
 from reachlab.config import choose, configure
 from reachlab.env import Env, EnvState, lane_keys
-from reachlab.evaluate import versions
+from reachlab.evaluation import versions
 from reachlab.kinematics import forward_kinematics, inverse_kinematics, jacobian
 from reachlab.robots import Robot, load_robot
-from reachlab.train import compile_iteration, initial_state
-
-Row = dict[str, Any]
+from reachlab.training import compile_iteration, initial_state
 
 REPEATS = 10
 """Timed repetitions; the best counts, since other work on the machine can only slow one down."""
@@ -64,10 +63,6 @@ def run_suite(name: str) -> list[Row]:
     return list(SUITES[choose("suite", name, SUITES)]())
 
 
-def _row(name: str, value: float, unit: str, **config: object) -> Row:
-    return {"name": name, "value": float(value), "unit": unit, "config": config}
-
-
 def _best(call: Callable[[], object], repeats: int = REPEATS) -> float:
     """Shortest time of a call [s], after one that does not count."""
     jax.block_until_ready(call())
@@ -86,7 +81,7 @@ def speed() -> Iterator[Row]:
     """Environment and training steps a second."""
     rows = [(_env_steps_per_second(lanes), lanes) for lanes in ENV_BATCHES]
     best, lanes = max(rows)
-    yield _row("env_steps_per_second/kinematic", best, "1/s", lanes=lanes, machine=_machine())
+    yield row("env_steps_per_second/kinematic", best, "1/s", lanes=lanes, machine=_machine())
     config = configure()
     env = Env(config, config.ppo.lanes)
     state = jit(lambda seed: initial_state(env, config, seed))(config.seed)
@@ -98,7 +93,7 @@ def speed() -> Iterator[Row]:
         jax.block_until_ready(watched)
         times.append(time.perf_counter() - start)
     steps_per_second = config.ppo.lanes * config.ppo.rollout_steps / float(np.median(times))
-    yield _row("train_steps_per_second/kinematic", steps_per_second, "1/s", lanes=config.ppo.lanes)
+    yield row("train_steps_per_second/kinematic", steps_per_second, "1/s", lanes=config.ppo.lanes)
 
 
 def _env_steps_per_second(lanes: int) -> float:
@@ -131,9 +126,9 @@ def kinematics() -> Iterator[Row]:
     pose = jit(lambda q: forward_kinematics(chain, q))(q)
     error = np.linalg.norm(np.asarray(pose.position) - position, axis=-1).max()
     angle = _angles(np.asarray(pose.quaternion, np.float64), quaternion).max()
-    yield _row("forward_kinematics_error", error, "m", poses=POSES, against="MuJoCo")
-    yield _row("forward_kinematics_angle_error", angle, "rad", poses=POSES, against="MuJoCo")
-    yield _row("jacobian_error", _jacobian_error(robot, q), "relative", poses=POSES, against="central differences")
+    yield row("forward_kinematics_error", error, "m", poses=POSES, against="MuJoCo")
+    yield row("forward_kinematics_angle_error", angle, "rad", poses=POSES, against="MuJoCo")
+    yield row("jacobian_error", _jacobian_error(robot, q), "relative", poses=POSES, against="central differences")
     yield from _inverse(chain, robot, q)
 
 
@@ -179,11 +174,11 @@ def _inverse(chain: Chain, robot: Robot, q: Array) -> Iterator[Row]:
     near = np.linalg.norm(position - wanted_position, axis=-1) <= 1e-4
     aligned = _angles(quaternion, wanted_quaternion) <= 1e-3
     inside = (np.asarray(solution.q) >= chain.lower).all() and (np.asarray(solution.q) <= chain.upper).all()
-    yield _row("ik_success", (near & aligned).mean(), "rate", poses=POSES, within="0.1 mm and 1e-3 rad")
-    yield _row("ik_claimed", np.asarray(solution.converged).mean(), "rate", poses=POSES)
-    yield _row("ik_sound", float(inside and np.isfinite(np.asarray(solution.q)).all()), "1 = limits kept, no NaN")
+    yield row("ik_success", (near & aligned).mean(), "rate", poses=POSES, within="0.1 mm and 1e-3 rad")
+    yield row("ik_claimed", np.asarray(solution.converged).mean(), "rate", poses=POSES)
+    yield row("ik_sound", float(inside and np.isfinite(np.asarray(solution.q)).all()), "1 = limits kept, no NaN")
     seconds = _best(lambda: solve(pose, jax.random.key(0)), repeats=2)
-    yield _row("ik_time_per_pose", seconds / POSES * 1e6, "µs", poses=POSES, lanes=POSES)
+    yield row("ik_time_per_pose", seconds / POSES * 1e6, "µs", poses=POSES, lanes=POSES)
 
 
 # --- learning and start ---------------------------------------------------------------------------
@@ -200,23 +195,23 @@ def learning() -> Iterator[Row]:
                 held_out = ("--episodes", str(HELD_OUT), "--seed", str(HELD_OUT_SEED + seed))
                 _, report = _command("eval", str(out), *held_out)
                 config = {"seed": seed, "steps": result["steps"], "held_out": HELD_OUT}
-                yield _row(f"success/tutorial-{name}/kinematic", report["success_rate"], "rate", **config)
-                yield _row(f"time_to_100/tutorial-{name}/kinematic", wall, "s", whole_command=True, **config)
+                yield row(f"success/tutorial-{name}/kinematic", report["success_rate"], "rate", **config)
+                yield row(f"time_to_100/tutorial-{name}/kinematic", wall, "s", whole_command=True, **config)
 
 
 def start() -> Iterator[Row]:
     """Wall time of whole commands, with an empty and a warm compilation cache, and whether a run repeats."""
-    yield _row("help_wall", min(_timed(sys.executable, "-m", "reachlab", "--help") for _ in range(REPEATS)), "s")
-    yield _row("import_wall", min(_timed(sys.executable, "-c", "import reachlab") for _ in range(REPEATS)), "s")
+    yield row("help_wall", min(_timed(sys.executable, "-m", "reachlab", "--help") for _ in range(REPEATS)), "s")
+    yield row("import_wall", min(_timed(sys.executable, "-c", "import reachlab") for _ in range(REPEATS)), "s")
     with tempfile.TemporaryDirectory() as folder:
         cache = {"JAX_COMPILATION_CACHE_DIR": str(Path(folder) / "cache")}
         weights = []
         for name in ("cold", "warm"):
             out = Path(folder) / name
             wall, result = _command("train", "--seed", "0", "--out", str(out), environment=cache)
-            yield _row(f"train_wall/{name}", wall, "s", steps=result["steps"], report_episodes=result["episodes"])
+            yield row(f"train_wall/{name}", wall, "s", steps=result["steps"], report_episodes=result["episodes"])
             weights += [file.read_bytes() for file in out.glob("checkpoints/*/state.safetensors")]
-        yield _row("same_weights", float(weights[0] == weights[1]), "1 = two processes, identical")
+        yield row("same_weights", float(weights[0] == weights[1]), "1 = two processes, identical")
 
 
 def _command(*words: str, environment: dict[str, str] | None = None) -> tuple[float, Any]:
@@ -247,5 +242,6 @@ SUITES: dict[str, Callable[[], Iterator[Row]]] = {
     "kinematics": kinematics,
     "learning": learning,
     "start": start,
+    "simulators": simulators,
 }
 """Suites by name."""

@@ -16,7 +16,7 @@ import safetensors.numpy
 from safetensors import SafetensorError
 
 from reachlab.config import InputError, RunConfig, from_json, to_json
-from reachlab.evaluate import versions
+from reachlab.evaluation import versions
 
 FORMAT = 1
 """Version of the checkpoint format."""

@@ -16,7 +16,18 @@ from typing import Annotated, Any
 
 import tyro
 
-from reachlab.config import TASKS, Count, InputError, RunConfig, choose, in_simulator, override, preset
+from reachlab.config import (
+    TASKS,
+    Checked,
+    Count,
+    InputError,
+    RunConfig,
+    Seed,
+    choose,
+    in_simulator,
+    override,
+    preset,
+)
 
 EVALUATION_LANES = {"pybullet": 8}
 """Lanes of an evaluation where they are dear."""
@@ -26,7 +37,7 @@ DONE, WRONG_INPUT, INTERRUPTED = 0, 2, 130
 
 
 @dataclass(frozen=True)
-class Train:
+class Train(Checked):
     """Train a policy and report on held-out targets."""
 
     run: RunConfig = field(default_factory=RunConfig)
@@ -37,7 +48,7 @@ class Train:
 
 
 @dataclass(frozen=True)
-class Eval:
+class Eval(Checked):
     """Evaluate a run beside its baselines, on held-out targets."""
 
     run: Annotated[Path, tyro.conf.Positional]
@@ -48,7 +59,7 @@ class Eval:
     """Agents: trained, random, zero, ik."""
     episodes: Count = 1000
     """Held-out episodes."""
-    seed: int = 1
+    seed: Seed = 1
     """Seed of the targets."""
     gui: bool = False
     """PyBullet: open its window."""
@@ -59,7 +70,7 @@ class Eval:
 
 
 @dataclass(frozen=True)
-class Plot:
+class Plot(Checked):
     """Draw learning curves."""
 
     runs: Annotated[tuple[Path, ...], tyro.conf.Positional]
@@ -69,17 +80,17 @@ class Plot:
 
 
 @dataclass(frozen=True)
-class Bench:
+class Bench(Checked):
     """Measure speed, accuracy and learning on this machine."""
 
     suite: str = "speed"
-    """Suite of measurements: speed, kinematics, learning, start."""
+    """Suite of measurements: speed, kinematics, learning, start, simulators."""
     json: bool = False
     """Print the measurements as a JSON list on standard output."""
 
 
 @dataclass(frozen=True)
-class List:
+class List(Checked):
     """Show tasks, robots, simulators, observations, actions, rewards and agents."""
 
     json: bool = False
@@ -91,7 +102,7 @@ def train(arguments: Train) -> None:
     _prepare_jax()
     from reachlab.console import TrainDisplay, console, print_reports
     from reachlab.plots import plot_curves
-    from reachlab.train import train as run_training
+    from reachlab.training import train as run_training
 
     config = arguments.run
     out = arguments.out or Path("runs") / f"{time.strftime('%Y%m%d-%H%M%S')}-{config.task}"
@@ -118,10 +129,10 @@ def evaluate(arguments: Eval) -> None:
     from reachlab.checkpoint import RunDirectory
     from reachlab.console import print_reports
     from reachlab.env import Env
-    from reachlab.evaluate import AGENTS, LANES
-    from reachlab.evaluate import evaluate as run_evaluation
+    from reachlab.evaluation import AGENTS, LANES
+    from reachlab.evaluation import evaluate as run_evaluation
     from reachlab.sims import SIMULATORS
-    from reachlab.train import load_policy
+    from reachlab.training import load_policy
 
     for agent in arguments.agent:
         choose("agent", agent, AGENTS)
@@ -175,7 +186,7 @@ def list_names(arguments: List) -> None:
     """Run `reachlab list`."""
     _prepare_jax()
     from reachlab.console import print_table
-    from reachlab.evaluate import AGENTS
+    from reachlab.evaluation import AGENTS
     from reachlab.robots import ROBOTS
     from reachlab.sims import SIMULATORS
     from reachlab.task import ACTIONS, OBSERVATIONS, REWARDS
@@ -274,17 +285,15 @@ def _value_of(flag: str, words: Sequence[str]) -> str | None:
 
 
 def _sentence(box: str) -> str:
-    """The first statement of tyro's framed message, and the flag it suggests."""
-    lines = [line.strip("│╭╮╰╯ ") for line in box.splitlines()]
-    statement = []
-    for line in lines[1:]:
-        if line.startswith("─"):
-            break
-        statement.append(line)
-    text = re.sub(r"^Error parsing [\w.]+: ", "", " ".join(statement)).rstrip(".") + "."
+    """The first statement of tyro's framed message, and the flag it suggests; frames may be drawn in ASCII."""
+    lines = [line.strip("│╭╮╰╯|+ ") for line in box.splitlines()]
+    ruled = [bool(line) and not line.strip("─-") for line in lines]
+    end = ruled.index(True, 1) if True in ruled[1:] else len(lines)
+    text = re.sub(r"^Error parsing [\w.]+: ", "", " ".join(lines[1:end])).rstrip(".") + "."
     if any(line.startswith("Perhaps you meant") for line in lines):
-        near = next((line.split()[0].rstrip(",") for line in lines if line.startswith("--")), None)
-        text += f" Did you mean {near}?" if near else ""
+        named = (line for line, rule in zip(lines, ruled, strict=True) if line.startswith("--") and not rule)
+        flags = [line.split()[0].rstrip(",") for line in named]
+        text += f" Did you mean {flags[0]}?" if flags else ""
     return text
 
 

@@ -63,9 +63,10 @@ NonNegativeInt = Annotated[int, Range(0)]
 Positive = Annotated[float, Range(0.0, open_low=True)]
 NonNegative = Annotated[float, Range(0.0)]
 Fraction = Annotated[float, Range(0.0, 1.0)]
+Seed = Annotated[int, Range(0, 2**31 - 1)]
 
 
-class _Checked:
+class Checked:
     """Checks every field of a dataclass against its annotation when it is built."""
 
     def __post_init__(self) -> None:
@@ -87,7 +88,7 @@ def _check(name: str, value: Any, hint: Any) -> None:
     except TypeCheckError:
         raise InputError(f"{name} must be {_type_name(base)}, got {value!r}.") from None
     for limit in limits:
-        if value not in limit:
+        if isinstance(limit, Range) and value not in limit:
             raise InputError(f"{name} must be {limit}, got {value!r}.")
     if isinstance(value, tuple):
         for item in value:
@@ -102,7 +103,7 @@ def _type_name(hint: Any) -> str:
 
 
 @dataclass(frozen=True)
-class TaskConfig(_Checked):
+class TaskConfig(Checked):
     """The rules of the reach task."""
 
     tool: str = "link_7"
@@ -130,7 +131,7 @@ class TaskConfig(_Checked):
 
 
 @dataclass(frozen=True)
-class SimConfig(_Checked):
+class SimConfig(Checked):
     """The physics."""
 
     control_period: Positive = 1 / 240
@@ -148,7 +149,7 @@ class SimConfig(_Checked):
 
 
 @dataclass(frozen=True)
-class PPOConfig(_Checked):
+class PPOConfig(Checked):
     """Proximal policy optimisation and its loop."""
 
     total_steps: Count = 20_000_000
@@ -198,7 +199,7 @@ class PPOConfig(_Checked):
 
 
 @dataclass(frozen=True)
-class RunConfig(_Checked):
+class RunConfig(Checked):
     """Everything that decides a training run."""
 
     task: str = "tutorial"
@@ -207,7 +208,7 @@ class RunConfig(_Checked):
     """Robot: a name of `reachlab list`, or the path of an MJCF or URDF file."""
     sim: str = "kinematic"
     """Simulator."""
-    seed: Annotated[int, Range(0, 2**31 - 1)] = 0
+    seed: Seed = 0
     """Seed of everything random."""
     rules: TaskConfig = field(default_factory=TaskConfig)
     physics: SimConfig = field(default_factory=SimConfig)
@@ -219,8 +220,8 @@ TASKS: dict[str, RunConfig] = {"tutorial": RunConfig()}
 
 
 SIM_DEFAULTS: dict[str, dict[str, Any]] = {
-    "mujoco": {"control_period": 0.02},
-    "pybullet": {"lanes": 16, "rollout_steps": 256},
+    "mujoco": {"control_period": 0.02, "validation_episodes": 1000},
+    "pybullet": {"lanes": 16, "rollout_steps": 256, "validation_episodes": 200},
 }
 """Settings that a simulator changes in every preset: where time is real a command takes longer to be followed, and
 a PyBullet lane is a client of its own."""

@@ -103,14 +103,15 @@ class Env:
         key, q, target = self._draw(keys)
         return self._begin(self.simulator.reset(None, q, target, None), target, key)
 
-    def reset(self, state: EnvState, mask: Array) -> EnvState:
+    def reset(self, state: EnvState, mask: Array | np.ndarray) -> EnvState:
         """State in which the lanes of `mask [B]` begin a new episode."""
         key, q, target = self._draw(state.key)
         arm = self.simulator.reset(state.arm, q, target, mask)
-        return self._merge(mask, replace(self._begin(arm, target, key), arm=arm), replace(state, arm=arm))
+        return self._merge(jnp.asarray(mask), replace(self._begin(arm, target, key), arm=arm), replace(state, arm=arm))
 
-    def step(self, state: EnvState, action: Array) -> tuple[EnvState, Transition]:
+    def step(self, state: EnvState, action: Array | np.ndarray) -> tuple[EnvState, Transition]:
         """State and transition after `action [B, a]`."""
+        action = jnp.asarray(action)
         target_q = self._command(state, action)
         return self._finish(state, self.simulator.step(state.arm, target_q), target_q, action)
 

@@ -13,6 +13,7 @@ import numpy as np
 from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
+from numpy.typing import ArrayLike
 
 from reachlab.config import InputError, RunConfig, choose, configure
 from reachlab.env import Env, EnvState, Transition
@@ -58,7 +59,7 @@ class ReachEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         Raises:
             InputError: the action is misshapen or not finite; nothing has moved.
         """
-        done = self._lanes.step(np.asarray(action)[None])
+        done = self._lanes.step([action])
         info = {"is_success": bool(done.terms["success"][0]), "distance": float(done.terms["distance"][0])}
         observation = np.array(done.observation[0])
         return observation, float(done.reward[0]), bool(done.terminated[0]), bool(done.truncated[0]), info
@@ -128,7 +129,7 @@ class ReachVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             lane = int(np.flatnonzero(self._ended)[0])
             raise InputError(f"the episode of lane {lane} has ended: reset it with options={{'reset_mask': ...}}.")
         begin = self._ended if self._mode is AutoresetMode.NEXT_STEP else np.zeros(self.num_envs, bool)
-        done = self._lanes.step(np.asarray(actions))
+        done = self._lanes.step(actions)
         if begin.any():
             self._lanes.restart(begin)
         terminated, truncated = (np.asarray(end) & ~begin for end in (done.terminated, done.truncated))
@@ -164,8 +165,9 @@ class ReachVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         mask = (options or {}).get("reset_mask")
         if mask is None:
             return np.ones(self.num_envs, bool)
-        if not isinstance(mask, np.ndarray) or mask.shape != (self.num_envs,) or mask.dtype != np.bool_:
-            raise InputError(f"options['reset_mask'] must be a bool array of shape ({self.num_envs},), got {mask!r}.")
+        shape = (self.num_envs,)
+        if not isinstance(mask, np.ndarray) or mask.shape != shape or mask.dtype != np.bool_ or not mask.any():
+            raise InputError(f"options['reset_mask'] must be a bool array of {shape} that picks a lane, got {mask!r}.")
         return mask
 
 
@@ -197,7 +199,7 @@ class _Lanes:
         """New episodes in the lanes of `mask`."""
         self._state = self._reset(self._begun(), mask)
 
-    def step(self, actions: np.ndarray) -> Transition:
+    def step(self, actions: ArrayLike) -> Transition:
         """Transition of all lanes, checked first."""
         state = self._begun()
         self._state, done = self._step(state, _checked_actions(actions, state.last_action.shape))
@@ -218,18 +220,22 @@ class _Lanes:
         return self._state
 
 
-def _checked_actions(actions: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+def _checked_actions(given: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
     """Actions as float32.
 
     Raises:
         InputError: another shape, or a number that is not finite; names lane and index.
     """
+    try:
+        actions = np.asarray(given)
+    except ValueError:
+        raise InputError(f"action must have shape {shape[1:]} in each of {shape[0]} lanes, got a ragged one.") from None
     if actions.shape != shape:
         raise InputError(f"action must have shape {shape[1:]} in each of {shape[0]} lanes, got {actions.shape}.")
-    try:
+    if actions.dtype.kind not in "fiub":
+        raise InputError(f"action must be numbers, got {actions.dtype}.")
+    with np.errstate(over="ignore"):
         actions = actions.astype(np.float32)
-    except (TypeError, ValueError):
-        raise InputError(f"action must be numbers, got {actions.dtype}.") from None
     if not np.isfinite(actions).all():
         lane, index = (int(i) for i in np.argwhere(~np.isfinite(actions))[0])
         raise InputError(f"action of lane {lane} is {actions[lane, index]} at index {index}: it must be finite.")

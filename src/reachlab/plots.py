@@ -33,7 +33,7 @@ def plot_curves(runs: Sequence[Path], out: Path) -> None:
     for run in runs:
         rows = _rows(run)
         label = run.name
-        ended = _pooled(rows)
+        ended = _pooled(rows, run)
         axes[0].plot([row["steps"] for row in ended], [100 * row["success_rate"] for row in ended], label=label)
         axes[1].plot([row["wall_s"] for row in ended], [100 * row["success_rate"] for row in ended], label=label)
         axes[2].plot([row["steps"] for row in ended], [1000 * row["final_distance"] for row in ended], label=label)
@@ -61,10 +61,12 @@ def _dress(axes: Sequence[Axes]) -> None:
     axes[2].ticklabel_format(axis="x", style="sci", scilimits=(0, 4))
 
 
-def _pooled(rows: Sequence[dict[str, Any]]) -> list[dict[str, float]]:
+def _pooled(rows: Sequence[dict[str, Any]], run: Path) -> list[dict[str, float]]:
     """Rows joined until each stands for at least `POOL` episodes; a rest at the end that is smaller is left out."""
     points, episodes, sums = [], 0.0, {"success_rate": 0.0, "final_distance": 0.0}
     for row in rows:
+        if missing := {"steps", "wall_s", "episodes", *sums} - row.keys():
+            raise InputError(f"a row of '{run / 'metrics.jsonl'}' lacks {min(missing)!r}: it is not one of a training.")
         episodes += row["episodes"]
         sums = {name: total + row[name] * row["episodes"] for name, total in sums.items()}
         if episodes >= POOL:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple, cast
+from typing import TYPE_CHECKING, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +12,9 @@ from jax import Array
 
 from reachlab.config import PPOConfig
 from reachlab.policy import Parameters, Policy, distribution, value
-from reachlab.rollout import Rollout
+
+if TYPE_CHECKING:
+    from reachlab.rollout import Rollout
 
 ADAM_EPSILON = 1e-5
 """Adam's epsilon, as PPO's reference implementation sets it."""

@@ -34,6 +34,10 @@ class ArmState:
     engine: Array | None = None
 
 
+Lanes = Array | np.ndarray
+"""A batch, on either side of JAX."""
+
+
 class Simulator(Protocol):
     """A batch of arms that follow joint commands.
 
@@ -42,14 +46,14 @@ class Simulator(Protocol):
 
     pure: bool
 
-    def reset(self, state: ArmState | None, q: Array, target: Array, mask: Array | None) -> ArmState:
+    def reset(self, state: ArmState | None, q: Lanes, target: Lanes, mask: Lanes | None) -> ArmState:
         """State with the lanes of `mask [B]` at rest at `q [B, n]`, their target drawn at `target [B, 3]`.
 
         Without a state (the first time) every lane is set.
         """
         ...
 
-    def step(self, state: ArmState, target_q: Array) -> ArmState:
+    def step(self, state: ArmState, target_q: Lanes) -> ArmState:
         """State one control period later, with the joints commanded to `target_q [B, n]`."""
         ...
 

@@ -10,7 +10,7 @@ from reachlab.config import SimConfig
 from reachlab.kinematics import forward_kinematics
 from reachlab.robots import Robot
 from reachlab.scene import LazyCamera
-from reachlab.sims import ArmState
+from reachlab.sims import ArmState, Lanes
 
 
 class KinematicSimulator:
@@ -25,7 +25,7 @@ class KinematicSimulator:
         self._period = config.control_period
         self._camera = LazyCamera(robot)
 
-    def reset(self, state: ArmState | None, q: Array, target: Array, mask: Array | None) -> ArmState:
+    def reset(self, state: ArmState | None, q: Lanes, target: Lanes, mask: Lanes | None) -> ArmState:
         """See `Simulator.reset`."""
         del target
         if state is not None and mask is not None:
@@ -35,11 +35,12 @@ class KinematicSimulator:
             qd = jnp.zeros_like(q)
         return self._arm(q, qd)
 
-    def step(self, state: ArmState, target_q: Array) -> ArmState:
+    def step(self, state: ArmState, target_q: Lanes) -> ArmState:
         """See `Simulator.step`."""
         return self._arm(target_q, (target_q - state.q) / self._period)
 
-    def _arm(self, q: Array, qd: Array) -> ArmState:
+    def _arm(self, q: Lanes, qd: Lanes) -> ArmState:
+        q, qd = jnp.asarray(q), jnp.asarray(qd)
         pose = forward_kinematics(self._robot.chain, q)
         return ArmState(q, qd, pose.position, pose.quaternion)
 

@@ -13,7 +13,7 @@ from reachlab.config import InputError, SimConfig
 from reachlab.kinematics import forward_kinematics
 from reachlab.robots import Robot
 from reachlab.scene import LazyCamera, add_table
-from reachlab.sims import ArmState
+from reachlab.sims import ArmState, Lanes
 
 SERVO_STIFFNESS, SERVO_DAMPING = 2000.0, 200.0
 """Gains of servos added to an arm whose file has none [Nm/rad, Nm s/rad]; those of MuJoCo Menagerie's iiwa."""
@@ -41,7 +41,7 @@ class MujocoSimulator:
         self._pose = jit(lambda q: forward_kinematics(robot.chain, q))
         self._camera = LazyCamera(robot)
 
-    def reset(self, state: ArmState | None, q: Array, target: Array, mask: Array | None) -> ArmState:
+    def reset(self, state: ArmState | None, q: Lanes, target: Lanes, mask: Lanes | None) -> ArmState:
         """See `Simulator.reset`."""
         del target
         lanes = np.ones(len(q), bool) if state is None or mask is None else np.asarray(mask)
@@ -52,7 +52,7 @@ class MujocoSimulator:
             rows[np.ix_(lanes, columns)] = np.asarray(q)[lanes]
         return self._arm()
 
-    def step(self, state: ArmState, target_q: Array) -> ArmState:
+    def step(self, state: ArmState, target_q: Lanes) -> ArmState:
         """See `Simulator.step`.
 
         Raises:

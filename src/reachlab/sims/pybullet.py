@@ -19,7 +19,7 @@ from jax import Array
 
 from reachlab.config import InputError, SimConfig
 from reachlab.robots import Robot
-from reachlab.sims import ArmState
+from reachlab.sims import ArmState, Lanes
 
 MAX_LANES = 16
 """Each lane is a client of its own, of about 29 MB."""
@@ -74,7 +74,7 @@ class PybulletSimulator:
             raise InputError(f"simulator 'pybullet' takes at most {MAX_LANES} lanes, got {batch_size}: use --lanes.")
         if robot.name not in URDFS or robot.tool not in URDFS[robot.name].tools:
             raise InputError(f"simulator 'pybullet' has no tool {robot.tool!r} of robot {robot.name!r}, only iiwa14's.")
-        self._bullet = _import_pybullet()
+        self._bullet = import_pybullet()
         self._period, self._pace = config.control_period, SLOW_STEP if config.slow else 0.0
         urdf = URDFS[robot.name]
         self._worlds = [
@@ -82,7 +82,7 @@ class PybulletSimulator:
             for lane in range(batch_size)
         ]
 
-    def reset(self, state: ArmState | None, q: Array, target: Array, mask: Array | None) -> ArmState:
+    def reset(self, state: ArmState | None, q: Lanes, target: Lanes, mask: Lanes | None) -> ArmState:
         """See `Simulator.reset`."""
         wanted, points = np.asarray(q, np.float64), np.asarray(target, np.float64)
         arm = _rows(len(wanted), wanted.shape[1]) if state is None else _writable(state)
@@ -94,7 +94,7 @@ class PybulletSimulator:
             arm[2][lane], arm[3][lane] = world.place(wanted[lane])
         return ArmState(*map(jnp.asarray, arm))
 
-    def step(self, state: ArmState, target_q: Array) -> ArmState:
+    def step(self, state: ArmState, target_q: Lanes) -> ArmState:
         """See `Simulator.step`."""
         start = time.perf_counter()
         wanted = np.asarray(target_q, np.float64)
@@ -222,7 +222,7 @@ def _connect(bullet: ModuleType, *, gui: bool) -> int:
     return client
 
 
-def _import_pybullet() -> ModuleType:
+def import_pybullet() -> ModuleType:
     """The module; it prints its build time on standard output when imported, which is kept from there."""
     try:
         with _quiet_stdout():

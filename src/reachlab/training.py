@@ -20,7 +20,7 @@ from reachlab.checkpoint import RunDirectory, write_json
 from reachlab.compilation import jit
 from reachlab.config import InputError, RunConfig
 from reachlab.env import Env, EnvState
-from reachlab.evaluate import (
+from reachlab.evaluation import (
     VALIDATION_STREAM,
     Report,
     Runner,
@@ -67,6 +67,7 @@ class TrainResult:
 
     Attributes:
         report: on held-out targets.
+        policy: what was learnt.
         steps: environment steps taken.
         train_wall_s: time of the loop, compilation and validations included [s].
         total_wall_s: time of everything, the report included [s].
@@ -75,6 +76,7 @@ class TrainResult:
     """
 
     report: Report
+    policy: Policy
     steps: int
     train_wall_s: float
     total_wall_s: float
@@ -83,7 +85,7 @@ class TrainResult:
 
     def to_json(self) -> dict[str, Any]:
         """Plain form: the report's fields and the times."""
-        times = {name: value for name, value in vars(self).items() if name != "report"}
+        times = {name: value for name, value in vars(self).items() if name not in ("report", "policy")}
         return self.report.to_json() | times
 
 
@@ -133,6 +135,7 @@ def train(config: RunConfig, out: Path, watch: Callable[[Progress], None] = lamb
     )
     result = TrainResult(
         report=report,
+        policy=state.learner.policy,
         steps=loop.steps,
         train_wall_s=trained - start,
         total_wall_s=time.perf_counter() - start,

@@ -261,7 +261,12 @@ def evaluate(
         seed: seed of the targets; equal for all agents and simulators.
         episodes: how many.
         runner: of `make_runner`, if there is one already compiled.
+
+    Raises:
+        InputError: no episodes, no such agent, or agent `trained` without a policy.
     """
+    if episodes < 1:
+        raise InputError(f"episodes must be at least 1, got {episodes}.")
     start = time.perf_counter()
     result = run_episodes(runner or make_runner(env, agent), policy, seed, REPORT_STREAM, episodes)
     return summarise(env, agent, result, seed, time.perf_counter() - start)

@@ -1,0 +1,259 @@
+"""Run directories: what is written comes back, and what is damaged is refused."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import safetensors.numpy
+
+from reachlab import cli
+from reachlab.checkpoint import RunDirectory, write_json
+from reachlab.config import InputError, RunConfig, configure
+from reachlab.env import Env
+from reachlab.training import TrainState, initial_state, load_policy
+
+STEP = "checkpoints/step_000000000512"
+
+
+@pytest.fixture(scope="module")
+def config() -> RunConfig:
+    return configure(lanes=8, rollout_steps=8, seed=3)
+
+
+@pytest.fixture(scope="module")
+def env(config: RunConfig) -> Env:
+    return Env(config, 8)
+
+
+@pytest.fixture(scope="module")
+def state(env: Env, config: RunConfig) -> TrainState:
+    return env.compile(lambda seed: initial_state(env, config, seed))(np.uint32(config.seed))
+
+
+@pytest.fixture(scope="module")
+def finished(config: RunConfig, state: TrainState, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    run = RunDirectory(tmp_path_factory.mktemp("checkpoint") / "run")
+    run.create(config)
+    run.write_checkpoint(512, state)
+    return run.path
+
+
+@pytest.fixture
+def run(finished: Path, tmp_path: Path) -> Path:
+    """A copy to damage."""
+    shutil.copytree(finished, tmp_path / "run")
+    return tmp_path / "run"
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def plain(tree: object) -> list[np.ndarray]:
+    return [
+        np.asarray(jax.random.key_data(leaf) if jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key) else leaf)
+        for leaf in jax.tree.leaves(tree)
+    ]
+
+
+# --- there and back -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("part", ["learner", "env", "key"])
+def test_a_training_state_comes_back_bit_for_bit(finished: Path, state: TrainState, part: str) -> None:
+    saved = vars(state)[part]
+    loaded = RunDirectory(finished).read_checkpoint(part, jax.eval_shape(lambda: saved))
+    assert jax.tree.structure(loaded) == jax.tree.structure(saved)
+    for one, other in zip(plain(loaded), plain(saved), strict=True):
+        assert one.dtype == other.dtype
+        assert np.array_equal(one, other)
+
+
+def test_random_keys_come_back_as_keys_that_draw_the_same(finished: Path, state: TrainState) -> None:
+    key = RunDirectory(finished).read_checkpoint("key", state.key)
+    assert np.array_equal(jax.random.normal(key, (4,)), jax.random.normal(state.key, (4,)))
+
+
+def test_a_loaded_policy_acts_as_the_saved_one(finished: Path, config: RunConfig, env: Env, state: TrainState) -> None:
+    policy = load_policy(RunDirectory(finished), config, env)
+    observation = env.observe(state.env)
+    assert np.array_equal(policy.act(observation), state.learner.policy.act(observation))
+
+
+def test_the_configuration_comes_back(finished: Path, config: RunConfig) -> None:
+    assert RunDirectory(finished).read_config() == config
+
+
+def test_the_newest_checkpoint_is_read(run: Path) -> None:
+    directory = RunDirectory(run)
+    for step in (1_000_000, 999):
+        directory.write_checkpoint(step, {"step": np.array([step])})
+    assert directory.read_checkpoint("step", np.array([0])).tolist() == [1_000_000]
+
+
+def test_no_checkpoint_is_pickled(finished: Path) -> None:
+    arrays = safetensors.numpy.load((finished / STEP / "state.safetensors").read_bytes())
+    assert all(array.dtype.kind in "fiub" for array in arrays.values())
+    manifest = json.loads((finished / STEP / "manifest.json").read_text())
+    assert manifest["format"] == 1
+    assert manifest["step"] == 512
+    assert "jax" in manifest["versions"]
+
+
+# --- damage ---------------------------------------------------------------------------------------
+
+
+def flip(run: Path) -> None:
+    file = run / STEP / "state.safetensors"
+    data = bytearray(file.read_bytes())
+    data[len(data) // 2] ^= 1
+    file.write_bytes(data)
+
+
+def truncate(run: Path) -> None:
+    file = run / STEP / "state.safetensors"
+    file.write_bytes(file.read_bytes()[:-100])
+
+
+def reseal(run: Path, data: bytes) -> None:
+    """Replace the arrays, with a checksum that fits."""
+    (run / STEP / "state.safetensors").write_bytes(data)
+    manifest = json.loads((run / STEP / "manifest.json").read_text())
+    manifest["sha256"]["state.safetensors"] = hashlib.sha256(data).hexdigest()
+    (run / STEP / "manifest.json").write_text(json.dumps(manifest))
+
+
+def drop_array(run: Path) -> None:
+    arrays = safetensors.numpy.load((run / STEP / "state.safetensors").read_bytes())
+    del arrays["learner/policy/centre"]
+    reseal(run, safetensors.numpy.save(arrays))
+
+
+def retype_array(run: Path) -> None:
+    arrays = safetensors.numpy.load((run / STEP / "state.safetensors").read_bytes())
+    arrays["learner/policy/centre"] = arrays["learner/policy/centre"].astype(np.float64)
+    reseal(run, safetensors.numpy.save(arrays))
+
+
+def edit_config(change: Callable[[dict[str, Any]], None]) -> Callable[[Path], None]:
+    def damage(run: Path) -> None:
+        config = json.loads((run / "config.json").read_text())
+        change(config)
+        (run / "config.json").write_text(json.dumps(config))
+
+    return damage
+
+
+def write(name: str, data: bytes) -> Callable[[Path], None]:
+    def damage(run: Path) -> None:
+        (run / name).write_bytes(data)
+
+    return damage
+
+
+def remove(name: str) -> Callable[[Path], None]:
+    def damage(run: Path) -> None:
+        path = run / name
+        shutil.rmtree(path) if path.is_dir() else path.unlink()
+
+    return damage
+
+
+DAMAGES: dict[str, tuple[Callable[[Path], None], str]] = {
+    "a flipped bit": (flip, "is damaged: its checksum does not fit"),
+    "a cut file": (truncate, "is damaged"),
+    "no arrays": (remove(f"{STEP}/state.safetensors"), "is damaged: it cannot be read"),
+    "arrays that are none": (lambda run: reseal(run, b"not tensors"), "is damaged: it cannot be read"),
+    "an array too few": (drop_array, "does not fit the run's configuration at 'learner/policy/centre'"),
+    "an array of another type": (retype_array, "does not fit the run's configuration at 'learner/policy/centre'"),
+    "another shape": (edit_config(lambda c: c["ppo"].update(hidden=[32])), "does not fit the run's configuration"),
+    "no manifest": (remove(f"{STEP}/manifest.json"), "manifest.json' is missing"),
+    "a manifest that is no JSON": (write(f"{STEP}/manifest.json", b"{"), "manifest.json' is not JSON"),
+    "a manifest that is a list": (write(f"{STEP}/manifest.json", b"[]"), "is damaged"),
+    "a manifest without a checksum": (write(f"{STEP}/manifest.json", b"{}"), "is damaged"),
+    "a manifest of numbers": (write(f"{STEP}/manifest.json", b'{"sha256": 3}'), "is damaged"),
+    "no configuration": (remove("config.json"), "config.json' is missing"),
+    "an empty configuration": (write("config.json", b""), "config.json' is not JSON"),
+    "a configuration in binary": (write("config.json", b"\xff\xfe\x00"), "config.json' is not JSON"),
+    "a bottomless configuration": (write("config.json", b"[" * 100_000), "config.json' is not JSON"),
+    "a configuration that is a list": (write("config.json", b"[]"), "config.json' is not usable: .*got list"),
+    "a setting too few": (edit_config(lambda c: c.pop("seed")), "lacks the setting 'seed'"),
+    "a setting too many": (edit_config(lambda c: c.update(colour="red")), "unknown setting 'colour'"),
+    "a setting of another type": (edit_config(lambda c: c["ppo"].update(lanes="many")), "lanes must be a whole number"),
+    "a setting out of range": (edit_config(lambda c: c["ppo"].update(gamma=2.0)), "gamma must be at least 0 and"),
+    "a section that is none": (edit_config(lambda c: c.update(rules=3)), "must be an object of settings, got int"),
+    "a name that does not exist": (edit_config(lambda c: c["rules"].update(reward="gold")), "reward 'gold' is not one"),
+    "a robot that is gone": (edit_config(lambda c: c.update(robot="gone.xml")), "'gone.xml' does not exist"),
+    "no checkpoint": (remove("checkpoints"), "holds no checkpoint"),
+    "no run": (remove("."), "does not exist: train one with"),
+}
+
+
+@pytest.mark.parametrize(("damage", "sentence"), DAMAGES.values(), ids=DAMAGES)
+def test_a_damaged_run_is_refused_in_one_sentence_and_nothing_is_written(
+    run: Path, damage: Callable[[Path], None], sentence: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    damage(run)
+    before = contents(run.parent)
+    assert cli.main(["eval", str(run), "--episodes", "5"]) == cli.WRONG_INPUT
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.count("\n") == 1, said.err
+    assert said.err.startswith("reachlab: ")
+    assert re.search(sentence, said.err), said.err
+    assert contents(run.parent) == before
+
+
+# --- writes that fail -----------------------------------------------------------------------------
+
+
+def fail(*_: object) -> None:
+    raise OSError(28, "No space left on device")
+
+
+def test_a_failed_write_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = tmp_path / "report.json"
+    write_json(file, {"old": 1})
+    with monkeypatch.context() as broken:
+        broken.setattr(os, "fsync", fail)
+        with pytest.raises(OSError, match="No space left"):
+            write_json(file, {"new": 2})
+    assert json.loads(file.read_text()) == {"old": 1}
+    write_json(file, {"new": 2})
+    assert json.loads(file.read_text()) == {"new": 2}
+    assert [path.name for path in tmp_path.iterdir()] == ["report.json"]
+
+
+def test_a_checkpoint_is_complete_or_absent(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    directory = RunDirectory(run)
+    with monkeypatch.context() as broken:
+        broken.setattr(os, "fsync", fail)
+        with pytest.raises(OSError, match="No space left"):
+            directory.write_checkpoint(600, {"step": np.array([600])})
+    assert [path.name for path in (run / "checkpoints").glob("step_*")] == ["step_000000000512"]
+    directory.write_checkpoint(600, {"step": np.array([600])})
+    assert directory.read_checkpoint("step", np.array([0])).tolist() == [600]
+
+
+def test_a_run_is_never_overwritten(finished: Path, config: RunConfig) -> None:
+    before = contents(finished)
+    with pytest.raises(InputError, match="exists and is not overwritten"):
+        RunDirectory(finished).create(config)
+    assert contents(finished) == before
+
+
+def test_a_directory_that_cannot_be_made_is_refused(tmp_path: Path, config: RunConfig) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="cannot be made: Not a directory"):
+        RunDirectory(tmp_path / "file" / "run").create(config)

@@ -1,0 +1,310 @@
+"""The command line as a user meets it."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+import xml.etree.ElementTree as ElementTree
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from reachlab import cli
+from reachlab.checkpoint import RunDirectory
+from reachlab.config import TASKS, RunConfig, configure
+from reachlab.env import Env
+from reachlab.evaluation import AGENTS
+from reachlab.robots import ROBOTS
+from reachlab.sims import SIMULATORS
+from reachlab.task import ACTIONS, OBSERVATIONS, REWARDS
+from reachlab.training import initial_state
+
+TINY = ["--lanes", "16", "--rollout-steps", "16", "--total-steps", "1024", "--no-stop-early", "--report-episodes", "10"]
+"""A training of four iterations."""
+
+TABLES = {
+    "tasks": TASKS,
+    "robots": ROBOTS,
+    "simulators": SIMULATORS,
+    "observations": OBSERVATIONS,
+    "actions": ACTIONS,
+    "rewards": REWARDS,
+    "agents": AGENTS,
+}
+
+
+@dataclass(frozen=True)
+class Said:
+    """What a command came to."""
+
+    status: int
+    out: str
+    err: str
+
+
+class Shell:
+    """Runs commands in this process, in a folder of their own."""
+
+    def __init__(self, capsys: pytest.CaptureFixture[str]) -> None:
+        self._capsys = capsys
+
+    def __call__(self, *words: object) -> Said:
+        self._capsys.readouterr()
+        try:
+            status = cli.main([str(word) for word in words])
+        except SystemExit as end:
+            status = end.code if isinstance(end.code, int) else int(end.code is not None)
+        out, err = self._capsys.readouterr()
+        return Said(status, str(out), str(err))
+
+
+@pytest.fixture
+def reachlab(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Shell:
+    monkeypatch.chdir(tmp_path)
+    return Shell(capsys)
+
+
+@pytest.fixture(scope="module")
+def untrained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run directory with the checkpoint of a policy that has learnt nothing."""
+    config = configure(lanes=8)
+    env = Env(config, 8)
+    run = RunDirectory(tmp_path_factory.mktemp("cli") / "untrained")
+    run.create(config)
+    run.write_checkpoint(0, env.compile(lambda seed: initial_state(env, config, seed))(np.uint32(0)))
+    return run.path
+
+
+def in_a_process(*words: str) -> Said:
+    done = subprocess.run([sys.executable, "-m", "reachlab", *words], capture_output=True, text=True, check=False)
+    return Said(done.returncode, done.stdout, done.stderr)
+
+
+# --- help and lists -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("words", [[], ["--help"], ["-h"]], ids=str)
+def test_the_overview_names_every_command(reachlab: Shell, words: list[str]) -> None:
+    said = reachlab(*words)
+    assert (said.status, said.err) == (0, "")
+    for name, verb in cli.VERBS.items():
+        assert f"  {name} " in said.out
+        assert verb.flags.__doc__
+        assert verb.flags.__doc__ in said.out
+
+
+@pytest.mark.parametrize("verb", cli.VERBS)
+def test_every_command_has_help(reachlab: Shell, verb: str) -> None:
+    said = reachlab(verb, "--help")
+    assert (said.status, said.err) == (0, "")
+    assert f"usage: reachlab {verb}" in said.out
+
+
+def test_every_setting_is_a_flag_of_train(reachlab: Shell) -> None:
+    text = reachlab("train", "--help").out
+    config = RunConfig()
+    names = [name for part in (config.rules, config.physics, config.ppo) for name in vars(part)]
+    names += ["task", "robot", "sim", "seed"]
+    assert len(names) == len(set(names)), "flags are flat"
+    for name in names:
+        assert f"--{name.replace('_', '-')}" in text
+
+
+def test_list_prints_the_tables_as_json(reachlab: Shell) -> None:
+    said = reachlab("list", "--json")
+    assert said.status == 0
+    listed = json.loads(said.out)
+    assert {kind: set(entries) for kind, entries in listed.items()} == {k: set(t) for k, t in TABLES.items()}
+    for entries in listed.values():
+        assert all(summary.strip() for summary in entries.values())
+
+
+def test_list_shows_a_person_every_name(reachlab: Shell) -> None:
+    said = reachlab("list")
+    assert (said.status, said.out) == (0, "")
+    for table in TABLES.values():
+        for name in table:
+            assert name in said.err
+
+
+# --- wrong input ----------------------------------------------------------------------------------
+
+WRONG = {
+    "unknown command": ("trian", "Did you mean 'train'"),
+    "unknown flag": ("train --rewrd dense", "Did you mean --reward"),
+    "unknown flag of eval": ("eval run --epsiodes 3", "Did you mean --episodes"),
+    "unknown flag of list": ("list --jsn", "Did you mean --json"),
+    "far-off flag": ("train --zzzz", "--zzzz"),
+    "word too many": ("train extra", "extra"),
+    "no value": ("train --out", "--out"),
+    "word for a number": ("train --lanes many", "--lanes.*'many'"),
+    "fraction for a whole number": ("train --lanes 2.5", "--lanes.*'2.5'"),
+    "number out of range": ("train --lanes 0", "lanes must be at least 1, got 0"),
+    "negative seed": ("train --seed -1", "seed must be at least 0"),
+    "not a number": ("train --gamma nan", "gamma must be .*nan"),
+    "infinite": ("train --learning-rate inf", "learning_rate must be .*inf"),
+    "wrong entry": ("train --hidden 64 0", "each entry of hidden must be at least 1, got 0"),
+    "unknown task": ("train --task tutoral", "Did you mean 'tutorial'"),
+    "unknown task with =": ("train --task=tutoral", "Did you mean 'tutorial'"),
+    "task without a value": ("train --task", "--task"),
+    "unknown robot": ("train --robot iiwa15", "robot 'iiwa15' is not one of.*Did you mean 'iiwa14'"),
+    "robot file that is not there": ("train --robot arm.xml", "robot file 'arm.xml' does not exist"),
+    "robot file that is none": ("train --robot broken.xml", "robot file 'broken.xml' does not compile"),
+    "robot folder": ("train --robot folder.xml", "folder.xml"),
+    "unknown tool": ("train --tool hand", "hand"),
+    "unknown simulator": ("train --sim kinematics", "Did you mean 'kinematic'"),
+    "unknown observation": ("train --observation targt", "Did you mean 'target'"),
+    "unknown action": ("train --action tool-delta", "Did you mean 'tool_delta'"),
+    "unknown reward": ("train --reward spars", "Did you mean 'sparse'"),
+    "minibatches that do not divide": (
+        "train --lanes 10 --rollout-steps 7 --minibatches 4",
+        "10.*4 minibatches",
+    ),
+    "existing out": ("train --out taken", "'taken' exists and is not overwritten"),
+    "eval without a run": ("eval", "run"),
+    "eval of no run": ("eval nothing", "'nothing' does not exist: train one with"),
+    "eval of an empty folder": ("eval taken", "config.json' is missing"),
+    "eval of an unknown agent": ("eval taken --agent tained", "Did you mean 'trained'"),
+    "eval of no episodes": ("eval untrained --agent ik --episodes 0", "episodes must be at least 1, got 0"),
+    "eval of a negative seed": ("eval untrained --seed -1 --agent ik", "seed"),
+    "eval of an immense seed": ("eval untrained --seed 99999999999 --agent ik", "seed"),
+    "plot of nothing": ("plot", "run"),
+    "plot of no run": ("plot nothing", "'nothing' holds no metrics.jsonl"),
+    "plot to an unknown ending": ("plot young --out curve.xyz", "cannot be written to 'curve.xyz'"),
+    "plot into no folder": ("plot young --out no/curve.png", "cannot be written to 'no/curve.png'"),
+}
+
+
+@pytest.mark.parametrize(("command", "sentence"), WRONG.values(), ids=WRONG)
+def test_wrong_input_is_answered_by_one_sentence(
+    reachlab: Shell, untrained: Path, tmp_path: Path, command: str, sentence: str
+) -> None:
+    (tmp_path / "taken").mkdir()
+    (tmp_path / "folder.xml").mkdir()
+    (tmp_path / "young").mkdir()
+    (tmp_path / "young" / "metrics.jsonl").write_text("")
+    (tmp_path / "broken.xml").write_text("<mujoco><worldbody>")
+    (tmp_path / "untrained").symlink_to(untrained)
+    before = sorted(tmp_path.rglob("*"))
+    said = reachlab(*command.split())
+    assert said.status == cli.WRONG_INPUT
+    assert said.out == ""
+    assert said.err.startswith("reachlab: ")
+    assert said.err.endswith("\n")
+    assert said.err.count("\n") == 1, said.err
+    assert re.search(sentence, said.err), said.err
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_a_process_ends_with_the_same_statuses() -> None:
+    wrong = in_a_process("train", "--reward", "spars")
+    assert (wrong.status, wrong.out, wrong.err.count("\n")) == (2, "", 1)
+    assert wrong.err.startswith("reachlab: reward 'spars' is not one of")
+    right = in_a_process("train", "--help")
+    assert (right.status, right.err) == (0, "")
+
+
+def test_an_interruption_is_told_by_its_status(reachlab: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setitem(cli.VERBS, "list", replace(cli.VERBS["list"], run=interrupted))
+    assert reachlab("list") == Said(130, "", "reachlab: interrupted.\n")
+
+
+# --- train ----------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Said]:
+    """A run of the command itself, in a process of its own."""
+    out = tmp_path_factory.mktemp("cli") / "trained"
+    flags = ["--seed", "4", "--reward", "sparse", "--no-clip-actions", "--hidden", "16", "16", "--json"]
+    return out, in_a_process("train", "--out", str(out), *TINY, *flags)
+
+
+def test_train_prints_one_json_object_and_nothing_else(trained: tuple[Path, Said]) -> None:
+    out, said = trained
+    assert said.status == 0, said.err
+    result = json.loads(said.out)
+    assert result == json.loads((out / "report.json").read_text())
+    assert result["steps"] == 1024
+    assert result["agent"] == "trained"
+    assert "Traceback" not in said.err
+    assert "Next: reachlab eval" in said.err
+
+
+def test_flags_reach_the_configuration(trained: tuple[Path, Said]) -> None:
+    config = RunDirectory(trained[0]).read_config()
+    assert config == configure(
+        seed=4,
+        reward="sparse",
+        clip_actions=False,
+        hidden=(16, 16),
+        lanes=16,
+        rollout_steps=16,
+        total_steps=1024,
+        stop_early=False,
+        report_episodes=10,
+    )
+
+
+def test_train_leaves_its_curve(trained: tuple[Path, Said]) -> None:
+    with Image.open(trained[0] / "curve.png") as picture:
+        assert picture.format == "PNG"
+
+
+def test_a_trained_run_is_evaluated_and_drawn(trained: tuple[Path, Said], reachlab: Shell) -> None:
+    out, _ = trained
+    said = reachlab("eval", out, "--episodes", 7, "--json")
+    assert said.status == 0, said.err
+    assert json.loads(said.out)["agent"] == "trained"
+    assert reachlab("plot", out, "--out", "curve.svg").status == 0
+    assert ElementTree.parse("curve.svg").getroot().tag.endswith("svg")
+    (out / "curve.png").unlink()
+    assert reachlab("plot", out).status == 0
+    assert (out / "curve.png").exists()
+
+
+# --- eval -----------------------------------------------------------------------------------------
+
+
+def evaluated(reachlab: Shell, run: Path, *words: object) -> Any:
+    said = reachlab("eval", run, "--episodes", 20, "--json", *words)
+    assert said.status == 0, said.err
+    return json.loads(said.out)
+
+
+def test_eval_of_one_agent_prints_an_object_and_saves_it(reachlab: Shell, untrained: Path) -> None:
+    report = evaluated(reachlab, untrained, "--agent", "ik", "--seed", 7)
+    assert (report["agent"], report["seed"], report["episodes"], report["sim"]) == ("ik", 7, 20, "kinematic")
+    assert report["success_rate"] == 1
+    assert json.loads((untrained / "reports" / "kinematic-ik-7.json").read_text()) == report
+
+
+def test_eval_of_several_agents_prints_a_list(reachlab: Shell, untrained: Path) -> None:
+    reports = evaluated(reachlab, untrained, "--agent", "ik", "zero")
+    assert [report["agent"] for report in reports] == ["ik", "zero"]
+    assert [report["success_rate"] for report in reports] == [1, 0]
+    for agent in ("ik", "zero"):
+        assert (untrained / "reports" / f"kinematic-{agent}-1.json").exists()
+
+
+def test_eval_repeats_itself_and_seeds_differ(reachlab: Shell, untrained: Path) -> None:
+    first, again, other = (evaluated(reachlab, untrained, "--agent", "ik", "--seed", seed) for seed in (2, 2, 3))
+    for report in (first, again, other):
+        del report["wall_s"], report["seed"]
+    assert first == again
+    assert first["final_error_mm"] != other["final_error_mm"]
+
+
+def test_eval_shows_a_person_a_table_and_prints_nothing(reachlab: Shell, untrained: Path) -> None:
+    said = reachlab("eval", untrained, "--episodes", 20, "--agent", "ik")
+    assert (said.status, said.out) == (0, "")
+    assert "100.00 %" in said.err

@@ -1,0 +1,239 @@
+"""Episodes of the environment, with the tutorial's arm."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from reachlab.config import configure
+from reachlab.env import Env, EnvState, Transition, lane_keys
+
+LANES = 4
+TOOL = slice(3, 6)
+"""Where `target+tool` holds the tool."""
+
+HELD = np.array([0.0, 0.5**0.5, -(0.5**0.5), 0.0])
+"""Euler (0, -π, π/2) as a quaternion wxyz."""
+
+
+class Compiled:
+    """An environment with its functions compiled, whatever the batch."""
+
+    def __init__(self, **settings: Any) -> None:
+        self.env = Env(configure("tutorial", **settings), LANES)
+        self.init: Callable[..., EnvState] = self.env.compile(self.env.init)
+        self.step: Callable[..., tuple[EnvState, Transition]] = self.env.compile(self.env.step)
+        self.reset: Callable[..., EnvState] = self.env.compile(self.env.reset)
+        self.observe: Callable[..., jax.Array] = self.env.compile(self.env.observe)
+
+    def start(self, seed: int = 0, lanes: int = LANES) -> EnvState:
+        return self.init(lane_keys(seed, lanes))
+
+    def walk(self, state: EnvState, action: tuple[float, ...], steps: int) -> tuple[EnvState, Transition]:
+        actions = np.tile(np.array(action, np.float32), (len(state.clock), 1))
+        for _ in range(steps - 1):
+            state, _ = self.step(state, actions)
+        return self.step(state, actions)
+
+    def rise(self, state: EnvState) -> tuple[EnvState, Transition]:
+        """Upwards out of the workspace."""
+        while True:
+            state, transition = self.walk(state, (0, 0, 0.3), 1)
+            if transition.done.all():
+                return state, transition
+
+
+@pytest.fixture(scope="module")
+def tutorial() -> Compiled:
+    return Compiled()
+
+
+@pytest.fixture(scope="module")
+def settled(tutorial: Compiled) -> EnvState:
+    return tutorial.walk(tutorial.start(), (0, 0, 0), 60)[0]
+
+
+def leaves(state: EnvState) -> list[np.ndarray]:
+    return [
+        np.array(jax.random.key_data(leaf) if jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key) else leaf)
+        for leaf in jax.tree.leaves(state)
+    ]
+
+
+# --- how the tool moves ---------------------------------------------------------------------------
+
+
+def test_the_tool_turns_to_the_held_orientation_within_a_few_dozen_steps(tutorial: Compiled) -> None:
+    state = tutorial.start()
+    assert np.abs(np.asarray(state.arm.tool_quaternion) @ HELD).max() < 0.8, "the start is a quarter turn away"
+    state, _ = tutorial.walk(state, (0, 0, 0), 36)
+    angle = 2 * np.arccos(np.minimum(np.abs(np.asarray(state.arm.tool_quaternion, np.float64) @ HELD), 1))
+    assert angle.max() < 2e-3
+
+
+def test_a_zero_action_leaves_the_tool_where_it_is(tutorial: Compiled, settled: EnvState) -> None:
+    later, _ = tutorial.walk(settled, (0, 0, 0), 200)
+    assert np.asarray(later.arm.tool_position) == pytest.approx(np.asarray(settled.arm.tool_position), abs=1e-5)
+    assert np.asarray(later.arm.q) == pytest.approx(np.asarray(settled.arm.q), abs=1e-3)
+
+
+@pytest.mark.parametrize("action", [(0.2, 0, 0), (0, -0.4, 0), (0, 0, -0.6), (-0.3, 0.2, -0.1)])
+def test_an_action_moves_the_tool_by_five_millimetres_for_each_unit(
+    tutorial: Compiled, settled: EnvState, action: tuple[float, ...]
+) -> None:
+    later, _ = tutorial.walk(settled, action, 50)
+    moved = np.asarray(later.arm.tool_position - settled.arm.tool_position)
+    wanted = 50 * 0.005 * np.array(action)
+    assert np.linalg.norm(moved - wanted, axis=-1).max() < 0.01 * np.linalg.norm(wanted)
+
+
+def test_actions_beyond_the_box_move_the_tool_further_only_where_they_are_not_clipped() -> None:
+    descended = {}
+    for clip in (True, False):
+        env = Compiled(clip_actions=clip)
+        begun, _ = env.walk(env.start(), (0, 0, 0), 60)
+        later, _ = env.walk(begun, (0, 0, -1.5), 20)
+        descended[clip] = float((begun.arm.tool_position - later.arm.tool_position)[0, 2])
+    assert descended[True] == pytest.approx(20 * 0.005 * 0.6, rel=0.01)
+    assert descended[False] == pytest.approx(20 * 0.005 * 1.5, rel=0.01)
+
+
+@pytest.mark.parametrize("action", ["tool_delta", "joint_delta"])
+def test_joint_limits_hold_under_extreme_actions(action: str) -> None:
+    env = Compiled(action=action, clip_actions=False)
+    chain, random = env.env.reach.robot.chain, np.random.default_rng(0)
+    low, high = np.array(chain.lower, np.float32), np.array(chain.upper, np.float32)
+    state = env.start()
+    touched = np.zeros(chain.n, bool)
+    for _ in range(40):
+        push = random.uniform(-1, 1, state.last_action.shape) * 10.0 ** random.uniform(0, 4)
+        for _ in range(5):
+            state, _ = env.step(state, push.astype(np.float32))
+        q = np.asarray(state.arm.q)
+        assert np.isfinite(q).all()
+        assert (q >= low).all()
+        assert (q <= high).all()
+        touched |= ((q == low) | (q == high)).any(0)
+    assert touched.any(), "no action was extreme enough to reach a limit"
+
+
+def test_joint_speeds_are_displacements_over_the_control_period(tutorial: Compiled, settled: EnvState) -> None:
+    later, _ = tutorial.walk(settled, (0.4, 0, 0), 1)
+    assert np.asarray(later.arm.qd) == pytest.approx(np.asarray(later.arm.q - settled.arm.q) * 240, abs=1e-3)
+    assert np.abs(np.asarray(later.arm.qd)).max() > 0.1
+
+
+# --- ends -----------------------------------------------------------------------------------------
+
+
+def test_an_idle_arm_is_truncated_exactly_on_step_1000(tutorial: Compiled) -> None:
+    state = tutorial.start()
+    for _ in range(999):
+        state, transition = tutorial.walk(state, (0, 0, 0), 1)
+        assert not transition.done.any()
+    state, transition = tutorial.walk(state, (0, 0, 0), 1)
+    assert transition.truncated.all()
+    assert not transition.terminated.any()
+    assert np.asarray(transition.reward) == pytest.approx(-0.1, abs=1e-4)
+
+
+def test_a_straight_descent_ends_as_success_and_pays_one(tutorial: Compiled) -> None:
+    state, sparse, steps = tutorial.start(lanes=1), 0.0, 0
+    returned, first = 0.0, float(state.distance[0])
+    while True:
+        offset = np.asarray(state.target - state.arm.tool_position)
+        state, transition = tutorial.step(state, np.clip(offset / 0.005, -0.4, 0.4).astype(np.float32))
+        sparse += sum(float(transition.terms[name][0]) for name in ("reach", "outside", "timeout"))
+        returned, steps = returned + float(transition.reward[0]), steps + 1
+        if transition.done[0]:
+            break
+    assert transition.terminated[0]
+    assert not transition.truncated[0]
+    assert transition.terms["success"][0]
+    assert sparse == 1.0
+    assert float(transition.terms["distance"][0]) < 0.1
+    assert steps < 300
+    # The approach terms telescope: five for every metre of the way.
+    assert returned == pytest.approx(1 + 5 * (first - float(state.distance[0])), abs=1e-3)
+
+
+def test_leaving_the_workspace_ends_the_episode_without_success(tutorial: Compiled) -> None:
+    state, transition = tutorial.rise(tutorial.start(lanes=1))
+    assert transition.terminated[0]
+    assert not transition.terms["success"][0]
+    assert float(transition.terms["outside"][0]) == pytest.approx(-0.1)
+    assert float(state.arm.tool_position[0, 2]) > 0.55
+
+
+def test_the_terms_of_the_reward_add_up_to_it(tutorial: Compiled, settled: EnvState) -> None:
+    _, transition = tutorial.walk(settled, (0.1, 0.2, -0.6), 3)
+    parts = [value for name, value in transition.terms.items() if name not in ("distance", "success")]
+    assert np.asarray(transition.reward) == pytest.approx(np.sum(parts, axis=0), abs=1e-6)
+    assert float(transition.reward[0]) > 0
+
+
+# --- resets ---------------------------------------------------------------------------------------
+
+
+def test_a_reset_changes_the_masked_lanes_and_no_other(tutorial: Compiled, settled: EnvState) -> None:
+    mask = np.array([True, False, False, True])
+    before, after = leaves(settled), leaves(tutorial.reset(settled, mask))
+    for old, new in zip(before, after, strict=True):
+        assert np.array_equal(old[~mask], new[~mask])
+    fresh = tutorial.reset(settled, mask)
+    assert np.asarray(fresh.clock).tolist() == [0, 60, 60, 0]
+    assert np.asarray(fresh.arm.q)[mask] == pytest.approx(np.tile(tutorial.env.reach.robot.home, (2, 1)), abs=1e-6)
+    assert np.asarray(fresh.target_q)[mask] == pytest.approx(np.asarray(fresh.arm.q)[mask])
+    assert not np.asarray(fresh.arm.qd)[mask].any()
+    assert not np.asarray(fresh.last_action)[mask].any()
+
+
+def test_every_reset_draws_a_new_target(tutorial: Compiled) -> None:
+    state = tutorial.start()
+    drawn = [np.asarray(state.target)]
+    for _ in range(100):
+        state = tutorial.reset(state, np.ones(LANES, bool))
+        drawn.append(np.asarray(state.target))
+    assert len(np.unique(np.concatenate(drawn), axis=0)) == 101 * LANES
+
+
+def test_the_final_observation_is_the_one_before_the_reset(tutorial: Compiled, settled: EnvState) -> None:
+    state, transition = tutorial.rise(settled)
+    final = np.asarray(transition.observation)
+    assert np.array_equal(final, np.asarray(tutorial.observe(state)))
+    assert (final[:, 5] > 0.55).all()
+    fresh = np.asarray(tutorial.observe(tutorial.reset(state, transition.done)))
+    assert fresh[:, TOOL] == pytest.approx(np.tile((0.5321, -0.0011, 0.4963), (LANES, 1)), abs=1e-4)
+    assert (fresh[:, :2] != final[:, :2]).all()
+
+
+# --- randomness -----------------------------------------------------------------------------------
+
+
+def test_a_lane_is_the_single_environment_with_its_own_seed(tutorial: Compiled) -> None:
+    seed, lane, random = 11, 2, np.random.default_rng(5)
+    batch, single = tutorial.start(seed), tutorial.start(seed + lane, lanes=1)
+    low, high = tutorial.env.action_bounds
+    pushes = random.uniform(low, high, (13, LANES, 3)).astype(np.float32)
+    ends = 0
+    for actions in np.repeat(pushes, 80, axis=0)[:1000]:
+        batch, here = tutorial.step(batch, actions)
+        single, there = tutorial.step(single, actions[lane : lane + 1])
+        assert np.asarray(here.observation[lane]) == pytest.approx(np.asarray(there.observation[0]), abs=1e-4)
+        assert float(here.reward[lane]) == pytest.approx(float(there.reward[0]), abs=1e-3)
+        assert bool(here.terminated[lane]) == bool(there.terminated[0])
+        assert bool(here.truncated[lane]) == bool(there.truncated[0])
+        ends += int(here.done[lane])
+        batch, single = tutorial.reset(batch, here.done), tutorial.reset(single, there.done)
+    assert ends >= 3
+
+
+def test_neighbouring_seeds_share_lanes_and_distant_ones_none(tutorial: Compiled) -> None:
+    first, second, far = (np.asarray(tutorial.start(seed).target) for seed in (5, 6, 100))
+    assert np.array_equal(first[1:], second[:-1])
+    assert not set(map(tuple, first)) & set(map(tuple, far))

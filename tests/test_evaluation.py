@@ -1,0 +1,260 @@
+"""Evaluations that anyone can repeat."""
+
+from __future__ import annotations
+
+import json
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from reachlab.config import InputError, configure
+from reachlab.env import Env, EnvState, lane_keys
+from reachlab.evaluation import (
+    AGENTS,
+    LANES,
+    REPORT_STREAM,
+    VALIDATION_STREAM,
+    Episodes,
+    Report,
+    Runner,
+    episode_keys,
+    evaluate,
+    make_runner,
+    run_episodes,
+    summarise,
+    wilson_interval,
+)
+from reachlab.policy import Policy
+from reachlab.training import TRAINING_STREAM
+
+REPORT_FIELDS = [
+    "task",
+    "robot",
+    "sim",
+    "agent",
+    "seed",
+    "episodes",
+    "perturb",
+    "success_rate",
+    "success_interval",
+    "success_within",
+    "final_error_mm",
+    "return_mean",
+    "steps_mean",
+    "time_to_reach_s",
+    "max_joint_speed",
+    "jerk",
+    "wall_s",
+    "versions",
+]
+"""DESIGN.md's, and `return_mean`."""
+
+
+@pytest.fixture(scope="module")
+def env() -> Env:
+    return Env(configure(), LANES)
+
+
+@pytest.fixture(scope="module")
+def ik(env: Env) -> Runner:
+    return make_runner(env, "ik")
+
+
+@pytest.fixture(scope="module")
+def whole(ik: Runner) -> Episodes:
+    return run_episodes(ik, None, 1, REPORT_STREAM, 1500)
+
+
+# --- intervals ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("successes", "trials", "low", "high"),
+    [
+        # Newcombe, "Two-sided confidence intervals for the single proportion", Statistics in Medicine 17, 1998.
+        (81, 263, 0.2553, 0.3662),
+        (15, 148, 0.0624, 0.1605),
+        (0, 20, 0.0000, 0.1611),
+        (1, 29, 0.0061, 0.1718),
+        # At the ends the bound is z² / (n + z²).
+        (10, 10, 0.7225, 1.0),
+        (0, 10, 0.0, 0.2775),
+        (1000, 1000, 0.99617, 1.0),
+    ],
+)
+def test_wilson_intervals_are_the_published_ones(successes: int, trials: int, low: float, high: float) -> None:
+    assert wilson_interval(successes, trials) == pytest.approx((low, high), abs=6e-5)
+
+
+@settings(max_examples=25, deadline=None)
+@given(trials=st.integers(1, 100_000), share=st.floats(0, 1))
+def test_an_interval_holds_its_rate_and_mirrors(trials: int, share: float) -> None:
+    successes = round(share * trials)
+    low, high = wilson_interval(successes, trials)
+    assert 0 <= low <= successes / trials + 1e-12
+    assert successes / trials - 1e-12 <= high <= 1
+    assert wilson_interval(trials - successes, trials) == pytest.approx((1 - high, 1 - low), abs=1e-9)
+
+
+# --- which episodes -------------------------------------------------------------------------------
+
+
+def key_rows(keys: jax.Array) -> set[tuple[int, ...]]:
+    return set(map(tuple, np.asarray(jax.random.key_data(keys)).tolist()))
+
+
+def test_an_episodes_key_depends_on_its_number_alone() -> None:
+    whole = jax.random.key_data(episode_keys(3, REPORT_STREAM, 0, 50))
+    part = jax.random.key_data(episode_keys(3, REPORT_STREAM, 20, 10))
+    assert np.array_equal(whole[20:30], part)
+
+
+def test_held_out_targets_were_never_trained_or_validated_on(env: Env) -> None:
+    targets = jax.jit(lambda keys: env.init(keys).target[:, :2])
+    streams = {
+        stream: np.asarray(targets(episode_keys(0, stream, 0, LANES)))
+        for stream in (TRAINING_STREAM, VALIDATION_STREAM, REPORT_STREAM)
+    }
+    assert len(streams) == 3
+    assert len(np.unique(np.concatenate(list(streams.values())), axis=0)) == 3 * LANES
+
+
+def test_no_seed_repeats_the_keys_of_another_seed_or_stream() -> None:
+    streams = (TRAINING_STREAM, VALIDATION_STREAM, REPORT_STREAM)
+    parts = [key_rows(episode_keys(seed, stream, 0, 200)) for seed in range(10) for stream in streams]
+    parts.append(key_rows(lane_keys(0, 200)))
+    assert len(set.union(*parts)) == 200 * len(parts)
+
+
+def test_chunks_are_the_same_episodes_as_the_whole(ik: Runner, whole: Episodes) -> None:
+    parts = [run_episodes(ik, None, 1, REPORT_STREAM, count, first=first) for first, count in ((0, 1000), (1000, 500))]
+    for name in ("success", "distance", "steps", "returns", "max_speed", "squared_jerk"):
+        joined = np.concatenate([vars(part)[name] for part in parts])
+        assert np.array_equal(joined, vars(whole)[name]), name
+    middle = run_episodes(ik, None, 1, REPORT_STREAM, 100, first=950)
+    assert middle.steps.tolist() == whole.steps[950:1050].tolist()
+    assert middle.distance == pytest.approx(whole.distance[950:1050], abs=1e-5)
+
+
+@pytest.mark.parametrize("count", [1, 999, 1001])
+def test_exactly_as_many_episodes_as_asked_are_counted(ik: Runner, whole: Episodes, count: int) -> None:
+    result = run_episodes(ik, None, 1, REPORT_STREAM, count)
+    assert result.done.shape == (count,)
+    assert np.array_equal(result.distance, whole.distance[:count])
+
+
+def test_every_episode_is_counted_to_its_first_end_and_no_further(env: Env, whole: Episodes) -> None:
+    assert whole.done.all()
+    # From the start's height to 0.1 m above the target at 3 mm a step, or from afar at 2 mm sideways.
+    assert whole.steps.min() > 100
+    assert whole.steps.max() < 300
+    start = np.asarray(env.init(episode_keys(1, REPORT_STREAM, 0, LANES)).distance)
+    sparse = whole.returns[:LANES] - 5 * (start - whole.distance[:LANES])
+    assert sparse == pytest.approx(1, abs=1e-3)
+
+
+# --- agents ---------------------------------------------------------------------------------------
+
+
+def test_inverse_kinematics_reaches_every_target(whole: Episodes) -> None:
+    assert whole.success.all()
+    assert whole.distance.max() < 0.1
+
+
+@pytest.fixture(scope="module")
+def idle(env: Env) -> Report:
+    return evaluate(env, "zero", seed=1, episodes=30)
+
+
+def test_doing_nothing_never_reaches(idle: Report) -> None:
+    assert idle.success_rate == 0
+    assert idle.success_interval == pytest.approx((0, 0.1135), abs=1e-4)
+    assert idle.steps_mean == 1000
+    assert idle.time_to_reach_s is None
+    assert idle.return_mean == pytest.approx(-0.1, abs=0.01)
+
+
+def test_random_actions_rarely_reach(env: Env) -> None:
+    report = evaluate(env, "random", seed=1, episodes=200)
+    assert report.success_rate < 0.3
+    assert report.final_error_mm["median"] > 100
+
+
+def test_all_agents_meet_the_same_targets(env: Env, idle: Report) -> None:
+    start = np.asarray(env.init(episode_keys(1, REPORT_STREAM, 0, LANES)).distance)[:30]
+    # The idle tool stays where it starts, but for the millimetre that turning costs.
+    assert idle.final_error_mm["max"] == pytest.approx(1000 * start.max(), abs=5)
+    assert idle.final_error_mm["median"] == pytest.approx(1000 * np.median(start), abs=5)
+
+
+def test_the_trained_agent_needs_a_run(env: Env) -> None:
+    with pytest.raises(InputError, match="agent 'trained' needs a run: name its directory"):
+        evaluate(env, "trained", seed=1, episodes=10)
+
+
+def test_an_unknown_agent_is_refused(env: Env) -> None:
+    with pytest.raises(InputError, match=r"agent 'tained' is not one of: .*Did you mean 'trained'"):
+        evaluate(env, "tained", seed=1, episodes=10)
+
+
+# --- reports --------------------------------------------------------------------------------------
+
+
+def test_a_report_has_the_designs_fields(idle: Report) -> None:
+    plain = json.loads(json.dumps(idle.to_json(), allow_nan=False))
+    assert sorted(plain) == sorted(REPORT_FIELDS)
+    assert sorted(plain["final_error_mm"]) == ["max", "median", "p95", "p99"]
+    assert len(plain["max_joint_speed"]) == 7
+    told = ("task", "robot", "sim", "agent", "seed", "episodes", "perturb", "success_within")
+    assert [plain[name] for name in told] == ["tutorial", "iiwa14", "kinematic", "zero", 1, 30, None, None]
+    assert {"python", "reachlab", "jax", "mujoco", "numpy"} <= set(plain["versions"])
+
+
+def test_a_report_sums_up_its_episodes(env: Env) -> None:
+    still = np.zeros((4, 7), np.float32)
+    speeds = still.copy()
+    speeds[1, 2] = 3.0
+    speeds[2, 2] = 2.0
+    values = {
+        "done": np.ones(4, bool),
+        "success": np.array([True, False, True, True]),
+        "distance": np.array([0.02, 0.4, 0.04, 0.06], np.float32),
+        "steps": np.array([120, 1000, 240, 360]),
+        "returns": np.array([1.0, -0.1, 1.0, 1.0], np.float32),
+        "max_speed": speeds,
+        "squared_jerk": np.array([120.0, 2000.0, 720.0, 360.0], np.float32),
+        "motion": (still, still, still),
+    }
+    report = summarise(env, "ik", Episodes(**values), seed=9, wall_s=1.5)
+    assert (report.episodes, report.seed, report.agent, report.wall_s) == (4, 9, "ik", 1.5)
+    assert report.success_rate == 0.75
+    assert report.success_interval == wilson_interval(3, 4)
+    assert report.final_error_mm["median"] == pytest.approx(50)
+    assert report.final_error_mm["max"] == pytest.approx(400)
+    assert report.final_error_mm["p95"] == pytest.approx(349)
+    assert report.steps_mean == 430
+    assert report.time_to_reach_s == pytest.approx(240 / 240)
+    assert report.max_joint_speed == [0, 0, 3, 0, 0, 0, 0]
+    assert report.return_mean == pytest.approx(0.725)
+    assert report.jerk == pytest.approx((1 + 2 + 3 + 1) / 4)
+
+
+def test_speed_and_jerk_are_those_of_a_known_motion(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One joint sets off at full speed from rest: its displacement jumps once and stays."""
+
+    def turn(env: Env, policy: Policy | None, state: EnvState, key: jax.Array) -> jax.Array:
+        del env, policy, key
+        return jnp.zeros_like(state.last_action).at[:, 0].set(1.0)
+
+    monkeypatch.setitem(AGENTS, "turn", turn)
+    steps, move, period = 10, 0.02, 1 / 240
+    report = evaluate(Env(configure(action="joint_delta", max_steps=steps), LANES), "turn", seed=0, episodes=50)
+    assert report.steps_mean == steps
+    assert report.max_joint_speed[0] == pytest.approx(move / period, rel=1e-3)
+    assert report.max_joint_speed[1:] == pytest.approx([0] * 6, abs=1e-3)
+    # Third differences of q: +move on the first step, -move on the second, then none.
+    assert report.jerk == pytest.approx(2 * (move / period**3) ** 2 / 7 / steps, rel=1e-3)

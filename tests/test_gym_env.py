@@ -1,0 +1,366 @@
+"""The Gymnasium faces, held against Gymnasium's own checker and its own vector environment."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+
+from reachlab.config import InputError
+from reachlab.gym_env import ReachEnv, ReachVectorEnv
+from reachlab.robots import load_robot
+from reachlab.scene import Camera
+
+IDS = ("reachlab/KukaReach-v0", "reachlab/Reach-v0")
+LANES = 3
+SHORT: dict[str, Any] = {"max_steps": 40, "clip_actions": False, "success_distance": 0.4}
+"""Episodes that end often and in every way."""
+
+BAD_ACTIONS = {
+    "nan": ([0.0, np.nan, 0.0], "lane 0.*nan.*index 1"),
+    "infinite": ([0.0, 0.0, -np.inf], "lane 0.*-inf.*index 2"),
+    "beyond float32": ([1e300, 0.0, 0.0], "lane 0.*index 0"),
+    "too short": ([0.0, 0.0], r"shape \(3,\)"),
+    "too long": ([0.0] * 4, r"shape \(3,\)"),
+    "scalar": (0.0, r"shape \(3,\)"),
+    "batched": ([[0.0, 0.0, 0.0]], r"shape \(3,\)"),
+    "none": (None, "action"),
+    "words": (["up", "up", "left"], "numbers"),
+    "ragged": ([[0.0], [0.0, 1.0], 0.0], "action"),
+    "objects": ([None, 0.0, 0.0], "action"),
+}
+
+
+@pytest.fixture(scope="module")
+def drawing() -> None:
+    """Skips where nothing can be drawn."""
+    try:
+        Camera(load_robot("iiwa14"), 16, 16).close()
+    except InputError as error:
+        pytest.skip(str(error))
+
+
+@pytest.fixture(scope="module")
+def single() -> ReachEnv:
+    return ReachEnv()
+
+
+@pytest.fixture(scope="module")
+def twin() -> ReachEnv:
+    return ReachEnv()
+
+
+@pytest.fixture(scope="module")
+def singles() -> list[ReachEnv]:
+    return [ReachEnv(**SHORT) for _ in range(LANES)]
+
+
+# --- Gymnasium's checker, spaces and registration -------------------------------------------------
+
+
+@pytest.mark.parametrize("name", IDS)
+@pytest.mark.parametrize(("action", "expected"), [("tool_delta", ["symmetric and normalized"]), ("joint_delta", [])])
+def test_gymnasiums_checker_finds_nothing_but_the_tutorials_box(
+    drawing: None, name: str, action: str, expected: list[str]
+) -> None:
+    del drawing
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        env = gymnasium.make(name, action=action, render_mode="rgb_array", disable_env_checker=True)
+        check_env(env.unwrapped)
+        env.close()
+    said = [str(warning.message) for warning in caught]
+    assert len(said) == len(expected), said
+    assert all(wanted in sentence for wanted, sentence in zip(expected, said, strict=True)), said
+
+
+def test_the_kuka_environment_has_the_tutorials_spaces() -> None:
+    env = gymnasium.make("reachlab:reachlab/KukaReach-v0")
+    observations, actions = env.observation_space, env.action_space
+    assert isinstance(observations, gymnasium.spaces.Box)
+    assert isinstance(actions, gymnasium.spaces.Box)
+    assert observations.low == pytest.approx((0.2, -0.3, -0.05))
+    assert observations.high == pytest.approx((0.7, 0.3, 0.55))
+    assert actions.low == pytest.approx((-0.4, -0.4, -0.6))
+    assert actions.high == pytest.approx((0.4, 0.4, 0.3))
+    assert observations.dtype == actions.dtype == np.float32
+    env.close()
+
+
+def test_the_kuka_environment_pays_the_tutorials_sparse_reward() -> None:
+    env = gymnasium.make("reachlab/KukaReach-v0")
+    env.reset(seed=0)
+    rewards = [env.step(np.array([0, 0, 0.3], np.float32))[1] for _ in range(20)]
+    assert rewards == [0.0] * 20
+    env.close()
+
+
+def test_settings_are_keywords() -> None:
+    env = gymnasium.make("reachlab/Reach-v0", task="tutorial", observation="target", max_steps=4, reward="sparse")
+    assert env.observation_space.shape == (3,)
+    env.reset(seed=0)
+    steps = [env.step(np.zeros(3, np.float32)) for _ in range(4)]
+    assert [truncated for *_, truncated, _ in steps] == [False, False, False, True]
+    assert [float(reward) for _, reward, *_ in steps] == pytest.approx([0, 0, 0, -0.1])
+    env.close()
+
+
+@pytest.mark.parametrize(
+    ("settings", "sentence"),
+    [
+        ({"max_step": 3}, "setting 'max_step' is not one of: .*Did you mean 'max_steps'"),
+        ({"reward": "spars"}, "reward 'spars' is not one of: dense, sparse. Did you mean 'sparse'"),
+        ({"robot": "iiwa"}, "robot 'iiwa' is not one of: .*iiwa14"),
+        ({"sim": "kinematics"}, "simulator 'kinematics' is not one of: .*Did you mean 'kinematic'"),
+        ({"task": "tutoral"}, "task 'tutoral' is not one of: .*Did you mean 'tutorial'"),
+        ({"render_mode": "human"}, "render mode 'human' is not one of: rgb_array"),
+        ({"max_steps": 0}, "max_steps must be at least 1, got 0"),
+        ({"clip_actions": "no"}, "clip_actions must be true or false, got 'no'"),
+        ({"tool": "link_9"}, "link_9"),
+    ],
+)
+@pytest.mark.parametrize("face", [ReachEnv, ReachVectorEnv])
+def test_wrong_settings_are_refused_in_one_sentence(
+    face: type[ReachEnv | ReachVectorEnv], settings: dict[str, Any], sentence: str
+) -> None:
+    with pytest.raises(InputError, match=sentence) as refused:
+        face(**settings)
+    assert "\n" not in str(refused.value)
+
+
+# --- one episode at a time ------------------------------------------------------------------------
+
+
+def test_equal_seeds_give_equal_episodes_and_later_resets_new_targets(single: ReachEnv) -> None:
+    runs = []
+    for _ in range(2):
+        first, _ = single.reset(seed=3)
+        step = single.step(np.array([0.1, 0.1, -0.5], np.float32))[0]
+        runs.append([first, step, single.reset()[0], single.reset()[0]])
+    for one, other in zip(*runs, strict=True):
+        assert np.array_equal(one, other)
+    starts = [runs[0][i][:2].tolist() for i in (0, 2, 3)]
+    assert len({tuple(start) for start in starts}) == 3
+    assert single.reset(seed=4)[0][:2].tolist() not in starts
+
+
+def test_info_tells_distance_and_success(single: ReachEnv) -> None:
+    observation, info = single.reset(seed=0)
+    assert info["is_success"] is False
+    assert info["distance"] == pytest.approx(np.linalg.norm(observation[:3] - observation[3:]), abs=1e-6)
+    terminated, truncated, reward = False, False, 0.0
+    while not (terminated or truncated):
+        offset = (observation[:3] - observation[3:]) / 0.005
+        observation, reward, terminated, truncated, info = single.step(np.clip(offset, -0.4, 0.4))
+        assert info["distance"] == pytest.approx(np.linalg.norm(observation[:3] - observation[3:]), abs=1e-6)
+    assert (terminated, truncated, info["is_success"]) == (True, False, True)
+    assert reward > 1
+    assert info["distance"] < 0.1
+
+
+def test_a_step_before_the_first_reset_is_refused() -> None:
+    for env in (ReachEnv(), ReachVectorEnv(num_envs=2)):
+        with pytest.raises(InputError, match="call reset first"):
+            env.step(np.zeros(env.action_space.shape or (), np.float32))
+
+
+@pytest.mark.parametrize(("action", "sentence"), BAD_ACTIONS.values(), ids=BAD_ACTIONS)
+def test_a_wrong_action_is_refused_and_nothing_moves(
+    single: ReachEnv, twin: ReachEnv, action: Any, sentence: str
+) -> None:
+    for env in (single, twin):
+        env.reset(seed=8)
+    with pytest.raises(InputError, match=sentence) as refused:
+        single.step(action)
+    assert "\n" not in str(refused.value)
+    good = np.array([0.1, -0.2, -0.3], np.float32)
+    for one, other in zip(single.step(good)[:4], twin.step(good)[:4], strict=True):
+        assert np.array_equal(one, other)
+
+
+def test_observations_belong_to_the_caller(single: ReachEnv) -> None:
+    first, _ = single.reset(seed=0)
+    before = first.copy()
+    second, *_ = single.step(np.array([0.4, 0.4, -0.6], np.float32))
+    assert np.array_equal(first, before)
+    first[:] = 0
+    second[:] = 0
+    assert single.step(np.zeros(3, np.float32))[0].any()
+
+
+def test_the_picture_shows_the_arm_move(drawing: None) -> None:
+    del drawing
+    env = gymnasium.make("reachlab/KukaReach-v0", render_mode="rgb_array")
+    env.reset(seed=0)
+    before = env.render()
+    for _ in range(60):
+        env.step(np.array([0.0, 0.0, -0.6], np.float32))
+    after = env.render()
+    assert isinstance(before, np.ndarray)
+    assert isinstance(after, np.ndarray)
+    assert before.dtype == np.uint8
+    assert before.ndim == 3
+    assert before.shape[2] == 3
+    assert before.std() > 5, "a blank picture"
+    assert (before != after).any(axis=-1).mean() > 0.005
+    env.close()
+
+
+def test_without_a_render_mode_there_is_no_picture(single: ReachEnv) -> None:
+    single.reset(seed=0)
+    assert single.render() is None
+
+
+# --- batches --------------------------------------------------------------------------------------
+
+
+def assert_same_info(ours: Mapping[str, Any], theirs: Mapping[str, Any], where: str) -> None:
+    """Equal keys and masks, and equal values wherever the mask says that there is one."""
+    assert set(ours) == set(theirs), where
+    for name in theirs:
+        if name.startswith("_"):
+            assert np.array_equal(ours[name], theirs[name]), f"{where}: {name}"
+        elif isinstance(theirs[name], dict):
+            assert_same_info(ours[name], theirs[name], f"{where}: {name}")
+        else:
+            mask = theirs[f"_{name}"]
+            for lane in np.flatnonzero(mask):
+                assert ours[name][lane] == pytest.approx(theirs[name][lane], abs=1e-4), f"{where}: {name} of {lane}"
+            if ours[name].dtype == object:
+                assert [value is None for value in ours[name]] == (~mask).tolist(), f"{where}: {name}"
+
+
+def assert_same_step(ours: tuple[Any, ...], theirs: tuple[Any, ...], where: str) -> None:
+    """Two results of `step`, or of `reset`, that agree."""
+    assert ours[0] == pytest.approx(theirs[0], abs=1e-4), where
+    assert ours[0].dtype == theirs[0].dtype
+    for one, other in zip(ours[1:-1], theirs[1:-1], strict=True):
+        assert one == pytest.approx(other, abs=1e-3), where
+        assert one.dtype == other.dtype, where
+    assert_same_info(ours[-1], theirs[-1], where)
+
+
+def pushes(steps: int) -> Iterator[np.ndarray]:
+    """Actions that keep their direction long enough to leave the workspace or to reach the target."""
+    random, actions = np.random.default_rng(1), np.zeros((LANES, 3), np.float32)
+    for step in range(steps):
+        if step % 20 == 0:
+            actions = random.uniform((-1.5, -1.5, -3.0), (1.5, 1.5, 0.8), (LANES, 3)).astype(np.float32)
+        yield actions
+
+
+@pytest.mark.parametrize("mode", AutoresetMode)
+def test_a_batch_is_gymnasiums_vector_of_single_environments(singles: list[ReachEnv], mode: AutoresetMode) -> None:
+    theirs = SyncVectorEnv([lambda env=env: env for env in singles], autoreset_mode=mode)
+    ours = gymnasium.make_vec("reachlab/Reach-v0", num_envs=LANES, autoreset_mode=mode, **SHORT)
+    assert ours.metadata["autoreset_mode"] is mode
+    assert_same_step(ours.reset(seed=21), theirs.reset(seed=21), "reset")
+    ends = {"terminated": 0, "truncated": 0, "success": 0}
+    for number, actions in enumerate(pushes(300)):
+        one, other = ours.step(actions), theirs.step(actions)
+        assert_same_step(one, other, f"step {number}")
+        done = one[2] | one[3]
+        ends["terminated"] += int(one[2].sum())
+        ends["truncated"] += int(one[3].sum())
+        info = other[4]["final_info"] if "final_info" in other[4] else other[4]
+        ends["success"] += int((info["is_success"] & done).sum())
+        if mode is AutoresetMode.DISABLED and done.any():
+            again = ours.reset(options={"reset_mask": done}), theirs.reset(options={"reset_mask": done})
+            assert_same_step(*again, f"reset after step {number}")
+    assert min(ends.values()) > 0, f"not every end occurred: {ends}"
+    assert_same_step(ours.reset(), theirs.reset(), "the unseeded reset")
+    ours.close()
+
+
+@pytest.fixture(scope="module")
+def batch() -> ReachVectorEnv:
+    return ReachVectorEnv(num_envs=LANES, autoreset_mode="Disabled", max_steps=5)
+
+
+def test_a_batch_has_batched_spaces(batch: ReachVectorEnv) -> None:
+    assert batch.single_observation_space.shape == (6,)
+    assert batch.observation_space.shape == (LANES, 6)
+    assert batch.action_space.shape == (LANES, 3)
+    assert batch.reset(seed=0)[0] in batch.observation_space
+
+
+def test_lanes_take_seeds_of_their_own(batch: ReachVectorEnv) -> None:
+    counted = batch.reset(seed=40)[0]
+    assert np.array_equal(batch.reset(seed=[40, 41, 42])[0], counted)
+    mixed = batch.reset(seed=[42, None, 40])[0]
+    assert mixed[0] == pytest.approx(counted[2])
+    assert mixed[2] == pytest.approx(counted[0])
+    assert mixed[1, :2].tolist() != counted[1, :2].tolist()
+
+
+def test_as_many_seeds_as_lanes_are_needed(batch: ReachVectorEnv) -> None:
+    with pytest.raises(InputError, match="seed must be one number or 3 of them, got 2"):
+        batch.reset(seed=[1, 2])
+
+
+def test_a_masked_reset_leaves_the_other_lanes_alone(batch: ReachVectorEnv) -> None:
+    batch.reset(seed=1)
+    before = batch.step(np.full((LANES, 3), 0.3, np.float32))[0]
+    after, info = batch.reset(options={"reset_mask": np.array([False, True, False])})
+    assert np.array_equal(after[[0, 2]], before[[0, 2]])
+    assert (after[1] != before[1]).any()
+    assert info["_distance"].tolist() == [False, True, False]
+    seeded, _ = batch.reset(seed=77, options={"reset_mask": np.array([False, True, False])})
+    assert np.array_equal(seeded[[0, 2]], before[[0, 2]])
+    assert seeded[1] == pytest.approx(batch.reset(seed=77)[0][1])
+
+
+@pytest.mark.parametrize("mask", [[True, False, True], np.array([1, 0, 1]), np.array([True, False])])
+def test_a_misshapen_mask_is_refused(batch: ReachVectorEnv, mask: Any) -> None:
+    batch.reset(seed=0)
+    with pytest.raises(InputError, match=r"reset_mask.*bool array of shape \(3,\)"):
+        batch.reset(options={"reset_mask": mask})
+
+
+def test_without_autoreset_a_step_of_an_ended_lane_is_refused(batch: ReachVectorEnv) -> None:
+    batch.reset(seed=0)
+    still = np.zeros((LANES, 3), np.float32)
+    for _ in range(4):
+        assert not batch.step(still)[3].any()
+    assert batch.step(still)[3].all()
+    with pytest.raises(InputError, match=r"lane 0 has ended.*reset_mask"):
+        batch.step(still)
+    batch.reset(options={"reset_mask": np.array([True, True, False])})
+    with pytest.raises(InputError, match="lane 2 has ended"):
+        batch.step(still)
+    batch.reset(options={"reset_mask": np.array([False, False, True])})
+    assert not batch.step(still)[3].any()
+
+
+def test_a_wrong_action_names_its_lane_and_moves_no_lane(batch: ReachVectorEnv) -> None:
+    good = np.full((LANES, 3), 0.2, np.float32)
+    bad = good.copy()
+    bad[2, 1] = np.nan
+    batch.reset(seed=6)
+    untouched = batch.step(good)
+    batch.reset(seed=6)
+    with pytest.raises(InputError, match="lane 2 is nan at index 1"):
+        batch.step(bad)
+    with pytest.raises(InputError, match=r"shape \(3,\) in each of 3 lanes, got \(2, 3\)"):
+        batch.step(good[:2])
+    for one, other in zip(batch.step(good)[:4], untouched[:4], strict=True):
+        assert np.array_equal(one, other)
+
+
+def test_an_autoreset_mode_is_named_or_refused() -> None:
+    named = ReachVectorEnv(num_envs=1, autoreset_mode="SameStep")
+    assert named.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
+    with pytest.raises(InputError, match=r"autoreset mode 'SamStep' is not one of: .*Did you mean 'SameStep'"):
+        ReachVectorEnv(autoreset_mode="SamStep")
+
+
+@pytest.mark.parametrize("count", [0, -1])
+def test_a_batch_without_lanes_is_refused(count: int) -> None:
+    with pytest.raises(InputError, match="num_envs must be at least 1"):
+        ReachVectorEnv(num_envs=count)

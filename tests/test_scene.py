@@ -1,0 +1,122 @@
+"""Pictures of a robot at work."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+
+import mujoco
+import numpy as np
+import pytest
+
+from reachlab.config import InputError, configure
+from reachlab.env import Env, lane_keys
+from reachlab.robots import Robot, load_robot
+from reachlab.scene import HEIGHT, WIDTH, Camera, scene_spec
+
+TARGET = np.array([0.45, 0.1, -0.0083])
+
+
+@pytest.fixture(scope="module")
+def robot() -> Robot:
+    return load_robot("iiwa14")
+
+
+@pytest.fixture(scope="module")
+def camera(robot: Robot) -> Iterator[Camera]:
+    try:
+        camera = Camera(robot)
+    except InputError as error:
+        pytest.skip(str(error))
+    yield camera
+    camera.close()
+
+
+def changed(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    return np.asarray((np.abs(one.astype(int) - other) > 8).any(axis=-1))
+
+
+def redness(picture: np.ndarray) -> np.ndarray:
+    return (picture[..., 0] > 120) & (picture[..., 1] < 80) & (picture[..., 2] < 90)
+
+
+def test_a_picture_is_an_array_of_bytes(robot: Robot, camera: Camera) -> None:
+    picture = camera.picture(np.array(robot.home), TARGET)
+    assert picture.shape == (HEIGHT, WIDTH, 3)
+    assert picture.dtype == np.uint8
+    assert picture.std() > 10
+
+
+def test_equal_scenes_give_equal_pictures(robot: Robot, camera: Camera) -> None:
+    home = np.array(robot.home)
+    first = camera.picture(home, TARGET)
+    camera.picture(home + 0.3, TARGET + 0.1)
+    assert np.array_equal(camera.picture(home, TARGET), first)
+
+
+def test_the_red_target_is_drawn_where_it_is(robot: Robot, camera: Camera) -> None:
+    home = np.array(robot.home)
+    here, there = (camera.picture(home, np.array(point)) for point in ((0.6, -0.2, 0.1), (0.6, 0.2, 0.1)))
+    centres = [np.argwhere(redness(picture)).mean(axis=0) for picture in (here, there)]
+    assert np.linalg.norm(centres[0] - centres[1]) > 30
+    higher = camera.picture(home, np.array((0.6, -0.2, 0.3)))
+    assert np.argwhere(redness(higher)).mean(axis=0)[0] < centres[0][0] - 20, "up in the world is up in the picture"
+
+
+def test_a_moving_arm_changes_the_picture(robot: Robot, camera: Camera) -> None:
+    home = np.array(robot.home)
+    moved = home.copy()
+    moved[0] += 0.5
+    assert 0.01 < changed(camera.picture(home, TARGET), camera.picture(moved, TARGET)).mean() < 0.6
+
+
+def test_cameras_of_other_sizes_do_not_disturb_each_other(robot: Robot, camera: Camera) -> None:
+    home = np.array(robot.home)
+    before = camera.picture(home, TARGET)
+    small = Camera(robot, width=84, height=60)
+    assert small.picture(home, TARGET).shape == (60, 84, 3)
+    assert np.array_equal(camera.picture(home, TARGET), before)
+    assert small.picture(home, TARGET).std() > 10
+    small.close()
+    assert np.array_equal(camera.picture(home, TARGET), before)
+
+
+def test_an_environment_draws_the_lane_that_is_asked_for(camera: Camera) -> None:
+    del camera
+    env = Env(configure(), 2)
+    state = env.compile(env.init)(lane_keys(0, 2))
+    first, second = env.render(state, 0), env.render(state, 1)
+    assert first.shape == (HEIGHT, WIDTH, 3)
+    assert changed(first, second).any(), "two lanes have two targets"
+    env.close()
+    env.close()
+    assert np.array_equal(env.render(state, 0), first), "a closed environment can draw again"
+    env.close()
+
+
+def test_the_drawn_table_lies_where_targets_come_to_rest(robot: Robot) -> None:
+    model = scene_spec(robot).compile()
+    slabs = [i for i in range(model.ngeom) if model.geom_type[i] == mujoco.mjtGeom.mjGEOM_BOX]
+    tops = [model.geom_pos[i][2] + model.geom_size[i][2] for i in slabs if model.geom_bodyid[i] == 0]
+    # The target is the centre of a ball of 22 mm that rests on the table.
+    assert max(tops) == pytest.approx(-0.0083 - 0.022, abs=1e-3)
+
+
+def test_the_scene_keeps_the_arms_kinematics(robot: Robot) -> None:
+    model = scene_spec(robot).compile()
+    data = mujoco.MjData(model)
+    data.qpos[[model.joint(name).qposadr[0] for name in robot.chain.joints]] = robot.home
+    mujoco.mj_forward(model, data)
+    # The tutorial's start of the tool.
+    assert data.body("link_7").xpos == pytest.approx((0.5321, -0.0011, 0.4963), abs=1e-4)
+
+
+@pytest.mark.parametrize("backend", ["egl", "osmesa"])
+def test_without_opengl_the_package_to_install_is_named(
+    robot: Robot, backend: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MUJOCO_GL", backend)
+    monkeypatch.setitem(sys.modules, f"mujoco.{backend}", None)
+    with pytest.raises(InputError, match=rf"pictures need OpenGL \({backend}\).*apt install libegl1") as refused:
+        Camera(robot)
+    assert "\n" not in str(refused.value)

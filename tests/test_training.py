@@ -1,0 +1,214 @@
+"""Training as a user runs it, and what it leaves behind."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from reachlab.checkpoint import RunDirectory
+from reachlab.config import InputError, configure, to_json
+from reachlab.env import Env
+from reachlab.evaluation import LANES, evaluate
+from reachlab.training import Progress, TrainResult, load_policy, train
+
+TINY = {
+    "lanes": 16,
+    "rollout_steps": 16,
+    "total_steps": 1024,
+    "stop_early": False,
+    "validation_episodes": 10,
+    "report_episodes": 10,
+}
+"""A training of four iterations."""
+
+ROW = [
+    "steps",
+    "wall_s",
+    "steps_per_second",
+    "episodes",
+    "success_rate",
+    "episode_length",
+    "final_distance",
+    "reward",
+    "policy_loss",
+    "value_loss",
+    "entropy",
+    "kl",
+    "clip_fraction",
+    "gradient_norm",
+    "std",
+]
+
+IN_A_FRESH_PROCESS = """
+import hashlib, sys
+from pathlib import Path
+from reachlab.compilation import use_compilation_cache
+use_compilation_cache()
+from reachlab.config import configure
+from reachlab.training import train
+out = Path(sys.argv[1])
+train(configure(seed=int(sys.argv[2]), **{tiny}), out)
+(state,) = out.glob("checkpoints/*/state.safetensors")
+print(hashlib.sha256(state.read_bytes()).hexdigest())
+"""
+
+
+@dataclass(frozen=True)
+class Trained:
+    """A finished training, its directory and what was seen on the way."""
+
+    result: TrainResult
+    out: Path
+    seen: list[Progress]
+    rows: list[dict[str, float]]
+
+
+def run(out: Path, **settings: object) -> Trained:
+    seen: list[Progress] = []
+    result = train(configure(**settings), out, seen.append)  # type: ignore[arg-type]
+    rows = [json.loads(line) for line in (out / "metrics.jsonl").read_text().splitlines()]
+    return Trained(result, out, seen, rows)
+
+
+@pytest.fixture(scope="module")
+def tutorial(tmp_path_factory: pytest.TempPathFactory) -> Trained:
+    return run(tmp_path_factory.mktemp("train") / "deep" / "run")
+
+
+@pytest.fixture(scope="module")
+def tiny(tmp_path_factory: pytest.TempPathFactory) -> Trained:
+    return run(tmp_path_factory.mktemp("train") / "tiny", **TINY)
+
+
+# --- the result -----------------------------------------------------------------------------------
+
+
+def test_the_tutorials_task_is_learnt(tutorial: Trained) -> None:
+    report = tutorial.result.report
+    assert (report.agent, report.episodes, report.seed) == ("trained", 1000, 0)
+    assert report.success_rate >= 0.99
+    assert report.final_error_mm["p95"] < 100
+    assert report.return_mean > 1
+
+
+def test_training_ends_once_a_validation_holds(tutorial: Trained) -> None:
+    assert tutorial.result.validated is True
+    assert tutorial.result.steps < 2_000_000
+    validations = [row["validation_success"] for row in tutorial.rows if "validation_success" in row]
+    assert validations[-1] == 1
+    assert tutorial.rows[-1]["validation_success"] == 1
+
+
+def test_the_checkpoint_holds_the_policy_that_was_reported(tutorial: Trained) -> None:
+    directory = RunDirectory(tutorial.out)
+    config = directory.read_config()
+    env = Env(config, LANES)
+    again = evaluate(env, "trained", load_policy(directory, config, env), seed=0, episodes=1000)
+    reported = tutorial.result.report
+    assert again.success_rate == reported.success_rate
+    assert again.final_error_mm == pytest.approx(reported.final_error_mm)
+    other = evaluate(env, "trained", load_policy(directory, config, env), seed=1234, episodes=1000)
+    assert other.success_rate >= 0.99
+    assert other.final_error_mm["median"] != reported.final_error_mm["median"]
+
+
+def test_times_and_speed_fit_together(tutorial: Trained) -> None:
+    result = tutorial.result
+    assert 0 < result.train_wall_s < result.total_wall_s
+    assert result.steps / result.steps_per_second < result.train_wall_s
+
+
+# --- the run directory ----------------------------------------------------------------------------
+
+
+def test_a_run_directory_holds_what_the_design_says(tutorial: Trained) -> None:
+    out, step = tutorial.out, tutorial.result.steps
+    files = sorted(str(path.relative_to(out)) for path in out.rglob("*") if path.is_file())
+    checkpoint = f"checkpoints/step_{step:012d}"
+    expected = [f"{checkpoint}/manifest.json", f"{checkpoint}/state.safetensors"]
+    assert files == sorted([*expected, "config.json", "metrics.jsonl", "report.json"])
+    assert json.loads((out / f"{checkpoint}/manifest.json").read_text())["step"] == step
+
+
+def test_the_configuration_and_the_report_are_on_disk(tutorial: Trained) -> None:
+    saved = json.loads((tutorial.out / "config.json").read_text())
+    assert saved == json.loads(json.dumps(to_json(configure())))
+    assert RunDirectory(tutorial.out).read_config() == configure()
+    report = json.loads((tutorial.out / "report.json").read_text())
+    assert report == json.loads(json.dumps(tutorial.result.to_json()))
+    extra = {"steps", "train_wall_s", "total_wall_s", "steps_per_second", "validated"}
+    assert set(report) - set(tutorial.result.report.to_json()) == extra
+
+
+def test_every_iteration_leaves_a_row(tutorial: Trained) -> None:
+    steps = [row["steps"] for row in tutorial.rows]
+    each = configure().ppo.lanes * configure().ppo.rollout_steps
+    assert steps == list(range(each, tutorial.result.steps + 1, each))
+    assert (np.diff([row["wall_s"] for row in tutorial.rows]) > 0).all()
+    for row in tutorial.rows:
+        assert sorted(set(row) - {"validation_success"}) == sorted(ROW)
+        assert np.isfinite(list(row.values())).all()
+        assert 0 <= row["success_rate"] <= 1
+    assert tutorial.rows[-1]["success_rate"] > 0.95
+    assert tutorial.rows[-1]["std"] < tutorial.rows[0]["std"]
+
+
+def test_whoever_watches_sees_every_row(tutorial: Trained) -> None:
+    assert [progress.metrics for progress in tutorial.seen] == tutorial.rows
+    assert [progress.steps for progress in tutorial.seen] == [row["steps"] for row in tutorial.rows]
+    assert {progress.total_steps for progress in tutorial.seen} == {configure().ppo.total_steps}
+
+
+# --- settings -------------------------------------------------------------------------------------
+
+
+def test_without_early_stopping_all_steps_are_taken(tiny: Trained) -> None:
+    assert tiny.result.steps == 1024
+    assert [row["steps"] for row in tiny.rows] == [256, 512, 768, 1024]
+    assert tiny.result.validated is None
+    assert not any("validation_success" in row for row in tiny.rows)
+    assert tiny.result.report.episodes == 10
+
+
+def test_the_same_seed_gives_the_same_bytes_in_another_process(tmp_path: Path) -> None:
+    script = IN_A_FRESH_PROCESS.format(tiny=TINY)
+    sums = [
+        subprocess.run(
+            [sys.executable, "-c", script, str(tmp_path / name), seed], capture_output=True, text=True, check=True
+        ).stdout
+        for name, seed in (("one", "5"), ("two", "5"), ("other", "6"))
+    ]
+    assert sums[0] == sums[1]
+    assert sums[0] != sums[2]
+
+
+def test_an_existing_directory_is_refused_and_left_as_it_is(tmp_path: Path) -> None:
+    (tmp_path / "mine.txt").write_text("keep")
+    with pytest.raises(InputError, match="exists and is not overwritten: name another with --out"):
+        train(configure(**TINY), tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
+    assert (tmp_path / "mine.txt").read_text() == "keep"
+
+
+@pytest.mark.parametrize(
+    ("settings", "sentence"),
+    [
+        ({"lanes": 10, "rollout_steps": 7, "minibatches": 4}, "10.*4 minibatches"),
+        ({"reward": "spars"}, "Did you mean 'sparse'"),
+        ({"robot": "nowhere.xml"}, "robot file 'nowhere.xml' does not exist"),
+        ({"sim": "kinematik"}, "Did you mean 'kinematic'"),
+        ({"tool": "hand"}, "hand"),
+    ],
+)
+def test_wrong_settings_are_refused_before_anything_is_written(
+    tmp_path: Path, settings: dict[str, object], sentence: str
+) -> None:
+    with pytest.raises(InputError, match=sentence):
+        train(configure(**settings), tmp_path / "run")  # type: ignore[arg-type]
+    assert not (tmp_path / "run").exists()
