@@ -167,7 +167,7 @@ WRONG = {
         "10.*4 minibatches",
     ),
     "existing out": ("train --out taken", "'taken' exists and is not overwritten"),
-    "eval without a run": ("eval", "run"),
+    "eval without a run": ("eval", "Run directory"),
     "eval of no run": ("eval nothing", "'nothing' does not exist: train one with"),
     "eval of an empty folder": ("eval taken", "config.json' is missing"),
     "eval of an unknown agent": ("eval taken --agent tained", "Did you mean 'trained'"),

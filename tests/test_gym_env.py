@@ -319,7 +319,7 @@ def test_a_masked_reset_leaves_the_other_lanes_alone(batch: ReachVectorEnv) -> N
 @pytest.mark.parametrize("mask", [[True, False, True], np.array([1, 0, 1]), np.array([True, False])])
 def test_a_misshapen_mask_is_refused(batch: ReachVectorEnv, mask: Any) -> None:
     batch.reset(seed=0)
-    with pytest.raises(InputError, match=r"reset_mask.*bool array of shape \(3,\)"):
+    with pytest.raises(InputError, match=r"reset_mask.*bool array of \(3,\)"):
         batch.reset(options={"reset_mask": mask})
 
 

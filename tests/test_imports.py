@@ -22,10 +22,10 @@ LAYERS = (
     {"scene"},
     {"sims"},
     {"env"},
-    {"gym_env", "rollout", "checkpoint", "evaluate"},
+    {"gym_env", "rollout", "checkpoint", "evaluation"},
     {"plots", "video", "viewer", "export"},
-    {"train"},
-    {"console", "bench"},
+    {"training"},
+    {"console", "bench", "bench_sims"},
     {"cli"},
     {"__main__", "__init__"},
 )
@@ -123,9 +123,9 @@ def test_every_module_has_its_place() -> None:
 
 
 def test_the_graph_is_read_right() -> None:
-    assert {"config", "env", "ppo", "rollout"} <= GRAPH["train"].top
-    assert {"train", "console", "checkpoint"} <= GRAPH["cli"].inner - GRAPH["cli"].top
-    assert "train" in GRAPH["console"].types - GRAPH["console"].run
+    assert {"config", "env", "ppo", "rollout"} <= GRAPH["training"].top
+    assert {"training", "console", "checkpoint"} <= GRAPH["cli"].inner - GRAPH["cli"].top
+    assert "training" in GRAPH["console"].types - GRAPH["console"].run
     assert "sims" in GRAPH["sims.kinematic"].top
 
 
@@ -156,7 +156,7 @@ def test_the_table_of_simulators_loads_none() -> None:
 
 @pytest.mark.parametrize("name", sorted({"plots", "video", "viewer", "export"} & MODULES.keys()))
 def test_outputs_read_a_run_directory_and_never_import_training(name: str) -> None:
-    assert "train" not in GRAPH[name].run
+    assert "training" not in GRAPH[name].run
 
 
 @pytest.mark.parametrize("name", ["task", "kinematics", "policy", "ppo", "rollout"])

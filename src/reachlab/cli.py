@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import itertools
 import json as jsonlib
 import os
 import re
@@ -286,14 +287,12 @@ def _value_of(flag: str, words: Sequence[str]) -> str | None:
 
 def _sentence(box: str) -> str:
     """The first statement of tyro's framed message, and the flag it suggests; frames may be drawn in ASCII."""
-    lines = [line.strip("│╭╮╰╯|+ ") for line in box.splitlines()]
-    ruled = [bool(line) and not line.strip("─-") for line in lines]
-    end = ruled.index(True, 1) if True in ruled[1:] else len(lines)
-    text = re.sub(r"^Error parsing [\w.]+: ", "", " ".join(lines[1:end])).rstrip(".") + "."
-    if any(line.startswith("Perhaps you meant") for line in lines):
-        named = (line for line, rule in zip(lines, ruled, strict=True) if line.startswith("--") and not rule)
-        flags = [line.split()[0].rstrip(",") for line in named]
-        text += f" Did you mean {flags[0]}?" if flags else ""
+    rows = [line.strip("│╭╮╰╯|+ ") for line in box.splitlines()[1:]]
+    parts = [list(part) for rule, part in itertools.groupby(rows, lambda row: not row.strip("─-")) if not rule]
+    text = re.sub(r"^Error parsing [\w.]+: ", "", " ".join(parts[0])).rstrip(".") + "."
+    for heading, *rest in parts[1:]:
+        if heading.startswith("Perhaps you meant"):
+            text += f" Did you mean {next(row for row in rest if row.startswith('--')).split()[0].rstrip(',')}?"
     return text
 
 
