@@ -145,6 +145,23 @@ def ik_step(chain: Chain, q: Array, target: Pose) -> Array:
     """
     lanes = _lanes(q)
     linear, angular, columns = _error(chain, lanes, target)
+    return _single_step(chain, q, lanes, linear, angular, columns)
+
+
+def ik_displace(chain: Chain, q: Array, displacement: Array, quaternion: Array) -> Array:
+    """As `ik_step`, to a tool point displaced by `displacement [..., 3]` m and held as `quaternion [..., 4]`.
+
+    It spares the forward kinematics that would find the target only to subtract it again.
+    """
+    lanes = _lanes(q)
+    frames = _frames(chain, lanes)
+    angular = _rotation_error(frames.rotation, rotation_from_quaternion(*_lanes(quaternion)))
+    return _single_step(chain, q, lanes, Vec(*_lanes(displacement)), angular, _columns(chain, frames))
+
+
+def _single_step(
+    chain: Chain, q: Array, lanes: list[Array], linear: Vec, angular: Vec, columns: list[tuple[Scalar, ...]]
+) -> Array:
     turn = angular.times(_shrink(MAX_TURN, angular.norm()))
     return _stack(_bounded_step(chain, lanes, columns, linear, turn, DAMPING, MAX_JOINT_STEP), q)
 

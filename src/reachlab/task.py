@@ -16,7 +16,7 @@ import numpy as np
 from jax import Array
 
 from reachlab.config import TaskConfig, choose
-from reachlab.kinematics import Pose, forward_kinematics, ik_step
+from reachlab.kinematics import Pose, forward_kinematics, ik_displace, ik_step
 from reachlab.robots import Robot
 
 OUTSIDE_REWARD = -0.1
@@ -156,10 +156,9 @@ def _tool_box(reach: Reach) -> Bounds:
 
 def _move_tool(reach: Reach, target_q: Array, action: Array) -> Array:
     """Joint command whose tool point is displaced by the action, the tool held in its orientation."""
-    chain = reach.robot.chain
-    position = forward_kinematics(chain, target_q).position + action * reach.config.tool_scale
-    held = jnp.broadcast_to(jnp.array(reach.robot.held_quaternion), (*position.shape[:-1], 4))
-    return ik_step(chain, target_q, Pose(position, held))
+    displacement = action * reach.config.tool_scale
+    held = jnp.broadcast_to(jnp.array(reach.robot.held_quaternion), (*action.shape[:-1], 4))
+    return ik_displace(reach.robot.chain, target_q, displacement, held)
 
 
 def _tool_towards(reach: Reach, now: Situation) -> Array:
