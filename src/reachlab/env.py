@@ -111,7 +111,6 @@ class Env:
 
     def step(self, state: EnvState, action: Array | np.ndarray) -> tuple[EnvState, Transition]:
         """State and transition after `action [B, a]`."""
-        action = jnp.asarray(action)
         target_q = self._command(state, action)
         return self._finish(state, self.simulator.step(state.arm, target_q), target_q, action)
 
@@ -166,18 +165,22 @@ class Env:
 
         return jax.tree.map(lambda a, b: a if a is b else pick(a, b), new, old)
 
-    def _command(self, state: EnvState, action: Array) -> Array:
-        target_q = task.command(self.reach, state.target_q, action)
+    def _command(self, state: EnvState, action: Array | np.ndarray) -> Array:
+        target_q = task.command(self.reach, state.target_q, jnp.asarray(action))
         if not self._real_time:
             return target_q
         most = jnp.array(self.reach.robot.speed) * self.config.physics.control_period
         return jnp.clip(target_q, state.target_q - most, state.target_q + most)
 
-    def _finish(self, state: EnvState, arm: ArmState, target_q: Array, action: Array) -> tuple[EnvState, Transition]:
+    def _finish(
+        self, state: EnvState, arm: ArmState, target_q: Array, action: Array | np.ndarray
+    ) -> tuple[EnvState, Transition]:
         rules, clock = self.reach.config, state.clock + 1
         outcome = task.judge(self.reach, state.distance, arm.tool_position, state.target, clock)
         terms = task.REWARDS[rules.reward](rules, outcome)
-        state = replace(state, arm=arm, target_q=target_q, last_action=action, distance=outcome.distance, clock=clock)
+        state = replace(
+            state, arm=arm, target_q=target_q, last_action=jnp.asarray(action), distance=outcome.distance, clock=clock
+        )
         transition = Transition(
             observation=self.observe(state),
             reward=sum(terms.values(), jnp.zeros_like(outcome.distance)),

@@ -8,12 +8,11 @@ import os
 import platform
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from types import ModuleType
-from typing import Any
+from typing import Any, cast
 
-import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
@@ -92,7 +91,7 @@ class PybulletSimulator:
             world.drop(points[lane])
             arm[0][lane], arm[1][lane] = wanted[lane], 0.0
             arm[2][lane], arm[3][lane] = world.place(wanted[lane])
-        return ArmState(*map(jnp.asarray, arm))
+        return _arm_state(arm)
 
     def step(self, state: ArmState, target_q: Lanes) -> ArmState:
         """See `Simulator.step`."""
@@ -107,7 +106,7 @@ class PybulletSimulator:
         qd[:] = (q - np.asarray(state.q)) / self._period
         if self._pace:
             time.sleep(max(0.0, self._pace - (time.perf_counter() - start)))
-        return ArmState(*map(jnp.asarray, (q, qd, position, quaternion)))
+        return _arm_state((q, qd, position, quaternion))
 
     def render(self, state: ArmState, target: Array, lane: int) -> np.ndarray:
         """See `Simulator.render`."""
@@ -207,6 +206,11 @@ class _World:
 def _rows(lanes: int, joints: int) -> list[np.ndarray]:
     """Arrays of an `ArmState`."""
     return [np.zeros((lanes, width), np.float32) for width in (joints, joints, 3, 4)]
+
+
+def _arm_state(rows: Sequence[np.ndarray]) -> ArmState:
+    """State of NumPy rows: what is compiled takes them in faster than JAX would convert them here."""
+    return ArmState(*(cast("Array", part) for part in rows))
 
 
 def _writable(state: ArmState) -> list[np.ndarray]:
