@@ -1,0 +1,115 @@
+"""Simulators: going on from a saved state, independence of each other, and agreement."""
+
+from __future__ import annotations
+
+import jax
+import numpy as np
+import pytest
+
+from reachlab.config import configure
+from reachlab.env import Env, EnvState, lane_keys
+from reachlab.robots import load_robot
+from reachlab.sims import make_simulator
+from reachlab.sims.mujoco import MujocoSimulator
+
+LANES = 4
+
+
+def actions(env: Env, steps: int, seed: int) -> np.ndarray:
+    low, high = env.action_bounds
+    return np.random.default_rng(seed).uniform(low, high, (steps, LANES, len(low))).astype(np.float32)
+
+
+def play(env: Env, state: EnvState, moves: np.ndarray) -> EnvState:
+    for move in moves:
+        state, transition = env.step(state, move)
+        if np.asarray(transition.done).any():
+            state = env.reset(state, transition.done)
+    return state
+
+
+def equal(a: EnvState, b: EnvState) -> bool:
+    pairs = zip(jax.tree.leaves((a.arm, a.distance)), jax.tree.leaves((b.arm, b.distance)), strict=True)
+    return all(np.array_equal(x, y) for x, y in pairs)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_mujoco_goes_on_from_a_saved_state_bit_for_bit_at_any_thread_count(threads):
+    config, robot = configure(sim="mujoco"), load_robot("iiwa14")
+    whole = MujocoSimulator(robot, config.physics, LANES, threads=1)
+    other = MujocoSimulator(robot, config.physics, LANES, threads=threads)
+    home = np.tile(np.array(robot.home, np.float32), (LANES, 1))
+    commands = home + np.random.default_rng(0).uniform(-0.3, 0.3, (120, *home.shape)).astype(np.float32)
+    arm = whole.reset(None, home, np.zeros((LANES, 3)), None)
+    for command in commands[:20]:
+        arm = whole.step(arm, command)
+    saved = jax.tree.map(np.array, arm)
+    for command in commands[20:]:
+        arm = whole.step(arm, command)
+    other.reset(None, home + 0.1, np.zeros((LANES, 3)), None)
+    again = saved
+    for command in commands[20:]:
+        again = other.step(again, command)
+    assert np.asarray(arm.engine).dtype == np.uint32
+    assert np.array_equal(np.asarray(arm.engine), np.asarray(again.engine))
+    assert np.array_equal(arm.q, again.q)
+
+
+@pytest.mark.parametrize("sim", ["mujoco", "pybullet"])
+def test_two_environments_in_turns_are_each_as_alone(sim):
+    if sim == "pybullet":
+        pytest.importorskip("pybullet")
+    first, second = (Env(configure(sim=sim), LANES) for _ in range(2))
+    moves, others = actions(first, 30, seed=1), actions(first, 30, seed=2)
+    alone = play(first, first.init(lane_keys(5, LANES)), moves)
+    a, b = first.init(lane_keys(5, LANES)), second.init(lane_keys(6, LANES))
+    done_a = done_b = 0
+    for turn in np.random.default_rng(3).permutation([0] * 30 + [1] * 30):
+        if turn == 0:
+            a, done_a = play(first, a, moves[done_a : done_a + 1]), done_a + 1
+        else:
+            b, done_b = play(second, b, others[done_b : done_b + 1]), done_b + 1
+    for env in (first, second):
+        env.close()
+    assert equal(a, alone)
+    assert not equal(a, b)
+
+
+def test_pybullet_follows_joint_commands_as_the_kinematic_simulator_does():
+    pytest.importorskip("pybullet")
+    robot, physics = load_robot("iiwa14"), configure().physics
+    bullet, kinematic = (make_simulator(name, robot, physics, 2) for name in ("pybullet", "kinematic"))
+    q = np.tile(np.array(robot.home, np.float32), (2, 1))
+    target = np.array([[0.5, 0.0, -0.0083]] * 2, np.float32)
+    here, there = kinematic.reset(None, q, target, None), bullet.reset(None, q, target, None)
+    for step in np.random.default_rng(4).uniform(-0.02, 0.02, (100, 2, 7)).astype(np.float32):
+        q = q + step
+        here, there = kinematic.step(here, q), bullet.step(there, q)
+        assert np.abs(np.asarray(here.tool_position) - np.asarray(there.tool_position)).max() < 1e-4
+        assert np.abs(np.abs((np.asarray(here.tool_quaternion) * there.tool_quaternion).sum(1)) - 1).max() < 1e-4
+    bullet.close()
+    bullet.close()
+
+
+def test_mujoco_arm_follows_its_commands_no_faster_than_its_joints_may():
+    env = Env(configure(sim="mujoco", action="joint_delta", joint_scale=1.0), LANES)
+    state = env.init(lane_keys(0, LANES))
+    speed = np.array(env.reach.robot.speed)
+    before = np.asarray(state.target_q)
+    state, _ = env.step(state, np.ones((LANES, 7), np.float32))
+    assert np.allclose(np.asarray(state.target_q) - before, speed * env.config.physics.control_period, atol=1e-6)
+
+
+def test_gravity_pulls_the_mujoco_arm_down_unless_compensated():
+    robot = load_robot("iiwa14")
+    home = np.array(robot.home, np.float32)[None]
+    sag = {}
+    for compensated in (False, True):
+        physics = configure(sim="mujoco", gravity_compensation=compensated).physics
+        simulator = make_simulator("mujoco", robot, physics, 1)
+        arm = start = simulator.reset(None, home, np.zeros((1, 3)), None)
+        for _ in range(100):
+            arm = simulator.step(arm, home)
+        sag[compensated] = float(start.tool_position[0, 2] - arm.tool_position[0, 2])
+    assert 0.005 < sag[False] < 0.05
+    assert abs(sag[True]) < 1e-4
