@@ -152,7 +152,8 @@ def test_whole_number_will_do_where_a_number_is_asked_for():
 
 @pytest.mark.parametrize(("name", "value"), [("gamma", 0.0), ("gamma", 1.0), ("seed", 2**31 - 1), ("lanes", 1)])
 def test_bounds_of_a_range_belong_to_it(name, value):
-    configure("tutorial", **{name: value})
+    config = configure("tutorial", **{name: value})
+    assert value in (config.seed, getattr(config.ppo, name, None))
 
 
 # --- JSON --------------------------------------------------------------------------------------------

@@ -231,8 +231,8 @@ def in_simulator(config: RunConfig, sim: str) -> RunConfig:
     """A configuration in another simulator, with that one's defaults."""
     if sim == config.sim:
         return config
-    back = {name: getattr(TASKS[config.task].physics, name) for name in ("control_period",)}
-    return override(config, sim=sim, **(back | SIM_DEFAULTS.get(sim, {})))
+    defaults = {"control_period": TASKS[config.task].physics.control_period} | SIM_DEFAULTS.get(sim, {})
+    return override(config, sim=sim, **defaults)
 
 
 def preset(task: str = "tutorial", sim: str | None = None) -> RunConfig:

@@ -22,9 +22,6 @@ from reachlab.config import InputError, choose
 from reachlab.env import Env, EnvState, Transition
 from reachlab.policy import Policy
 
-THRESHOLDS_MM = (100, 50, 20, 10, 5, 2, 1)
-"""Distances whose success rates a report gives."""
-
 REPORT_STREAM, VALIDATION_STREAM = 1, 2
 """Random streams beside the one that lanes train on, so that no evaluation repeats a training target."""
 
