@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +12,7 @@ import numpy as np
 from jax import Array
 
 from reachlab import task
-from reachlab.compilation import jit
+from reachlab.compilation import dispatch_inline, jit
 from reachlab.config import RunConfig
 from reachlab.robots import load_robot
 from reachlab.sims import SIMULATORS, ArmState, make_simulator
@@ -53,6 +53,7 @@ class Transition:
         reward: `[B]`.
         terminated: the task ended the episode `[B]`.
         truncated: the clock did `[B]`.
+        done: the episode ended, either way `[B]`.
         terms: `distance` [m], `success` and each term of the reward, `[B]`.
     """
 
@@ -60,12 +61,8 @@ class Transition:
     reward: Array
     terminated: Array
     truncated: Array
+    done: Array
     terms: dict[str, Array]
-
-    @property
-    def done(self) -> Array:
-        """Whether the episode ended, either way `[B]`."""
-        return self.terminated | self.truncated
 
 
 def lane_keys(seed: int, batch_size: int) -> Array:
@@ -86,6 +83,7 @@ class Env:
         Raises:
             InputError: a name in the configuration that does not exist.
         """
+        dispatch_inline()
         self.config = config
         self.batch_size = batch_size
         self.reach: Reach = make_reach(config.rules, load_robot(config.robot, config.rules.tool))
@@ -94,8 +92,8 @@ class Env:
         self.observation_bounds = task.OBSERVATIONS[config.rules.observation].bounds(self.reach)
         self.action_bounds = task.ACTIONS[config.rules.action].bounds(self.reach)
         if not self.simulator.pure:
-            self._draw, self._command, self._finish, self._begin, self._merge = map(
-                jit, (self._draw, self._command, self._finish, self._begin, self._merge)
+            self._draw, self._command, self._judge, self._begin, self._merge = map(
+                jit, (self._draw, self._command, self._judge, self._begin, self._merge)
             )
 
     def init(self, keys: Array) -> EnvState:
@@ -111,12 +109,17 @@ class Env:
 
     def step(self, state: EnvState, action: Array | np.ndarray) -> tuple[EnvState, Transition]:
         """State and transition after `action [B, a]`."""
-        target_q = self._command(state, action)
-        return self._finish(state, self.simulator.step(state.arm, target_q), target_q, action)
+        target_q = self._command(state.target_q, action)
+        arm = self.simulator.step(state.arm, target_q)
+        now = Situation(arm.q, arm.qd, arm.tool_position, state.target, target_q, cast("Array", action))
+        clock, transition = self._judge(now, state.distance, state.clock)
+        distance = transition.terms["distance"]
+        state = replace(state, arm=arm, target_q=target_q, last_action=now.last_action, distance=distance, clock=clock)
+        return state, transition
 
     def observe(self, state: EnvState) -> Array:
         """Observation `[B, k]` of a state."""
-        return task.OBSERVATIONS[self.reach.config.observation].observe(self.reach, self.situation(state))
+        return task.observe(self.reach, self.situation(state))
 
     def situation(self, state: EnvState) -> Situation:
         """What observations and baselines may look at."""
@@ -165,27 +168,24 @@ class Env:
 
         return jax.tree.map(lambda a, b: a if a is b else pick(a, b), new, old)
 
-    def _command(self, state: EnvState, action: Array | np.ndarray) -> Array:
-        target_q = task.command(self.reach, state.target_q, jnp.asarray(action))
+    def _command(self, last: Array, action: Array) -> Array:
+        target_q = task.command(self.reach, last, action)
         if not self._real_time:
             return target_q
         most = jnp.array(self.reach.robot.speed) * self.config.physics.control_period
-        return jnp.clip(target_q, state.target_q - most, state.target_q + most)
+        return jnp.clip(target_q, last - most, last + most)
 
-    def _finish(
-        self, state: EnvState, arm: ArmState, target_q: Array, action: Array | np.ndarray
-    ) -> tuple[EnvState, Transition]:
-        rules, clock = self.reach.config, state.clock + 1
-        outcome = task.judge(self.reach, state.distance, arm.tool_position, state.target, clock)
+    def _judge(self, now: Situation, distance_before: Array, clock: Array) -> tuple[Array, Transition]:
+        """Clock and transition of a step that led to a situation; apart from the state, which it would only copy."""
+        rules, clock = self.reach.config, clock + 1
+        outcome = task.judge(self.reach, distance_before, now.tool_position, now.target, clock)
         terms = task.REWARDS[rules.reward](rules, outcome)
-        state = replace(
-            state, arm=arm, target_q=target_q, last_action=jnp.asarray(action), distance=outcome.distance, clock=clock
-        )
-        transition = Transition(
-            observation=self.observe(state),
+        terminated = outcome.outside | outcome.success
+        return clock, Transition(
+            observation=task.observe(self.reach, now),
             reward=sum(terms.values(), jnp.zeros_like(outcome.distance)),
-            terminated=outcome.outside | outcome.success,
+            terminated=terminated,
             truncated=outcome.timeout,
+            done=terminated | outcome.timeout,
             terms={"distance": outcome.distance, "success": outcome.success, **terms},
         )
-        return state, transition

@@ -128,6 +128,11 @@ OBSERVATIONS: dict[str, Observation] = {
 """Observation designs by name."""
 
 
+def observe(reach: Reach, now: Situation) -> Array:
+    """Observation `[B, k]` of a situation."""
+    return OBSERVATIONS[reach.config.observation].observe(reach, now)
+
+
 # --- actions --------------------------------------------------------------------------------------
 
 

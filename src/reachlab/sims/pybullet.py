@@ -8,11 +8,12 @@ import os
 import platform
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from types import ModuleType
 from typing import Any, cast
 
+import jax
 import numpy as np
 from jax import Array
 
@@ -31,6 +32,9 @@ GROUND, TABLE = (0.0, 0.0, -0.65), (0.5, 0.0, -0.65)
 
 DROP = 0.0183
 """Height above the target from which the object is let go [m]: at z = 0.01, to settle at z = -0.0083."""
+
+SETTLED_SPEED, SETTLED_SPIN, SETTLED_STEPS = 0.01, 0.1, 10
+"""An object slower than this [m/s, rad/s] for so many steps has settled; contact with it is most of a step's time."""
 
 SLOW_STEP = 0.05
 """Time that a step takes to be followed by eye [s]; the tutorial's."""
@@ -76,6 +80,7 @@ class PybulletSimulator:
         self._bullet = import_pybullet()
         self._period, self._pace = config.control_period, SLOW_STEP if config.slow else 0.0
         urdf = URDFS[robot.name]
+        self._offset = urdf.tools[robot.tool]
         self._worlds = [
             _World(self._bullet, robot, urdf, config.control_period, gui=config.gui and lane == 0)
             for lane in range(batch_size)
@@ -83,36 +88,43 @@ class PybulletSimulator:
 
     def reset(self, state: ArmState | None, q: Lanes, target: Lanes, mask: Lanes | None) -> ArmState:
         """See `Simulator.reset`."""
-        wanted, points = np.asarray(q, np.float64), np.asarray(target, np.float64)
-        arm = _rows(len(wanted), wanted.shape[1]) if state is None else _writable(state)
-        lanes = range(len(wanted)) if state is None or mask is None else np.flatnonzero(mask)
-        for lane in lanes:
-            world = self._worlds[lane]
-            world.drop(points[lane])
-            arm[0][lane], arm[1][lane] = wanted[lane], 0.0
-            arm[2][lane], arm[3][lane] = world.place(wanted[lane])
-        return _arm_state(arm)
+        wanted, points = np.asarray(q, np.float32), np.asarray(target, np.float64)
+        lanes = np.ones(len(wanted), bool) if state is None or mask is None else np.asarray(mask)
+        for lane in np.flatnonzero(lanes):
+            self._worlds[lane].drop(points[lane])
+            self._worlds[lane].set_joints(wanted[lane])
+        now = self._arm(wanted, np.zeros_like(wanted))
+        if state is None:
+            return now
+        return jax.tree.map(lambda new, old: np.where(lanes[:, None], new, old), now, state)
 
     def step(self, state: ArmState, target_q: Lanes) -> ArmState:
         """See `Simulator.step`."""
         start = time.perf_counter()
-        wanted = np.asarray(target_q, np.float64)
-        q, qd, position, quaternion = _rows(*wanted.shape)
-        for lane, world in enumerate(self._worlds):
-            world.set_joints(wanted[lane])
-            self._bullet.stepSimulation(physicsClientId=world.client)
-            q[lane] = world.joints()
-            position[lane], quaternion[lane] = world.tool()
-        qd[:] = (q - np.asarray(state.q)) / self._period
+        for world in self._worlds:
+            world.step()
+        # Only now are the commands waited for: they may have been under way beside the falling objects.
+        q = np.asarray(target_q, np.float32)
+        for world, joints in zip(self._worlds, q, strict=True):
+            world.set_joints(joints)
         if self._pace:
             time.sleep(max(0.0, self._pace - (time.perf_counter() - start)))
-        return _arm_state((q, qd, position, quaternion))
+        return self._arm(q, (q - np.asarray(state.q)) / self._period)
+
+    def _arm(self, q: np.ndarray, qd: np.ndarray) -> ArmState:
+        """State of NumPy rows: what is compiled takes them in faster than JAX would convert them here."""
+        positions, quaternions = zip(*(world.link() for world in self._worlds), strict=True)
+        position, quaternion = np.array(positions, np.float32), np.array(quaternions, np.float32)[:, [3, 0, 1, 2]]
+        if self._offset:
+            w, x, y, z = quaternion.T
+            position += self._offset * np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], 1)
+        return ArmState(*(cast("Array", rows) for rows in (q, qd, position, quaternion)))
 
     def render(self, state: ArmState, target: Array, lane: int) -> np.ndarray:
         """See `Simulator.render`."""
         del target
         world = self._worlds[lane]
-        world.set_joints(np.asarray(state.q[lane], np.float64))
+        world.set_joints(np.asarray(state.q[lane]))
         return world.picture()
 
     def close(self) -> None:
@@ -129,8 +141,8 @@ class _World:
         import pybullet_data
 
         self._bullet, self._urdf = bullet, urdf
-        self._offset = np.array([0.0, 0.0, urdf.tools[robot.tool]])
         self._joints = list(range(robot.chain.n))
+        self._still = 0
         self.client = _connect(bullet, gui=gui)
         here: dict[str, Any] = {"physicsClientId": self.client}
         bullet.setAdditionalSearchPath(pybullet_data.getDataPath(), **here)
@@ -140,17 +152,37 @@ class _World:
         bullet.loadURDF("table/table.urdf", basePosition=TABLE, **here)
         self._arm = bullet.loadURDF(urdf.file, useFixedBase=True, **here)
         self._object = bullet.loadURDF("random_urdfs/000/000.urdf", **here)
+        # Nothing but set joints moves the arm: awake, its default motors would only cost time and blur them by 1e-6.
+        self._sleep(self._arm)
         if gui:
             bullet.configureDebugVisualizer(bullet.COV_ENABLE_GUI, 0, **here)
             bullet.resetDebugVisualizerCamera(**CAMERA, **here)
             for start, end in robot.workspace_edges():
                 bullet.addUserDebugLine(start, end, (1, 1, 1), **here)
 
+    def _sleep(self, body: int) -> None:
+        """Take a body out of the dynamics until it is woken."""
+        state = self._bullet.ACTIVATION_STATE_ENABLE_SLEEPING | self._bullet.ACTIVATION_STATE_SLEEP
+        self._bullet.changeDynamics(body, -1, activationState=state, physicsClientId=self.client)
+
     def drop(self, target: np.ndarray) -> None:
         """Let the object go above the target, at rest."""
+        wake = self._bullet.ACTIVATION_STATE_WAKE_UP
+        self._bullet.changeDynamics(self._object, -1, activationState=wake, physicsClientId=self.client)
+        self._still = 0
         position = target + np.array([0.0, 0.0, DROP])
         self._bullet.resetBasePositionAndOrientation(self._object, position, (0, 0, 0, 1), physicsClientId=self.client)
         self._bullet.resetBaseVelocity(self._object, (0, 0, 0), (0, 0, 0), physicsClientId=self.client)
+
+    def step(self) -> None:
+        """Move on by a control period; an object that has settled stays where it lies from then on."""
+        self._bullet.stepSimulation(physicsClientId=self.client)
+        if self._still < SETTLED_STEPS:
+            linear, angular = self._bullet.getBaseVelocity(self._object, physicsClientId=self.client)
+            slow = max(map(abs, linear)) < SETTLED_SPEED and max(map(abs, angular)) < SETTLED_SPIN
+            self._still = self._still + 1 if slow else 0
+            if self._still == SETTLED_STEPS:
+                self._sleep(self._object)
 
     def set_joints(self, q: np.ndarray) -> None:
         """Set the joints, at rest."""
@@ -158,27 +190,13 @@ class _World:
             self._arm, self._joints, [[value] for value in q.tolist()], physicsClientId=self.client
         )
 
-    def joints(self) -> list[float]:
-        """Joint positions as they are after the step."""
-        states = self._bullet.getJointStates(self._arm, self._joints, physicsClientId=self.client)
-        return [state[0] for state in states]
-
-    def place(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Set the joints; the tool's pose."""
-        self.set_joints(q)
-        return self.tool()
-
-    def tool(self) -> tuple[np.ndarray, np.ndarray]:
-        """Tool position `[3]` m and quaternion `[4]` wxyz, read from PyBullet."""
-        link = self._bullet.getLinkState(
+    def link(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Position `[3]` m and quaternion `[4]` xyzw of the link that holds the tools, by PyBullet's kinematics."""
+        state = self._bullet.getLinkState(
             self._arm, self._urdf.link, computeForwardKinematics=True, physicsClientId=self.client
         )
         # [4] and [5] are the link's frame; [0] is its centre of mass, 2 cm away.
-        position, (x, y, z, w) = np.array(link[4]), link[5]
-        if self._offset.any():
-            matrix = np.array(self._bullet.getMatrixFromQuaternion(link[5])).reshape(3, 3)
-            position = position + matrix @ self._offset
-        return position, np.array((w, x, y, z))
+        return state[4], state[5]
 
     def picture(self) -> np.ndarray:
         """Picture of the tutorial's viewer camera, `[HEIGHT, WIDTH, 3]` uint8."""
@@ -201,20 +219,6 @@ class _World:
         """Disconnect."""
         if self._bullet.isConnected(physicsClientId=self.client):
             self._bullet.disconnect(physicsClientId=self.client)
-
-
-def _rows(lanes: int, joints: int) -> list[np.ndarray]:
-    """Arrays of an `ArmState`."""
-    return [np.zeros((lanes, width), np.float32) for width in (joints, joints, 3, 4)]
-
-
-def _arm_state(rows: Sequence[np.ndarray]) -> ArmState:
-    """State of NumPy rows: what is compiled takes them in faster than JAX would convert them here."""
-    return ArmState(*(cast("Array", part) for part in rows))
-
-
-def _writable(state: ArmState) -> list[np.ndarray]:
-    return [np.array(x) for x in (state.q, state.qd, state.tool_position, state.tool_quaternion)]
 
 
 def _connect(bullet: ModuleType, *, gui: bool) -> int:
