@@ -15,7 +15,7 @@ from reachlab import task
 from reachlab.compilation import dispatch_inline, jit
 from reachlab.config import RunConfig
 from reachlab.robots import load_robot
-from reachlab.sims import SIMULATORS, ArmState, make_simulator
+from reachlab.sims import SIMULATORS, ArmState, Lanes, make_simulator
 from reachlab.task import Reach, Situation, make_reach
 
 
@@ -107,7 +107,7 @@ class Env:
         arm = self.simulator.reset(state.arm, q, target, mask)
         return self._merge(jnp.asarray(mask), replace(self._begin(arm, target, key), arm=arm), replace(state, arm=arm))
 
-    def step(self, state: EnvState, action: Array | np.ndarray) -> tuple[EnvState, Transition]:
+    def step(self, state: EnvState, action: Lanes) -> tuple[EnvState, Transition]:
         """State and transition after `action [B, a]`."""
         target_q = self._command(state.target_q, action)
         arm = self.simulator.step(state.arm, target_q)
@@ -168,8 +168,8 @@ class Env:
 
         return jax.tree.map(lambda a, b: a if a is b else pick(a, b), new, old)
 
-    def _command(self, last: Array, action: Array) -> Array:
-        target_q = task.command(self.reach, last, action)
+    def _command(self, last: Array, action: Lanes) -> Array:
+        target_q = task.command(self.reach, last, jnp.asarray(action))
         if not self._real_time:
             return target_q
         most = jnp.array(self.reach.robot.speed) * self.config.physics.control_period
