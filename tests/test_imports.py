@@ -17,13 +17,16 @@ SOURCE = Path(reachlab.__file__).parent
 
 LAYERS = (
     {"lanes", "compilation"},
-    {"config", "chain", "kinematics", "policy", "metrics"},
+    {"config", "interrupts", "chain", "kinematics", "policy"},
+    {"storage"},
+    {"metrics", "lock", "threads", "arrays"},
     {"robots", "task", "ppo"},
     {"scene"},
     {"sims"},
     {"env"},
     {"gym_env", "rollout", "checkpoint", "evaluation"},
     {"plots", "video", "viewer", "export"},
+    {"iteration"},
     {"training"},
     {"console", "bench", "bench_sims"},
     {"cli"},
@@ -38,7 +41,12 @@ LEAVES = {
     "chain": {"lanes"},
     "kinematics": {"lanes", "chain"},
     "policy": set(),
-    "metrics": set(),
+    "interrupts": set(),
+    "storage": {"config"},
+    "metrics": {"config", "storage"},
+    "lock": {"config", "storage"},
+    "threads": {"config"},
+    "arrays": {"config", "storage"},
 }
 """What the leaves import of the package."""
 

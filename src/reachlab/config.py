@@ -196,6 +196,12 @@ class PPOConfig(Checked):
     """Widths of the hidden layers of actor and critic."""
     initial_std: Positive = 0.4
     """Standard deviation of the first policy, in halves of the action box."""
+    checkpoint_interval: NonNegative = 20.0
+    """Time from one checkpoint to the next [s]; longer if saving took more than 2 % of it, and 0 saves always."""
+    keep_checkpoints: Count = 3
+    """Newest checkpoints that are kept; the best one is kept too."""
+    deterministic: bool = False
+    """Compute on one thread: the same weights on any number of cores."""
 
 
 @dataclass(frozen=True)
@@ -277,6 +283,18 @@ def _sections(config: RunConfig) -> dict[str, str | None]:
         elif outer.name != "task":
             sections[outer.name] = None
     return sections
+
+
+def difference(one: object, other: object) -> tuple[str, Any, Any] | None:
+    """Name of the first setting in which two configurations differ, and both values; None if they are the same."""
+    for entry in dataclasses.fields(typing.cast("Any", one)):
+        a, b = getattr(one, entry.name), getattr(other, entry.name)
+        if dataclasses.is_dataclass(a):
+            if found := difference(a, b):
+                return found
+        elif a != b:
+            return entry.name, a, b
+    return None
 
 
 def to_json(config: RunConfig) -> dict[str, Any]:

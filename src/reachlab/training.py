@@ -1,25 +1,24 @@
-"""Training: collect, update, validate, and in the end a report."""
+"""Training: iterations, validations and checkpoints, and in the end a report."""
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import jax
 import numpy as np
-from jax import Array
 from jax.stages import Wrapped
 
-from reachlab import ppo
-from reachlab.checkpoint import RunDirectory, write_json
+from reachlab import arrays
+from reachlab.checkpoint import Counters, RunDirectory
 from reachlab.compilation import jit
 from reachlab.config import InputError, RunConfig
-from reachlab.env import Env, EnvState
+from reachlab.env import Env
 from reachlab.evaluation import (
     VALIDATION_STREAM,
     Report,
@@ -29,27 +28,31 @@ from reachlab.evaluation import (
     make_runner,
     run_episodes,
 )
-from reachlab.metrics import Metrics
-from reachlab.policy import Policy, make_policy
-from reachlab.rollout import Collect, Rollout, collect, episode_statistics, host_collector
-
-TRAINING_STREAM = 0
-"""Random stream of the lanes; those of `evaluate` differ."""
-
-Learn = Callable[[ppo.Learner, Rollout, Array], tuple[ppo.Learner, dict[str, Array]]]
+from reachlab.interrupts import Interrupted, Interrupts
+from reachlab.iteration import (
+    TrainState,
+    compile_iteration,
+    initial_state,
+    make_initial_policy,
+)
+from reachlab.lock import locked
+from reachlab.metrics import Metrics, cut_metrics
+from reachlab.policy import Policy
+from reachlab.rollout import EngineError, Rollout
+from reachlab.storage import write_json, write_synced
+from reachlab.threads import set_threads
 
 VALIDATE_FROM = 0.9
 """Success rate of the training episodes from which validations are worth their time."""
 
+SAVING_SHARE = 0.02
+"""Checkpoints take at most this share of the time, on average."""
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class TrainState:
-    """All that training changes: enough to go on from."""
+log = logging.getLogger(__name__)
 
-    learner: ppo.Learner
-    env: EnvState
-    key: Array
+
+class NotFiniteError(FloatingPointError):
+    """A number in training is not finite; the last good state is saved, and the rollout beside it."""
 
 
 @dataclass(frozen=True)
@@ -89,11 +92,6 @@ class TrainResult:
         return self.report.to_json() | times
 
 
-def make_initial_policy(config: RunConfig, env: Env, key: Array) -> Policy:
-    """Untrained policy for an environment."""
-    return make_policy(key, env.observation_bounds, env.action_bounds, config.ppo.hidden, config.ppo.initial_std)
-
-
 def load_policy(run: RunDirectory, config: RunConfig, env: Env) -> Policy:
     """Policy of a run's newest checkpoint.
 
@@ -104,47 +102,38 @@ def load_policy(run: RunDirectory, config: RunConfig, env: Env) -> Policy:
     return run.read_checkpoint("learner/policy", template)
 
 
-def train(config: RunConfig, out: Path, watch: Callable[[Progress], None] = lambda _: None) -> TrainResult:
-    """Result of training, whose files are in the new directory `out`.
+def train(
+    config: RunConfig, out: Path, watch: Callable[[Progress], None] = lambda _: None, *, resume: bool = False
+) -> TrainResult:
+    """Result of training, whose files are in the directory `out`.
+
+    SIGINT and SIGTERM end it after the iteration under way, with everything saved; a second one ends the process.
 
     Args:
         config: every setting.
-        out: run directory, made here.
+        out: run directory, made here; with `resume` one that is there.
         watch: called after every iteration.
+        resume: go on from the newest checkpoint of `out`, bit for bit as if training had never stopped.
 
     Raises:
-        InputError: a setting that does not exist or fit, or a directory that does.
+        InputError: a setting that does not exist or fit, a directory that does, or one that cannot be gone on with.
+        NotFiniteError: a number is not finite.
+        Interrupted: a signal asked for it.
     """
     start = time.perf_counter()
     _check(config)
-    env = Env(config, config.ppo.lanes)
     run = RunDirectory(out)
-    run.create(config)
-    with Metrics(run.metrics_file) as metrics:
-        loop = _Loop(config, env, metrics, watch)
-        state = loop.run()
-    run.write_checkpoint(loop.steps, state)
-    trained = time.perf_counter()
-    report = evaluate(
-        env,
-        "trained",
-        state.learner.policy,
-        seed=config.seed,
-        episodes=config.ppo.report_episodes,
-        runner=loop.runner,
-    )
-    result = TrainResult(
-        report=report,
-        policy=state.learner.policy,
-        steps=loop.steps,
-        train_wall_s=trained - start,
-        total_wall_s=time.perf_counter() - start,
-        steps_per_second=loop.steps_per_second,
-        validated=loop.validated if config.ppo.stop_early else None,
-    )
-    write_json(run.report_file, result.to_json())
-    env.close()
-    return result
+    if resume:
+        _check_unfinished(run, config)
+    _choose_threads(run, config)
+    env = Env(config, config.ppo.lanes)
+    try:
+        if not resume:
+            run.create(config)
+        with locked(out):
+            return _train(_Loop(config, env, run, watch, start), resume=resume)
+    finally:
+        env.close()
 
 
 def _check(config: RunConfig) -> None:
@@ -155,85 +144,116 @@ def _check(config: RunConfig) -> None:
         )
 
 
-Iteration = Callable[[TrainState], tuple[TrainState, dict[str, Array]]]
+def _check_unfinished(run: RunDirectory, config: RunConfig) -> None:
+    run.read_unfinished(config)
+    if run.finished:
+        raise InputError(f"run '{run.path}' is finished: its report is '{run.report_file}'.")
 
 
-def compile_iteration(env: Env, config: RunConfig, shape: TrainState) -> Iteration:
-    """Function that gives the state after one rollout and its update, and scalars of both.
-
-    With a pure simulator it is one program; else the environment steps on the host, between compiled parts.
-    """
-
-    def learn(learner: ppo.Learner, rollout: Rollout, key: Array) -> tuple[ppo.Learner, dict[str, Array]]:
-        learner, watched = ppo.update(learner, rollout, key, config.ppo)
-        return learner, {**episode_statistics(rollout), **watched}
-
-    def iterate(gather: Collect, learn: Learn, state: TrainState) -> tuple[TrainState, dict[str, Array]]:
-        key, for_rollout, for_update = jax.random.split(state.key, 3)
-        lanes, rollout = gather(env, state.learner.policy, state.env, for_rollout, config.ppo.rollout_steps)
-        learner, watched = learn(state.learner, rollout, for_update)
-        return TrainState(learner, lanes, key), watched
-
-    if env.simulator.pure:
-        return jit(partial(iterate, collect, learn), donate=(0,)).lower(shape).compile()
-    return partial(iterate, host_collector(env), jit(learn, donate=(0,)))
+def _choose_threads(run: RunDirectory, config: RunConfig) -> None:
+    """Compute with as many threads as the run has so far; a new one chooses only to be deterministic."""
+    saved = run.newest_manifest()
+    if saved or config.ppo.deterministic:
+        set_threads(saved.threads if saved else 1)
 
 
-def initial_state(env: Env, config: RunConfig, seed: int | Array) -> TrainState:
-    """State before the first iteration."""
-    key, for_policy = jax.random.split(jax.random.fold_in(jax.random.key(seed), TRAINING_STREAM))
-    lanes = episode_keys(seed, TRAINING_STREAM, 0, config.ppo.lanes)
-    learner = env.traced(lambda key: ppo.make_learner(config.ppo, make_initial_policy(config, env, key)))(for_policy)
-    return TrainState(learner, env.init(lanes), key)
+def _train(loop: _Loop, *, resume: bool) -> TrainResult:
+    run, config = loop.run, loop.config
+    state = loop.prepare(resume=resume)
+    cut_metrics(run.metrics_file, loop.now.steps)
+    with Metrics(run.metrics_file) as metrics, Interrupts() as interrupts:
+        state = loop.iterate(state, metrics, interrupts)
+    trained = time.perf_counter()
+    report = evaluate(
+        loop.env,
+        "trained",
+        state.learner.policy,
+        seed=config.seed,
+        episodes=config.ppo.report_episodes,
+        runner=loop.runner,
+    )
+    result = TrainResult(
+        report=report,
+        policy=state.learner.policy,
+        steps=loop.now.steps,
+        train_wall_s=loop.now.train_s,
+        total_wall_s=loop.now.train_s + time.perf_counter() - trained,
+        steps_per_second=loop.steps_per_second,
+        validated=loop.validated if config.ppo.stop_early else None,
+    )
+    try:
+        write_json(run.report_file, result.to_json())
+    except OSError as error:
+        raise _unwritable("report", run, error) from None
+    return result
+
+
+def _unwritable(what: str, run: RunDirectory, error: Exception) -> InputError:
+    return InputError(
+        f"the {what} cannot be written to '{run.path}' ({_reason(error)}): make room there, and go on with"
+        f" `reachlab train --resume {run.path}`."
+    )
+
+
+def _reason(error: Exception) -> str:
+    return (error.strerror or str(error)) if isinstance(error, OSError) else str(error).rstrip(".")
 
 
 class _Loop:
-    """Iterations until the steps are used up or a validation holds."""
+    """Iterations until the steps are used up or a validation holds.
 
-    def __init__(self, config: RunConfig, env: Env, metrics: Metrics, watch: Callable[[Progress], None]) -> None:
-        self.config, self.env, self.metrics, self.watch = config, env, metrics, watch
-        self.steps = 0
-        self.steps_per_second = 0.0
-        self.streak = 0
+    Attributes:
+        now: where training stands.
+        saved: where the newest checkpoint stands, None without one.
+    """
+
+    def __init__(
+        self, config: RunConfig, env: Env, run: RunDirectory, watch: Callable[[Progress], None], start: float
+    ) -> None:
+        self.config, self.env, self.run, self.watch, self.start = config, env, run, watch, start
+        self.now = Counters(0)
+        self.saved: Counters | None = None
         self.runner = make_runner(env, "trained")
+        self._save_after = config.ppo.checkpoint_interval
+        self._clock = 0.0
 
-    def run(self) -> TrainState:
-        settings = self.config.ppo
-        per_iteration = settings.lanes * settings.rollout_steps
-        state, step = self._prepare()
-        start, busy = time.perf_counter(), 0.0
-        while self.steps < settings.total_steps and not self.validated:
-            tick = time.perf_counter()
-            state, watched = step(state)
-            watched = jax.device_get(watched)
-            busy += time.perf_counter() - tick
-            self.steps += per_iteration
-            self.steps_per_second = self.steps / busy
-            row = {name: float(x) for name, x in sorted(watched.items())}
-            if self._due(row):
-                row["validation_success"] = self._validate(state.learner.policy)
-            row |= {
-                "steps": self.steps,
-                "wall_s": time.perf_counter() - start,
-                "steps_per_second": self.steps_per_second,
-            }
-            self.metrics.write(row)
-            self.watch(Progress(self.steps, settings.total_steps, row))
-        return state
+    @property
+    def validated(self) -> bool:
+        """Whether enough validations in a row have held."""
+        return self.now.streak >= self.config.ppo.stop_streak
 
-    def _prepare(self) -> tuple[TrainState, Iteration]:
-        """First state and the compiled iteration; with a pure simulator three programs are compiled at once."""
+    @property
+    def steps_per_second(self) -> float:
+        """Steps for each second of collecting and updating."""
+        return self.now.steps / self.now.busy_s if self.now.busy_s else 0.0
+
+    # --- before -----------------------------------------------------------------------------------
+
+    def prepare(self, *, resume: bool) -> TrainState:
+        """First state, or the saved one; the iteration is compiled the same for both.
+
+        With a pure simulator three programs are compiled at once.
+        """
         env, config = self.env, self.config
+        resume = resume and self.run.newest_manifest() is not None
         if not env.simulator.pure:
             state = initial_state(env, config, config.seed)
-            return state, compile_iteration(env, config, state)
+            self._step = compile_iteration(env, config, state)
+            return self._saved_state(state) if resume else state
         shape = jax.eval_shape(lambda: initial_state(env, config, config.seed))
+        saved = self._saved_state(shape) if resume else None
         with ThreadPoolExecutor(2) as pool:
             begun = pool.submit(jit(lambda seed: initial_state(env, config, seed)), np.uint32(config.seed))
             runner = pool.submit(self._compiled_runner, shape.learner.policy)
-            step = compile_iteration(env, config, shape)
+            self._step = compile_iteration(env, config, shape)
             self.runner = runner.result()
-            return begun.result(), step
+            return saved or begun.result()
+
+    def _saved_state(self, template: TrainState) -> TrainState:
+        self.now, state = self.run.read_state(template)
+        self.saved = self.now
+        self.start -= self.now.train_s
+        return state
 
     def _compiled_runner(self, policy: Policy) -> Runner:
         if not isinstance(self.runner.run, Wrapped):
@@ -241,25 +261,123 @@ class _Loop:
         keys = jax.eval_shape(lambda: episode_keys(0, VALIDATION_STREAM, 0, self.runner.lanes))
         return Runner(self.runner.run.lower(policy, keys).compile(), self.runner.lanes)
 
-    @property
-    def validated(self) -> bool:
-        """Whether enough validations in a row have held."""
-        return self.streak >= self.config.ppo.stop_streak
+    # --- iterations -------------------------------------------------------------------------------
+
+    def iterate(self, state: TrainState, metrics: Metrics, interrupts: Interrupts) -> TrainState:
+        """State after training, saved."""
+        self._clock = time.perf_counter()
+        self._loop_start = self._clock - self.now.loop_s
+        while self.now.steps < self.config.ppo.total_steps and not self.validated:
+            state = self._advance(state, metrics)
+            if interrupts.received is not None:
+                self._leave(state, metrics, interrupts.received)
+            if time.perf_counter() - self._clock >= self._save_after:
+                self._try_to_save(state, metrics)
+        try:
+            self._save(state, metrics)
+        except (OSError, InputError) as error:
+            raise _unwritable("last checkpoint", self.run, error) from None
+        return state
+
+    def _advance(self, state: TrainState, metrics: Metrics) -> TrainState:
+        settings, tick = self.config.ppo, time.perf_counter()
+        try:
+            state, watched = self._step(state)
+        except EngineError as error:
+            self._stop(state, metrics, str(error), error.rollout)
+        row = {name: float(x) for name, x in sorted(jax.device_get(watched.metrics).items())}
+        if broken := [kind for kind, finite in jax.device_get(watched.finite).items() if not finite]:
+            self._stop(state, metrics, _sentence(broken), watched.rollout)
+        self.now = replace(
+            self.now,
+            steps=self.now.steps + settings.lanes * settings.rollout_steps,
+            busy_s=self.now.busy_s + time.perf_counter() - tick,
+            success=row["success_rate"],
+            validated=False,
+        )
+        if self._due(row):
+            row["validation_success"] = self._validate(state, metrics)
+        self.now = replace(self.now, loop_s=time.perf_counter() - self._loop_start)
+        row |= {"steps": self.now.steps, "wall_s": self.now.loop_s, "steps_per_second": self.steps_per_second}
+        metrics.write(row)
+        self.watch(Progress(self.now.steps, settings.total_steps, row))
+        return state
 
     def _due(self, row: dict[str, float]) -> bool:
         settings = self.config.ppo
-        count = self.steps // (settings.lanes * settings.rollout_steps)
+        count = self.now.steps // (settings.lanes * settings.rollout_steps)
         return (
             settings.stop_early and count % settings.validation_interval == 0 and row["success_rate"] >= VALIDATE_FROM
         )
 
-    def _validate(self, policy: Policy) -> float:
+    def _validate(self, state: TrainState, metrics: Metrics) -> float:
         """Success rate of the validation so far; it ends as soon as it can no longer hold."""
         settings, lanes = self.config.ppo, self.runner.lanes
         failures, allowed, seen = 0, (1 - settings.stop_success) * settings.validation_episodes, 0
         while seen < settings.validation_episodes and failures <= allowed:
             count = min(lanes, settings.validation_episodes - seen)
-            result = run_episodes(self.runner, policy, self.config.seed, VALIDATION_STREAM, count, first=seen)
+            try:
+                result = run_episodes(
+                    self.runner, state.learner.policy, self.config.seed, VALIDATION_STREAM, count, first=seen
+                )
+            except FloatingPointError as error:
+                self._stop(state, metrics, f"in a validation {error}", None)
             seen, failures = seen + count, failures + int((~result.success).sum())
-        self.streak = self.streak + 1 if failures <= allowed else 0
-        return 1 - failures / seen
+        success = 1 - failures / seen
+        streak = self.now.streak + 1 if failures <= allowed else 0
+        self.now = replace(self.now, streak=streak, success=success, validated=True)
+        return success
+
+    # --- saving -----------------------------------------------------------------------------------
+
+    def _save(self, state: TrainState, metrics: Metrics) -> None:
+        """Save the state, unless it is saved."""
+        begun = time.perf_counter()
+        self.now = replace(self.now, train_s=begun - self.start)
+        if self.saved is None or self.saved.steps != self.now.steps:
+            metrics.sync()
+            self.run.write_checkpoint(self.now.steps, state, self.now, self.config.ppo.keep_checkpoints)
+            self.saved = self.now
+        self._clock = time.perf_counter()
+        if interval := self.config.ppo.checkpoint_interval:
+            self._save_after = max(interval, (self._clock - begun) / SAVING_SHARE)
+
+    def _try_to_save(self, state: TrainState, metrics: Metrics) -> bool:
+        """Whether the state is saved; if it cannot be, training goes on and tries again after the next interval."""
+        try:
+            self._save(state, metrics)
+        except (OSError, InputError) as error:
+            self._clock = time.perf_counter()
+            log.warning(
+                "reachlab: the checkpoint of step %s cannot be written to '%s' (%s).",
+                f"{self.now.steps:,}",
+                self.run.checkpoints,
+                _reason(error),
+            )
+            return False
+        return True
+
+    def _leave(self, state: TrainState, metrics: Metrics, signal: int) -> NoReturn:
+        self._try_to_save(state, metrics)
+        raise Interrupted(signal, f"interrupted at step {self.now.steps:,}; {self._how_to_go_on()}")
+
+    def _stop(self, state: TrainState, metrics: Metrics, why: str, rollout: Rollout | None) -> NoReturn:
+        """End training at numbers that are not finite: the state is the one before them."""
+        self._try_to_save(state, metrics)
+        kept = ""
+        if rollout is not None:
+            try:
+                write_synced(self.run.offending_file, arrays.to_bytes(rollout))
+                kept = f" The rollout is in '{self.run.offending_file}'."
+            except (OSError, InputError) as error:
+                kept = f" The rollout cannot be written ({_reason(error)})."
+        raise NotFiniteError(f"training stopped after step {self.now.steps:,}: {why}.{kept} {self._how_to_go_on()}")
+
+    def _how_to_go_on(self) -> str:
+        if self.saved is None:
+            return "nothing is saved."
+        return f"step {self.saved.steps:,} is saved: `reachlab train --resume {self.run.path}` goes on from there."
+
+
+def _sentence(broken: list[str]) -> str:
+    return f"a number is not finite in: {', '.join(broken)}"
