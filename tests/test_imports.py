@@ -131,7 +131,7 @@ def test_every_module_has_its_place() -> None:
 
 
 def test_the_graph_is_read_right() -> None:
-    assert {"config", "env", "ppo", "rollout"} <= GRAPH["training"].top
+    assert {"config", "env", "iteration", "rollout"} <= GRAPH["training"].top
     assert {"training", "console", "checkpoint"} <= GRAPH["cli"].inner - GRAPH["cli"].top
     assert "training" in GRAPH["console"].types - GRAPH["console"].run
     assert "sims" in GRAPH["sims.kinematic"].top

@@ -98,14 +98,18 @@ class RunDirectory:
         self.reports = path / "reports"
 
     def create(self, config: RunConfig) -> None:
-        """Make the directory and write the configuration, the first of all files.
+        """Make the directory with the configuration in it, the first of all files.
 
         Raises:
             InputError: it exists, or cannot be made.
         """
+        temporary = self.path.with_name(f".{self.path.name}.{os.getpid()}.tmp")
         try:
-            self.path.mkdir(parents=True)
-            write_json(self.config_file, to_json(config))
+            if self.path.exists() or self.path.is_symlink():
+                raise FileExistsError
+            temporary.mkdir(parents=True)
+            write_json(temporary / self.config_file.name, to_json(config))
+            os.rename(temporary, self.path)  # noqa: PTH104 (see `storage`)
             sync(self.path.parent)
         except FileExistsError:
             refuse_if_held(self.path)
@@ -113,6 +117,8 @@ class RunDirectory:
                 f"run directory '{self.path}' exists and is not overwritten: name another with --out."
             ) from None
         except OSError as error:
+            with contextlib.suppress(OSError):
+                remove(temporary)
             raise InputError(f"run directory '{self.path}' cannot be made: {error.strerror}.") from None
 
     def read_config(self) -> RunConfig:
