@@ -28,7 +28,7 @@ LAYERS = (
     {"plots", "video", "viewer", "export"},
     {"iteration"},
     {"training"},
-    {"console", "bench", "bench_sims"},
+    {"console", "bench", "bench_sims", "bench_faults", "bench_trust"},
     {"cli"},
     {"__main__", "__init__"},
 )

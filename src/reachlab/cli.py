@@ -87,7 +87,7 @@ class Bench(Checked):
     """Measure speed, accuracy and learning on this machine."""
 
     suite: str = "speed"
-    """Suite of measurements: speed, kinematics, learning, start, simulators."""
+    """Suite of measurements: speed, kinematics, learning, start, simulators, trust."""
     json: bool = False
     """Print the measurements as a JSON list on standard output."""
 
@@ -267,6 +267,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         verb.run(_parse(words[0], verb.flags, words[1:]))
     except InputError as error:
         print(f"reachlab: {error}", file=sys.stderr)
+        return WRONG_INPUT
+    except OSError as error:
+        print(f"reachlab: {error.filename or 'a file'} cannot be used: {error.strerror or error}.", file=sys.stderr)
         return WRONG_INPUT
     except FloatingPointError as error:
         print(f"reachlab: {error}", file=sys.stderr)

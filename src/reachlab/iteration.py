@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -33,6 +33,22 @@ class TrainState:
     key: Array
 
 
+class Finite(NamedTuple):
+    """For each kind of number whether all of them are finite `[]`, causes before what they lead to."""
+
+    observation: Array
+    action: Array
+    reward: Array
+    environment: Array
+    gradient: Array
+    loss: Array
+    parameter: Array
+
+    def missing(self) -> list[str]:
+        """Kinds of which one number or more is not finite."""
+        return [kind for kind, finite in self._asdict().items() if not finite]
+
+
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Watched:
@@ -40,18 +56,18 @@ class Watched:
 
     Attributes:
         metrics: scalars of the rollout and of its update.
-        finite: for each kind of number, whether all of them are finite.
+        finite: whether all numbers are finite.
         rollout: the experience, to be looked into where they are not.
     """
 
     metrics: dict[str, Array]
-    finite: dict[str, Array]
+    finite: Finite
     rollout: Rollout
 
     @property
     def sound(self) -> Array:
         """Whether every number is finite."""
-        return jnp.stack(list(self.finite.values())).all()
+        return jnp.stack(self.finite).all()
 
 
 Tree = TypeVar("Tree")
@@ -96,17 +112,16 @@ def compile_iteration(env: Env, config: RunConfig, shape: TrainState) -> Iterati
     return partial(iterate, host_collector(env), jit(learn, donate=(0,)), lambda sound, new, old: new if sound else old)
 
 
-def _finite(rollout: Rollout, lanes: EnvState, metrics: dict[str, Array], learner: ppo.Learner) -> dict[str, Array]:
-    kinds = {
-        "observation": (rollout.observation, rollout.next_observation),
-        "action": (rollout.output, rollout.log_prob),
-        "reward": rollout.reward,
-        "state of the environment": (rollout.distance, lanes),
-        "gradient": metrics["gradient_norm"],
-        "loss": metrics,
-        "parameter": learner,
-    }
-    return {kind: _all_finite(tree) for kind, tree in kinds.items()}
+def _finite(rollout: Rollout, lanes: EnvState, metrics: dict[str, Array], learner: ppo.Learner) -> Finite:
+    return Finite(
+        observation=_all_finite((rollout.observation, rollout.next_observation)),
+        action=_all_finite((rollout.output, rollout.log_prob)),
+        reward=_all_finite(rollout.reward),
+        environment=_all_finite((rollout.distance, lanes)),
+        gradient=_all_finite(metrics["gradient_norm"]),
+        loss=_all_finite(metrics),
+        parameter=_all_finite(learner),
+    )
 
 
 def _all_finite(tree: object) -> Array:

@@ -286,8 +286,8 @@ class _Loop:
         except EngineError as error:
             self._stop(state, metrics, str(error), error.rollout)
         row = {name: float(x) for name, x in sorted(jax.device_get(watched.metrics).items())}
-        if broken := [kind for kind, finite in jax.device_get(watched.finite).items() if not finite]:
-            self._stop(state, metrics, _sentence(broken), watched.rollout)
+        if missing := jax.device_get(watched.finite).missing():
+            self._stop(state, metrics, f"a number is not finite in: {', '.join(missing)}", watched.rollout)
         self.now = replace(
             self.now,
             steps=self.now.steps + settings.lanes * settings.rollout_steps,
@@ -377,7 +377,3 @@ class _Loop:
         if self.saved is None:
             return "nothing is saved."
         return f"step {self.saved.steps:,} is saved: `reachlab train --resume {self.run.path}` goes on from there."
-
-
-def _sentence(broken: list[str]) -> str:
-    return f"a number is not finite in: {', '.join(broken)}"
