@@ -18,11 +18,13 @@ import pytest
 import safetensors.numpy
 
 from reachlab import cli
-from reachlab.checkpoint import RunDirectory, seal
+from reachlab.checkpoint import RunDirectory
 from reachlab.config import InputError, RunConfig, configure
 from reachlab.env import Env
+from reachlab.iteration import TrainState, initial_state
+from reachlab.manifest import seal
 from reachlab.storage import write_json
-from reachlab.training import TrainState, initial_state, load_policy
+from reachlab.training import load_policy
 
 STEP = "checkpoints/step_000000000512"
 

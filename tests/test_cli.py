@@ -20,10 +20,10 @@ from reachlab.checkpoint import RunDirectory
 from reachlab.config import TASKS, RunConfig, configure
 from reachlab.env import Env
 from reachlab.evaluation import AGENTS
+from reachlab.iteration import initial_state
 from reachlab.robots import ROBOTS
 from reachlab.sims import SIMULATORS
 from reachlab.task import ACTIONS, OBSERVATIONS, REWARDS
-from reachlab.training import initial_state
 
 TINY = ["--lanes", "16", "--rollout-steps", "16", "--total-steps", "1024", "--no-stop-early", "--report-episodes", "10"]
 """A training of four iterations."""

@@ -19,15 +19,18 @@ import pytest
 import safetensors.numpy
 
 from reachlab import arrays, bench_faults, bench_trust, cli, task
-from reachlab.bench_faults import HOSTILE, file_limit, make_run, no_space, state_of
-from reachlab.checkpoint import MANIFEST, RunDirectory, seal
+from reachlab.bench_faults import file_limit, make_run, no_space, state_of
+from reachlab.bench_hostile import HOSTILE, hostile_files
+from reachlab.checkpoint import RunDirectory
 from reachlab.config import InputError, configure, to_json
 from reachlab.interrupts import Interrupted
+from reachlab.loop import NotFiniteError, Progress
+from reachlab.manifest import MANIFEST, seal
 from reachlab.metrics import Metrics
 from reachlab.sims.mujoco import MujocoSimulator
 from reachlab.storage import read_json, write_json
 from reachlab.task import Outcome
-from reachlab.training import NotFiniteError, Progress, train
+from reachlab.training import train
 
 EACH = 64
 """Environment steps of an iteration."""
@@ -107,7 +110,7 @@ def test_a_number_that_is_not_finite_is_noticed_wherever_it_is_and_changes_nothi
 def test_hostile_files_are_refused() -> None:
     assert len(HOSTILE) >= 40
     # Times depend on the machine; the benchmark holds them.
-    assert [line for line in bench_faults.hostile_files().wrong if not line.endswith(" s")] == []
+    assert [line for line in hostile_files().wrong if not line.endswith(" s")] == []
 
 
 # --- configurations that mean harm, in a run that is otherwise sound -----------------------------
@@ -292,6 +295,7 @@ def test_an_engine_that_breaks_stops_training_with_the_last_good_state_saved(
         return real(self, state, target_q)
 
     monkeypatch.setattr(MujocoSimulator, "step", step)
+    monkeypatch.chdir(tmp_path)  # the engine writes a log of its own
     config = configure(**TINY, sim="mujoco")
     with pytest.raises(NotFiniteError, match=r"stopped after step 128: MuJoCo's state of lane 0 is not finite"):
         train(config, tmp_path / "run")

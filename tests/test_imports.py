@@ -19,7 +19,7 @@ LAYERS = (
     {"lanes", "compilation"},
     {"config", "interrupts", "chain", "kinematics", "policy"},
     {"storage"},
-    {"metrics", "lock", "threads", "arrays"},
+    {"metrics", "lock", "manifest", "threads", "arrays"},
     {"robots", "task", "ppo"},
     {"scene"},
     {"sims"},
@@ -27,8 +27,9 @@ LAYERS = (
     {"gym_env", "rollout", "checkpoint", "evaluation"},
     {"plots", "video", "viewer", "export"},
     {"iteration"},
+    {"loop"},
     {"training"},
-    {"console", "bench", "bench_sims", "bench_faults", "bench_trust"},
+    {"console", "bench", "bench_sims", "bench_faults", "bench_hostile", "bench_trust"},
     {"cli"},
     {"__main__", "__init__"},
 )
@@ -131,9 +132,9 @@ def test_every_module_has_its_place() -> None:
 
 
 def test_the_graph_is_read_right() -> None:
-    assert {"config", "env", "iteration", "rollout"} <= GRAPH["training"].top
+    assert {"config", "env", "iteration", "rollout"} <= GRAPH["loop"].top
     assert {"training", "console", "checkpoint"} <= GRAPH["cli"].inner - GRAPH["cli"].top
-    assert "training" in GRAPH["console"].types - GRAPH["console"].run
+    assert "loop" in GRAPH["console"].types - GRAPH["console"].run
     assert "sims" in GRAPH["sims.kinematic"].top
 
 

@@ -15,14 +15,16 @@ import numpy as np
 import pytest
 
 from reachlab import cli
-from reachlab.checkpoint import Counters, RunDirectory, seal
+from reachlab.checkpoint import RunDirectory
 from reachlab.config import InputError, RunConfig, configure
 from reachlab.interrupts import Interrupted
 from reachlab.lock import NAME, locked
+from reachlab.loop import Progress
+from reachlab.manifest import Counters, seal
 from reachlab.metrics import cut_metrics
 from reachlab.storage import read_json, write_json
 from reachlab.threads import threads
-from reachlab.training import Progress, train
+from reachlab.training import train
 
 EACH = 256
 """Environment steps of an iteration."""

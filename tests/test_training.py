@@ -15,7 +15,8 @@ from reachlab.checkpoint import RunDirectory
 from reachlab.config import InputError, configure, to_json
 from reachlab.env import Env
 from reachlab.evaluation import LANES, evaluate
-from reachlab.training import Progress, TrainResult, load_policy, train
+from reachlab.loop import Progress
+from reachlab.training import TrainResult, load_policy, train
 
 TINY = {
     "lanes": 16,

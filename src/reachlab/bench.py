@@ -25,9 +25,9 @@ from reachlab.compilation import jit
 from reachlab.config import choose, configure
 from reachlab.env import Env, EnvState, lane_keys
 from reachlab.evaluation import versions
+from reachlab.iteration import compile_iteration, initial_state
 from reachlab.kinematics import forward_kinematics, inverse_kinematics, jacobian
 from reachlab.robots import Robot, load_robot
-from reachlab.training import compile_iteration, initial_state
 
 REPEATS = 10
 """Timed repetitions; the best counts, since other work on the machine can only slow one down."""

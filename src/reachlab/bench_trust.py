@@ -23,7 +23,8 @@ import numpy as np
 from jax import Array
 
 from reachlab import iteration, ppo
-from reachlab.bench_faults import Trial, corruptions, cut_saves, failing_saves, hostile_files
+from reachlab.bench_faults import Trial, corruptions, cut_saves, failing_saves
+from reachlab.bench_hostile import hostile_files
 from reachlab.bench_sims import Row, row
 from reachlab.checkpoint import RunDirectory
 from reachlab.compilation import jit

@@ -4,35 +4,24 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import json
 import logging
 import os
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, TypeVar
 
 from reachlab.config import (
-    Checked,
-    Count,
-    Fraction,
     InputError,
-    NonNegative,
-    NonNegativeInt,
     RunConfig,
     difference,
     from_json,
     to_json,
 )
 from reachlab.lock import refuse_if_held
+from reachlab.manifest import ARRAYS, FORMAT, MANIFEST, Counters, Manifest, read_manifest, seal
 from reachlab.storage import read_json, remove, sync, write_json, write_synced
-
-FORMAT = 1
-"""Version of the checkpoint format."""
-
-ARRAYS, MANIFEST = "state.safetensors", "manifest.json"
-"""Files of a checkpoint: the training state, and what is known of it."""
 
 KEEP = 3
 """Newest checkpoints that are kept, unless said otherwise."""
@@ -41,46 +30,6 @@ Tree = TypeVar("Tree")
 T = TypeVar("T")
 
 log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class Counters(Checked):
-    """Where a training stands, beside its arrays."""
-
-    steps: NonNegativeInt
-    """Environment steps taken."""
-    streak: NonNegativeInt = 0
-    """Validations in a row that have held."""
-    success: Fraction = 0.0
-    """Success rate of this state's validation, or without one of the training episodes that led to it."""
-    validated: bool = False
-    """Whether `success` is of a validation."""
-    loop_s: NonNegative = 0.0
-    """Time of the iterations so far, with validations [s]."""
-    busy_s: NonNegative = 0.0
-    """Time of collecting and updating so far [s]."""
-    train_s: NonNegative = 0.0
-    """Time of training so far, with compilation [s]."""
-
-
-@dataclass(frozen=True)
-class Manifest(Checked):
-    """What is known of a checkpoint."""
-
-    format: int
-    counters: dict[str, Any]
-    config: dict[str, Any]
-    threads: Count
-    """Threads that JAX computed with: bit for bit it goes on only with the same number."""
-    versions: dict[str, str]
-    sizes: dict[str, int]
-    sha256: dict[str, str]
-
-    @property
-    def rank(self) -> tuple[bool, float]:
-        """Order of checkpoints from worse to better: a validation counts for more than training episodes."""
-        counters = Counters(**self.counters)
-        return counters.validated, counters.success
 
 
 class RunDirectory:
@@ -194,7 +143,7 @@ class RunDirectory:
 
         def load(folder: Path) -> tuple[Counters, Tree]:
             parts = {name: self._load(folder, name, part) for name, part in vars(template).items()}
-            return Counters(**_manifest(folder).counters), type(template)(**parts)
+            return Counters(**read_manifest(folder).counters), type(template)(**parts)
 
         return self._newest(load)
 
@@ -202,7 +151,7 @@ class RunDirectory:
         """Manifest of the newest checkpoint that has one; None if there is no checkpoint."""
         for folder in self._found():
             with contextlib.suppress(InputError):
-                return _manifest(folder)
+                return read_manifest(folder)
         return None
 
     def clean(self) -> None:
@@ -235,7 +184,7 @@ class RunDirectory:
     def _load(self, folder: Path, part: str, template: Tree) -> Tree:
         from reachlab import arrays
 
-        manifest, file = _manifest(folder), folder / ARRAYS
+        manifest, file = read_manifest(folder), folder / ARRAYS
         if other := difference(self.read_config(), _saved_config(manifest, folder)):
             raise InputError(
                 f"checkpoint '{folder}' does not fit the run's configuration: {other[0]} is {other[2]!r} there and"
@@ -297,12 +246,6 @@ class RunDirectory:
             raise InputError(f"report '{self.reports / name}.json' cannot be written: {error.strerror}.") from None
 
 
-def seal(manifest: Mapping[str, Any]) -> dict[str, Any]:
-    """A manifest with the checksum of all that it says."""
-    said = {name: value for name, value in manifest.items() if name != "seal"}
-    return said | {"seal": hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()}
-
-
 def _put(temporary: Path, final: Path) -> None:
     """Show a checkpoint that is complete; one of the same step gives way."""
     if final.exists():
@@ -315,30 +258,6 @@ def _put(temporary: Path, final: Path) -> None:
     sync(final.parent)
 
 
-def _manifest(folder: Path) -> Manifest:
-    """A checkpoint's manifest.
-
-    Raises:
-        InputError: it is damaged, of another format or of another checkpoint.
-    """
-    if folder.is_symlink() or not folder.is_dir():
-        raise InputError(f"checkpoint '{folder}' is damaged: it is no directory.")
-    data = read_json(folder / MANIFEST)
-    try:
-        if data != seal(data):
-            raise InputError("its manifest was changed")
-        manifest = Manifest(**{name: value for name, value in data.items() if name != "seal"})
-        counters = Counters(**manifest.counters)
-    except (AttributeError, TypeError, InputError) as error:
-        why = str(error).rstrip(".") if isinstance(error, InputError) else "its manifest is none"
-        raise InputError(f"checkpoint '{folder}' is damaged: {why}.") from None
-    if manifest.format != FORMAT:
-        raise InputError(f"checkpoint '{folder}' has format {manifest.format}, this version reads {FORMAT}.")
-    if folder.name != f"step_{counters.steps:012d}":
-        raise InputError(f"checkpoint '{folder}' is damaged: it is that of step {counters.steps:,}.")
-    return manifest
-
-
 def _saved_config(manifest: Manifest, folder: Path) -> RunConfig:
     try:
         return from_json(manifest.config)
@@ -349,6 +268,6 @@ def _saved_config(manifest: Manifest, folder: Path) -> RunConfig:
 def _rank(folder: Path) -> tuple[int, tuple[bool, float]]:
     """Order of checkpoints from worse to better; one that cannot be read is worse than any, a later one better."""
     try:
-        return 1, _manifest(folder).rank
+        return 1, read_manifest(folder).rank
     except InputError:
         return 0, (False, 0.0)
