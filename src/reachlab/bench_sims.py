@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import gc
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +13,12 @@ import numpy as np
 from mujoco.batch import Batch
 
 from reachlab.compilation import jit
-from reachlab.config import RunConfig, configure, in_simulator
+from reachlab.config import configure, in_simulator
 from reachlab.env import Env, lane_keys
 from reachlab.evaluation import LANES, evaluate
 from reachlab.kinematics import forward_kinematics
 from reachlab.robots import Robot, load_robot
-from reachlab.sims import SIMULATORS, make_simulator
+from reachlab.sims import make_simulator
 from reachlab.sims.mujoco import physics_model
 from reachlab.sims.pybullet import GRAVITY, GROUND, TABLE, URDFS, import_pybullet
 from reachlab.training import train
@@ -42,9 +41,6 @@ EPISODE_STEPS, AUTHOR_EPISODES, OUR_EPISODES = 100, 10, 30
 MUJOCO_BATCHES, MUJOCO_STEPS = (256, 512, 1024), 60
 """Batch sizes and control steps of the MuJoCo measurement."""
 
-OPENINGS, WARM_UP = 200, 20
-"""Times that a simulator is made and closed, and how many of them may still grow the process."""
-
 
 def row(name: str, value: float, unit: str, **config: object) -> Row:
     """A measurement."""
@@ -58,8 +54,6 @@ def simulators() -> Iterator[Row]:
     yield from pybullet_parity()
     yield from pybullet_speed()
     yield from mujoco_speed()
-    for name in SIMULATORS:
-        yield openings(name)
 
 
 def transfer() -> Iterator[Row]:
@@ -232,26 +226,3 @@ def _bare_steps_per_second(env: Env) -> float:
     for _ in range(MUJOCO_STEPS):
         batch.step(nstep=env.config.physics.physics_steps)
     return MUJOCO_STEPS * env.batch_size / (time.perf_counter() - start)
-
-
-def openings(name: str) -> Row:
-    """Growth of the process over 200 times making and closing a simulator."""
-    config: RunConfig = configure(sim=name)
-    memory: Callable[[], float] = _resident_megabytes
-    first = 0.0
-    for count in range(OPENINGS):
-        if count == WARM_UP:
-            first = memory()
-        env = Env(config, 2)
-        env.init(lane_keys(0, 2))
-        env.close()
-        del env
-        gc.collect()
-    return row(f"growth/{name}", memory() - first, "MB", openings=OPENINGS, warm_up=WARM_UP)
-
-
-def _resident_megabytes() -> float:
-    for line in Path("/proc/self/status").read_text(encoding="utf-8").splitlines():
-        if line.startswith("VmRSS"):
-            return int(line.split()[1]) / 1024
-    return 0.0

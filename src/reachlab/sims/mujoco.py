@@ -56,14 +56,16 @@ class MujocoSimulator:
         """See `Simulator.step`.
 
         Raises:
-            FloatingPointError: an arm's state is not finite any more.
+            FloatingPointError: the engine warned, e.g. of a state that is not finite or of a full contact buffer.
         """
         self._restore(state)
         self._ctrl[:, self._servos] = np.asarray(target_q)
         self._batch.step(nstep=self._substeps)
-        broken = ~np.isfinite(self._qpos).all(axis=1)
-        if broken.any():
-            raise FloatingPointError(f"MuJoCo's state of lane {int(np.flatnonzero(broken)[0])} is not finite any more")
+        warnings = self._batch.warning[..., 1]  # [B, kinds], how often; beside it stands what the last one was about
+        if warnings.any():
+            lane, kind = np.argwhere(warnings)[0]
+            warnings[:] = 0
+            raise FloatingPointError(f"MuJoCo warned of {mujoco.mjtWarning(kind).name[7:]} in lane {lane}")
         return self._arm()
 
     def render(self, state: ArmState, target: Array, lane: int) -> np.ndarray:
