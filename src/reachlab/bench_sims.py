@@ -213,10 +213,9 @@ def mujoco_speed() -> Iterator[Row]:
     """
     results = []
     for lanes in MUJOCO_BATCHES:
-        env, rates = Env(configure(sim="mujoco"), lanes), []
+        env = Env(configure(sim="mujoco"), lanes)
         bare = _bare(env)
-        for _ in range(MUJOCO_ROUNDS):
-            rates.append((_host_steps_per_second(env, MUJOCO_STEPS), bare()))
+        rates = [(_host_steps_per_second(env, MUJOCO_STEPS), bare()) for _ in range(MUJOCO_ROUNDS)]
         env.close()
         through, engine = (max(column) for column in zip(*rates, strict=True))
         results.append((through, lanes, through / engine))
