@@ -19,6 +19,7 @@ import numpy as np
 from jax import Array
 
 from reachlab.bench_sims import Row, row, simulators
+from reachlab.bench_soak import soak
 from reachlab.bench_trust import trust
 from reachlab.chain import Chain
 from reachlab.compilation import jit
@@ -244,6 +245,7 @@ SUITES: dict[str, Callable[[], Iterator[Row]]] = {
     "learning": learning,
     "start": start,
     "simulators": simulators,
+    "soak": soak,
     "trust": trust,
 }
 """Suites by name."""
