@@ -40,7 +40,9 @@ def reach() -> Reach:
 
 
 def outcome_of(reach: Reach, tool: tuple[float, ...], clock: int, before: float = 0.5) -> Outcome:
-    return judge(reach, jnp.array([before]), jnp.array([tool]), jnp.array([TARGET]), jnp.array([clock]))
+    still = jnp.zeros((1, 7))
+    now = Situation(still, still, jnp.array([tool]), jnp.array([TARGET]), still, jnp.zeros((1, 3)))
+    return judge(reach, jnp.array([before]), None, now, jnp.array([clock]))
 
 
 def flags(outcome: Outcome) -> tuple[bool, bool, bool]:
