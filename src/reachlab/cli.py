@@ -57,11 +57,13 @@ class Eval(Checked):
     sim: str | None = None
     """Simulator, or `all` of them; by default the run's own."""
     agent: tuple[str, ...] = ("trained",)
-    """Agents: trained, random, zero, ik."""
+    """Agents: trained, random, zero, ik, ik_open."""
     episodes: Count = 1000
     """Held-out episodes."""
     seed: Seed = 1
     """Seed of the targets."""
+    perturb: bool = False
+    """Give every episode an arm of its own and noisy measurements; see `randomise` of train."""
     gui: bool = False
     """PyBullet: open its window."""
     slow: bool = False
@@ -145,12 +147,13 @@ def evaluate(arguments: Eval) -> None:
         config = in_simulator(trained, choose("simulator", name, [*SIMULATORS, "all"]))
         if (arguments.gui or arguments.slow) and name != "pybullet":
             raise InputError(f"--gui and --slow are PyBullet's, and the simulator is {name!r}: add --sim pybullet.")
-        config = override(config, gui=arguments.gui, slow=arguments.slow)
+        config = override(config, gui=arguments.gui, slow=arguments.slow, randomise=arguments.perturb)
         env = Env(config, 1 if arguments.gui else min(arguments.episodes, EVALUATION_LANES.get(name, LANES)))
         policy = load_policy(run, config, env)
         for agent in arguments.agent:
             report = run_evaluation(env, agent, policy, seed=arguments.seed, episodes=arguments.episodes).to_json()
-            run.write_report(f"{report['sim']}-{agent}-{arguments.seed}", report)
+            kind = "-perturbed" if arguments.perturb else ""
+            run.write_report(f"{report['sim']}-{agent}-{arguments.seed}{kind}", report)
             reports.append(report)
         env.close()
     if arguments.json:
