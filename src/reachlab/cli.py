@@ -22,6 +22,7 @@ from reachlab.config import (
     Checked,
     Count,
     InputError,
+    Positive,
     RunConfig,
     Seed,
     choose,
@@ -68,6 +69,30 @@ class Eval(Checked):
     """PyBullet: slow down to be followed by eye."""
     json: bool = False
     """Print the report as JSON on standard output; a list of them for several agents or simulators."""
+
+
+@dataclass(frozen=True)
+class Video(Checked):
+    """Film held-out episodes of a run."""
+
+    run: Annotated[Path, tyro.conf.Positional]
+    """Run directory."""
+    out: Path | None = None
+    """File to write (.webp, .gif, or .mp4 with the extra `video`); by default video.webp in the run."""
+    sim: str | None = None
+    """Simulator; by default the run's own."""
+    agent: str = "trained"
+    """Agent: trained, random, zero, ik."""
+    episodes: Count = 4
+    """Episodes, one after the other: the first ones of `reachlab eval` with that seed."""
+    seed: Seed = 1
+    """Seed of the targets."""
+    fps: Positive = 30.0
+    """Pictures a second, about: each shows a whole number of control steps."""
+    speed: Positive = 1.0
+    """1 is real time, 0.5 half as fast."""
+    json: bool = False
+    """Print what was filmed as one JSON object on standard output."""
 
 
 @dataclass(frozen=True)
@@ -130,8 +155,7 @@ def evaluate(arguments: Eval) -> None:
     from reachlab.checkpoint import RunDirectory
     from reachlab.console import print_reports
     from reachlab.env import Env
-    from reachlab.evaluation import AGENTS, LANES
-    from reachlab.evaluation import evaluate as run_evaluation
+    from reachlab.evaluation import AGENTS, LANES, examine
     from reachlab.sims import SIMULATORS
     from reachlab.training import load_policy
 
@@ -147,14 +171,51 @@ def evaluate(arguments: Eval) -> None:
         env = Env(config, 1 if arguments.gui else min(arguments.episodes, EVALUATION_LANES.get(name, LANES)))
         policy = load_policy(run, config, env)
         for agent in arguments.agent:
-            report = run_evaluation(env, agent, policy, seed=arguments.seed, episodes=arguments.episodes).to_json()
-            run.write_report(f"{report['sim']}-{agent}-{arguments.seed}", report)
+            result, played = examine(env, agent, policy, seed=arguments.seed, episodes=arguments.episodes)
+            report = result.to_json()
+            rows = {"target": played.target, "distance": played.distance, "success": played.success}
+            run.write_report(f"{name}-{agent}-{arguments.seed}", report, rows)
             reports.append(report)
         env.close()
     if arguments.json:
         print(jsonlib.dumps(reports[0] if len(reports) == 1 else reports))
     else:
         print_reports(reports)
+
+
+def video(arguments: Video) -> None:
+    """Run `reachlab video`."""
+    _prepare_jax()
+    from reachlab.checkpoint import RunDirectory
+    from reachlab.console import console
+    from reachlab.env import Env
+    from reachlab.evaluation import AGENTS
+    from reachlab.sims import SIMULATORS
+    from reachlab.training import load_policy
+    from reachlab.video import write_video
+
+    agent = choose("agent", arguments.agent, AGENTS)
+    run = RunDirectory(arguments.run)
+    trained = run.read_config()
+    config = in_simulator(trained, choose("simulator", arguments.sim or trained.sim, SIMULATORS))
+    env = Env(config, 1)
+    clip = write_video(
+        env,
+        agent,
+        load_policy(run, config, env),
+        arguments.out or run.path / "video.webp",
+        seed=arguments.seed,
+        episodes=arguments.episodes,
+        fps=arguments.fps,
+        speed=arguments.speed,
+    )
+    env.close()
+    if arguments.json:
+        print(jsonlib.dumps(vars(clip)))
+    console.print(
+        f"Written: {clip.out}, {clip.seconds:.1f} s, {clip.frames} pictures, {clip.bytes / 1e6:.2f} MB:"
+        f" {clip.successes} of {clip.episodes} episodes reach the target."
+    )
 
 
 def plot(arguments: Plot) -> None:
@@ -222,6 +283,7 @@ class Verb:
 VERBS: dict[str, Verb] = {
     "train": Verb(Train, train),
     "eval": Verb(Eval, evaluate),
+    "video": Verb(Video, video),
     "plot": Verb(Plot, plot),
     "bench": Verb(Bench, bench),
     "list": Verb(List, list_names),
