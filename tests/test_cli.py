@@ -174,6 +174,11 @@ WRONG = {
     "eval of no episodes": ("eval untrained --agent ik --episodes 0", "episodes must be at least 1, got 0"),
     "eval of a negative seed": ("eval untrained --seed -1 --agent ik", "seed"),
     "eval of an immense seed": ("eval untrained --seed 99999999999 --agent ik", "seed"),
+    "video of no run": ("video nothing", "'nothing' does not exist"),
+    "video of an unknown agent": ("video untrained --agent tained", "Did you mean 'trained'"),
+    "video to an unknown ending": ("video untrained --out film.avi", "video format '.avi' is not one of: .gif, .mp4"),
+    "video into no folder": ("video untrained --out no/film.gif", "cannot be written to 'no/film.gif'"),
+    "video of no pictures a second": ("video untrained --fps 0", "fps must be above 0"),
     "plot of nothing": ("plot", "run"),
     "plot of no run": ("plot nothing", "'nothing' holds no metrics.jsonl"),
     "plot to an unknown ending": ("plot young --out curve.xyz", "cannot be written to 'curve.xyz'"),
@@ -267,9 +272,8 @@ def test_a_trained_run_is_evaluated_and_drawn(trained: tuple[Path, Said], reachl
     assert json.loads(said.out)["agent"] == "trained"
     assert reachlab("plot", out, "--out", "curve.svg").status == 0
     assert ElementTree.parse("curve.svg").getroot().tag.endswith("svg")
-    (out / "curve.png").unlink()
     assert reachlab("plot", out).status == 0
-    assert (out / "curve.png").exists()
+    assert (out / "plots.png").exists()
 
 
 # --- eval -----------------------------------------------------------------------------------------

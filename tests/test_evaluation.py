@@ -220,6 +220,7 @@ def test_a_report_sums_up_its_episodes(env: Env) -> None:
     speeds[1, 2] = 3.0
     speeds[2, 2] = 2.0
     values = {
+        "target": np.zeros((4, 3), np.float32),
         "done": np.ones(4, bool),
         "success": np.array([True, False, True, True]),
         "distance": np.array([0.02, 0.4, 0.04, 0.06], np.float32),

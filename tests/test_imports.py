@@ -23,7 +23,7 @@ LAYERS = (
     {"sims"},
     {"env"},
     {"gym_env", "rollout", "checkpoint", "evaluation"},
-    {"plots", "video", "viewer", "export"},
+    {"curves", "plots", "caption", "video", "viewer", "export"},
     {"training"},
     {"console", "bench", "bench_sims"},
     {"cli"},
@@ -38,7 +38,7 @@ LEAVES = {
     "chain": {"lanes"},
     "kinematics": {"lanes", "chain"},
     "policy": set(),
-    "metrics": set(),
+    "metrics": {"config"},
 }
 """What the leaves import of the package."""
 

@@ -45,6 +45,8 @@ class Train(Checked):
     run: RunConfig = field(default_factory=RunConfig)
     out: Path | None = None
     """Run directory to make; by default a new one below runs/."""
+    tensorboard: bool = False
+    """Write TensorBoard's event file into the run directory too; needs the extra `tensorboard`."""
     json: bool = False
     """Print the result as one JSON object on standard output."""
 
@@ -97,12 +99,12 @@ class Video(Checked):
 
 @dataclass(frozen=True)
 class Plot(Checked):
-    """Draw learning curves."""
+    """Draw learning curves, and of what was evaluated the errors and failures."""
 
     runs: Annotated[tuple[Path, ...], tyro.conf.Positional]
-    """Run directories."""
+    """Run directories; those that differ by their seeds alone become one curve with its interval."""
     out: Path | None = None
-    """Picture to write (.png or .svg); by default curve.png in the first run."""
+    """Picture to write (.png or .svg); by default plots.png in the first run."""
 
 
 @dataclass(frozen=True)
@@ -127,14 +129,14 @@ def train(arguments: Train) -> None:
     """Run `reachlab train`."""
     _prepare_jax()
     from reachlab.console import TrainDisplay, console, print_reports
-    from reachlab.plots import plot_curves
+    from reachlab.plots import plot as draw
     from reachlab.training import train as run_training
 
     config = arguments.run
     out = arguments.out or Path("runs") / f"{time.strftime('%Y%m%d-%H%M%S')}-{config.task}"
     with TrainDisplay() as display:
-        result = run_training(config, out, display)
-    plot_curves([out], out / "curve.png")
+        result = run_training(config, out, display, tensorboard=arguments.tensorboard)
+    draw([out], out / "curve.png")
     if arguments.json:
         print(jsonlib.dumps(result.to_json()))
     print_reports([result.to_json()])
@@ -221,12 +223,12 @@ def video(arguments: Video) -> None:
 def plot(arguments: Plot) -> None:
     """Run `reachlab plot`."""
     from reachlab.console import console
-    from reachlab.plots import plot_curves
+    from reachlab.plots import plot as draw
 
     if not arguments.runs:
         raise InputError("plot needs at least one run directory.")
-    out = arguments.out or arguments.runs[0] / "curve.png"
-    plot_curves(arguments.runs, out)
+    out = arguments.out or arguments.runs[0] / "plots.png"
+    draw(arguments.runs, out)
     console.print(f"Written: {out}")
 
 
