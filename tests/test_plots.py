@@ -258,7 +258,7 @@ def test_every_failure_is_marked_where_its_target_was(evaluated: Path, tmp_path:
     assert len(where) == SIDE
     assert where[:, 1] == pytest.approx(np.full(SIDE, 0.7)), "x is up, as seen from above"
     assert sorted(where[:, 0]) == pytest.approx(np.linspace(-0.3, 0.3, SIDE))
-    rates = np.ma.compressed(cells.get_array())
+    rates = np.ma.compressed(np.ma.asarray(cells.get_array()))
     assert rates.max() == 100
     assert 0 < rates.min() < 90, "the cells of the farthest row"
 

@@ -110,7 +110,7 @@ def plot(runs: Sequence[Path], out: Path) -> None:
         upper, *lower = figure.subfigures(rows, 1, squeeze=False)[:, 0]
         _draw_learning(upper, groups)
         for row in lower:
-            errors, *places = row.subplots(1, 1 + len(maps))
+            errors, *places = row.subplots(1, 1 + len(maps), squeeze=False)[0]
             _draw_errors(errors, evaluated)
             meshes = [_draw_map(axes, *entry) for axes, entry in zip(places, maps, strict=True)]
             for mesh in meshes[-1:]:
@@ -140,7 +140,7 @@ def _draw_learning(row: SubFigure, groups: Sequence[Group]) -> None:
         axes.set(title=title, xlabel=AXES_LABELS[x], ylabel=AXES_LABELS[y])
         axes.set_ylim(0, None if math.isinf(most) else HEADROOM * most * scale)
         if x == "steps":
-            axes.xaxis.set_major_locator(MaxNLocator(TICKS))
+            axes.xaxis.set_major_locator(MaxNLocator(TICKS, steps=[1, 2, 5, 10]))
             axes.xaxis.set_major_formatter(EngFormatter(sep=""))
     if any(len(group.runs) == 1 for group in groups):
         panels[0].plot([], [], ".", color="gray", ms=6, label="validation")
