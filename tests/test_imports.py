@@ -25,7 +25,7 @@ LAYERS = (
     {"gym_env", "rollout", "checkpoint", "evaluation"},
     {"curves", "plots", "caption", "video", "viewer", "export"},
     {"training"},
-    {"console", "bench", "bench_sims"},
+    {"console", "bench", "bench_sims", "bench_soak"},
     {"cli"},
     {"__main__", "__init__"},
 )

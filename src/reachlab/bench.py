@@ -19,6 +19,7 @@ import numpy as np
 from jax import Array
 
 from reachlab.bench_sims import Row, row, simulators
+from reachlab.bench_soak import soak
 from reachlab.chain import Chain
 from reachlab.compilation import jit
 from reachlab.config import choose, configure
@@ -243,5 +244,6 @@ SUITES: dict[str, Callable[[], Iterator[Row]]] = {
     "learning": learning,
     "start": start,
     "simulators": simulators,
+    "soak": soak,
 }
 """Suites by name."""

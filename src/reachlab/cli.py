@@ -112,7 +112,7 @@ class Bench(Checked):
     """Measure speed, accuracy and learning on this machine."""
 
     suite: str = "speed"
-    """Suite of measurements: speed, kinematics, learning, start, simulators."""
+    """Suite of measurements: speed, kinematics, learning, start, simulators, soak."""
     json: bool = False
     """Print the measurements as a JSON list on standard output."""
 
@@ -169,6 +169,8 @@ def evaluate(arguments: Eval) -> None:
     reports = []
     for name in names:
         config = in_simulator(trained, choose("simulator", name, [*SIMULATORS, "all"]))
+        if (arguments.gui or arguments.slow) and name != "pybullet":
+            raise InputError(f"--gui and --slow are PyBullet's, and the simulator is {name!r}: add --sim pybullet.")
         config = override(config, gui=arguments.gui, slow=arguments.slow)
         env = Env(config, 1 if arguments.gui else min(arguments.episodes, EVALUATION_LANES.get(name, LANES)))
         policy = load_policy(run, config, env)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import jax.numpy as jnp
+from typing import cast
+
 import mujoco
 import numpy as np
 from jax import Array
@@ -56,14 +57,16 @@ class MujocoSimulator:
         """See `Simulator.step`.
 
         Raises:
-            FloatingPointError: an arm's state is not finite any more.
+            FloatingPointError: the engine warned, e.g. of a state that is not finite or of a full contact buffer.
         """
         self._restore(state)
         self._ctrl[:, self._servos] = np.asarray(target_q)
         self._batch.step(nstep=self._substeps)
-        broken = ~np.isfinite(self._qpos).all(axis=1)
-        if broken.any():
-            raise FloatingPointError(f"MuJoCo's state of lane {int(np.flatnonzero(broken)[0])} is not finite any more")
+        warnings = self._batch.warning[..., 1]  # [B, kinds], how often; beside it stands what the last one was about
+        if warnings.any():
+            lane, kind = np.argwhere(warnings)[0]
+            warnings[:] = 0
+            raise FloatingPointError(f"MuJoCo warned of {mujoco.mjtWarning(kind).name[7:]} in lane {lane}")
         return self._arm()
 
     def render(self, state: ArmState, target: Array, lane: int) -> np.ndarray:
@@ -78,11 +81,13 @@ class MujocoSimulator:
         self._batch.state[:] = np.asarray(state.engine).view(np.float64)
 
     def _arm(self) -> ArmState:
-        q = jnp.asarray(self._qpos[:, self._positions], jnp.float32)
-        qd = jnp.asarray(self._qvel[:, self._speeds], jnp.float32)
+        """State of NumPy rows: what is compiled takes them in faster than JAX would convert them here."""
+        q = self._qpos[:, self._positions].astype(np.float32)
+        qd = self._qvel[:, self._speeds].astype(np.float32)
         # From the joints: the engine's own site positions are one physics step old after a step.
-        pose = self._pose(q)
-        return ArmState(q, qd, pose.position, pose.quaternion, jnp.array(self._batch.state.view(np.uint32)))
+        position, quaternion = self._pose(q)
+        engine = self._batch.state.copy().view(np.uint32)
+        return ArmState(cast("Array", q), cast("Array", qd), position, quaternion, cast("Array", engine))
 
 
 def physics_model(robot: Robot, config: SimConfig) -> mujoco.MjModel:
