@@ -312,3 +312,17 @@ def test_eval_shows_a_person_a_table_and_prints_nothing(reachlab: Shell, untrain
     said = reachlab("eval", untrained, "--episodes", 20, "--agent", "ik")
     assert (said.status, said.out) == (0, "")
     assert "100.00 %" in said.err
+
+
+# --- video ----------------------------------------------------------------------------------------
+
+
+def test_video_tells_what_it_filmed(reachlab: Shell, untrained: Path) -> None:
+    said = reachlab("video", untrained, "--agent", "ik", "--episodes", 1, "--fps", 5, "--out", "film.gif", "--json")
+    if "pictures need OpenGL" in said.err:
+        pytest.skip(said.err)
+    clip = json.loads(said.out)
+    assert (said.status, clip["out"], clip["episodes"], clip["successes"]) == (0, "film.gif", 1, 1)
+    with Image.open("film.gif") as picture:
+        assert (picture.format, picture.n_frames) == ("GIF", clip["frames"])  # type: ignore[attr-defined]
+    assert "1 of 1 episodes reach the target" in said.err

@@ -177,7 +177,7 @@ def test_importing_the_package_loads_neither_jax_nor_a_simulator() -> None:
 
 
 def test_help_loads_neither_jax_nor_a_simulator() -> None:
-    words = [["--help"], *([verb, "--help"] for verb in ("train", "eval", "plot", "bench", "list"))]
+    words = [["--help"], *([verb, "--help"] for verb in ("train", "eval", "video", "plot", "bench", "list"))]
     statement = (
         "from reachlab.cli import main\n"
         f"for words in {words}:\n"

@@ -75,7 +75,7 @@ def test_an_episode_is_seen_from_its_begin_to_its_end(moments: list[list[Moment]
         assert not any(moment.success for moment in episode[:-1])
 
 
-def test_every_agent_can_be_filmed_in_every_lane_of_host_simulators() -> None:
+def test_an_episode_in_a_host_simulator_ends_with_the_clock() -> None:
     env = Env(configure(sim="mujoco", max_steps=5), 1)
     [*_, last] = episode_player(env, "random", None, 2)(episode_keys(0, REPORT_STREAM, 0, 1))
     assert (last.step, last.done, last.success) == (5, True, False)
