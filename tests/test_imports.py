@@ -23,7 +23,7 @@ LAYERS = (
     {"sims"},
     {"env"},
     {"gym_env", "rollout", "checkpoint", "evaluation"},
-    {"plots", "video", "viewer", "export"},
+    {"curves", "plots", "caption", "video", "viewer", "export"},
     {"training"},
     {"console", "bench", "bench_sims", "bench_soak"},
     {"cli"},
@@ -38,7 +38,7 @@ LEAVES = {
     "chain": {"lanes"},
     "kinematics": {"lanes", "chain"},
     "policy": set(),
-    "metrics": set(),
+    "metrics": {"config"},
 }
 """What the leaves import of the package."""
 
@@ -177,7 +177,7 @@ def test_importing_the_package_loads_neither_jax_nor_a_simulator() -> None:
 
 
 def test_help_loads_neither_jax_nor_a_simulator() -> None:
-    words = [["--help"], *([verb, "--help"] for verb in ("train", "eval", "plot", "bench", "list"))]
+    words = [["--help"], *([verb, "--help"] for verb in ("train", "eval", "video", "plot", "bench", "list"))]
     statement = (
         "from reachlab.cli import main\n"
         f"for words in {words}:\n"

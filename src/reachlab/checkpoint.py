@@ -107,10 +107,15 @@ class RunDirectory:
             raise InputError(f"checkpoint '{checkpoint}' is damaged: it cannot be read.") from None
         return _unflatten(arrays, part, template, checkpoint)
 
-    def write_report(self, name: str, report: Mapping[str, Any]) -> None:
-        """Save a report among the run's later ones; an earlier one of the same name is replaced."""
+    def write_report(self, name: str, report: Mapping[str, Any], episodes: Mapping[str, Any]) -> None:
+        """Save a report among the run's later ones, and arrays `[N, ...]` with a row for each of its episodes.
+
+        Earlier ones of the same name are replaced.
+        """
         self.reports.mkdir(exist_ok=True)
         write_json(self.reports / f"{name}.json", report)
+        rows = {field: np.asarray(values, order="C") for field, values in episodes.items()}
+        _write_synced(self.reports / f"{name}.safetensors", safetensors.numpy.save(rows))
 
 
 def write_json(path: Path, data: object) -> None:

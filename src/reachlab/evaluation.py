@@ -88,6 +88,7 @@ class Episodes:
     """What became of `B` episodes.
 
     Attributes:
+        target: point to reach `[B, 3]` [m].
         done: the episode has ended `[B]`; nothing of it changes any more.
         success: it ended in success `[B]`.
         distance: error at its end `[B]` [m]: from tool to target, held where the task says so.
@@ -98,6 +99,7 @@ class Episodes:
         motion: joint positions, displacement and its change at the last step, three `[B, n]`.
     """
 
+    target: Array
     done: Array
     success: Array
     distance: Array
@@ -185,6 +187,7 @@ def make_runner(env: Env, agent: str) -> Runner:
         state = env.init(keys)
         lanes, still = len(keys), jnp.zeros_like(state.arm.q)
         episodes = Episodes(
+            target=state.target,
             done=jnp.zeros(lanes, bool),
             success=jnp.zeros(lanes, bool),
             distance=state.distance,
@@ -228,6 +231,7 @@ def _count(episodes: Episodes, state: EnvState, transition: Transition, period: 
     change_now = moved_now - moved
     jerk = jnp.square((change_now - change) / period**3).mean(-1)
     new = Episodes(
+        target=episodes.target,
         done=transition.done,
         success=transition.terms["success"],
         distance=transition.terms["error"],
@@ -266,7 +270,20 @@ def evaluate(
     episodes: int,
     runner: Runner | None = None,
 ) -> Report:
-    """Report of an agent on held-out targets.
+    """Report of an agent on held-out targets; see `examine`."""
+    return examine(env, agent, policy, seed=seed, episodes=episodes, runner=runner)[0]
+
+
+def examine(
+    env: Env,
+    agent: str,
+    policy: Policy | None = None,
+    *,
+    seed: int,
+    episodes: int,
+    runner: Runner | None = None,
+) -> tuple[Report, Episodes]:
+    """Report of an agent on held-out targets, and the episodes that it sums up.
 
     Args:
         env: the environment.
@@ -283,7 +300,7 @@ def evaluate(
         raise InputError(f"episodes must be at least 1, got {episodes}.")
     start = time.perf_counter()
     result = run_episodes(runner or make_runner(env, agent), policy, seed, REPORT_STREAM, episodes)
-    return summarise(env, agent, result, seed, time.perf_counter() - start)
+    return summarise(env, agent, result, seed, time.perf_counter() - start), result
 
 
 def summarise(env: Env, agent: str, result: Episodes, seed: int, wall_s: float) -> Report:

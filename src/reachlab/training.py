@@ -29,7 +29,7 @@ from reachlab.evaluation import (
     make_runner,
     run_episodes,
 )
-from reachlab.metrics import Metrics
+from reachlab.metrics import Metrics, event_writer
 from reachlab.policy import Policy, make_policy
 from reachlab.rollout import Collect, Rollout, collect, episode_statistics, host_collector
 
@@ -104,23 +104,28 @@ def load_policy(run: RunDirectory, config: RunConfig, env: Env) -> Policy:
     return run.read_checkpoint("learner/policy", template)
 
 
-def train(config: RunConfig, out: Path, watch: Callable[[Progress], None] = lambda _: None) -> TrainResult:
+def train(
+    config: RunConfig, out: Path, watch: Callable[[Progress], None] = lambda _: None, *, tensorboard: bool = False
+) -> TrainResult:
     """Result of training, whose files are in the new directory `out`.
 
     Args:
         config: every setting.
         out: run directory, made here.
         watch: called after every iteration.
+        tensorboard: write TensorBoard's event file too.
 
     Raises:
-        InputError: a setting that does not exist or fit, or a directory that does.
+        InputError: a setting that does not exist or fit, a directory that does, or tensorboardX is wanted and missing.
     """
     start = time.perf_counter()
     _check(config)
+    if tensorboard:
+        event_writer()
     env = Env(config, config.ppo.lanes)
     run = RunDirectory(out)
     run.create(config)
-    with Metrics(run.metrics_file) as metrics:
+    with Metrics(run.metrics_file, tensorboard=tensorboard) as metrics:
         loop = _Loop(config, env, metrics, watch)
         state = loop.run()
     run.write_checkpoint(loop.steps, state)
