@@ -25,7 +25,7 @@ LAYERS = (
     {"sims"},
     {"env"},
     {"gym_env", "rollout", "checkpoint", "evaluation"},
-    {"plots", "video", "viewer", "export"},
+    {"curves", "plots", "caption", "video", "viewer", "export"},
     {"iteration"},
     {"loop"},
     {"training"},
@@ -186,7 +186,7 @@ def test_importing_the_package_loads_neither_jax_nor_a_simulator() -> None:
 
 
 def test_help_loads_neither_jax_nor_a_simulator() -> None:
-    words = [["--help"], *([verb, "--help"] for verb in ("train", "eval", "plot", "bench", "list"))]
+    words = [["--help"], *([verb, "--help"] for verb in ("train", "eval", "video", "plot", "bench", "list"))]
     statement = (
         "from reachlab.cli import main\n"
         f"for words in {words}:\n"

@@ -44,6 +44,8 @@ SIMS: dict[str, dict[str, Any]] = {
     "mujoco": {},
     "pybullet": {"lanes": 2, "rollout_steps": 128, "max_steps": 100},
 }
+RUNS = {sim: {"sim": sim, **settings} for sim, settings in SIMS.items()}
+RUNS["precise"] = {"task": "precise", "sim": "mujoco", "randomise": True}
 
 
 def at(iteration: int, act: Callable[[], object]) -> Callable[[Progress], None]:
@@ -93,11 +95,11 @@ def config() -> RunConfig:
 # --- exactly --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("sim", SIMS)
-def test_a_run_stopped_twice_ends_with_the_weights_of_one_never_stopped(tmp_path: Path, sim: str) -> None:
-    if sim == "pybullet":
+@pytest.mark.parametrize("name", RUNS)
+def test_a_run_stopped_twice_ends_with_the_weights_of_one_never_stopped(tmp_path: Path, name: str) -> None:
+    if name == "pybullet":
         pytest.importorskip("pybullet")
-    config = configure(**{**TINY, "sim": sim, "stop_early": False, **SIMS[sim]})
+    config = configure(**{**TINY, "stop_early": False, **RUNS[name]})
     whole = train(config, tmp_path / "whole")
     for iteration in (3, 2):
         interrupted(config, tmp_path / "parts", iteration)

@@ -24,6 +24,9 @@ HEADER_LIMIT = 2**20
 LENGTH_BYTES = 8
 """A file begins with the length of its header, little-endian (safetensors' format)."""
 
+UNBOUNDED = "env/recent"
+"""The array that may hold infinities: errors of arms that moved, see `EnvState`."""
+
 UNREADABLE = (OSError, SafetensorError, KeyError, TypeError, ValueError, AttributeError)
 """What reading a file that is none raises."""
 
@@ -80,7 +83,7 @@ def load(file: Path, part: str, template: Tree) -> Tree:
 def _leaf(name: str, array: np.ndarray, wanted: Any, *, key: bool) -> jax.Array:
     if array.dtype != wanted.dtype:
         raise InputError(f"does not fit the run's configuration at {name!r}")
-    if array.dtype.kind == "f" and not np.isfinite(array).all():
+    if array.dtype.kind == "f" and (np.isnan(array) | (np.isinf(array) & (name != UNBOUNDED))).any():
         raise InputError(f"holds numbers at {name!r} that are not finite")
     # A copy: training reuses the memory of its state.
     return jax.random.wrap_key_data(jax.numpy.array(array)) if key else jax.numpy.array(array)

@@ -233,15 +233,20 @@ class RunDirectory:
                 os.rename(folder, hidden)  # noqa: PTH104
                 remove(hidden)
 
-    def write_report(self, name: str, report: Mapping[str, Any]) -> None:
-        """Save a report among the run's later ones; an earlier one of the same name is replaced.
+    def write_report(self, name: str, report: Mapping[str, Any], episodes: Mapping[str, Any]) -> None:
+        """Save a report among the run's later ones, and arrays `[N, ...]` with a row for each of its episodes.
+
+        Earlier ones of the same name are replaced.
 
         Raises:
-            InputError: it cannot be written.
+            InputError: they cannot be written.
         """
+        from reachlab.arrays import to_bytes
+
         try:
             self.reports.mkdir(exist_ok=True)
             write_json(self.reports / f"{name}.json", report)
+            write_synced(self.reports / f"{name}.safetensors", to_bytes(dict(episodes)))
         except OSError as error:
             raise InputError(f"report '{self.reports / name}.json' cannot be written: {error.strerror}.") from None
 

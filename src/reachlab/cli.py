@@ -22,6 +22,7 @@ from reachlab.config import (
     Checked,
     Count,
     InputError,
+    Positive,
     RunConfig,
     Seed,
     choose,
@@ -46,6 +47,8 @@ class Train(Checked):
     """Run directory to make; by default a new one below runs/."""
     resume: Path | None = None
     """Run directory to go on in, from its newest checkpoint and with its own settings."""
+    tensorboard: bool = False
+    """Write TensorBoard's event file into the run directory too; needs the extra `tensorboard`."""
     json: bool = False
     """Print the result as one JSON object on standard output."""
 
@@ -59,11 +62,13 @@ class Eval(Checked):
     sim: str | None = None
     """Simulator, or `all` of them; by default the run's own."""
     agent: tuple[str, ...] = ("trained",)
-    """Agents: trained, random, zero, ik."""
+    """Agents: trained, random, zero, ik, ik_open."""
     episodes: Count = 1000
     """Held-out episodes."""
     seed: Seed = 1
     """Seed of the targets."""
+    perturb: bool = False
+    """Give every episode an arm of its own and noisy measurements; see `randomise` of train."""
     gui: bool = False
     """PyBullet: open its window."""
     slow: bool = False
@@ -73,13 +78,37 @@ class Eval(Checked):
 
 
 @dataclass(frozen=True)
+class Video(Checked):
+    """Film held-out episodes of a run."""
+
+    run: Annotated[Path, tyro.conf.Positional]
+    """Run directory."""
+    out: Path | None = None
+    """File to write (.webp, .gif, or .mp4 with the extra `video`); by default video.webp in the run."""
+    sim: str | None = None
+    """Simulator; by default the run's own."""
+    agent: str = "trained"
+    """Agent: trained, random, zero, ik."""
+    episodes: Count = 4
+    """Episodes, one after the other: the first ones of `reachlab eval` with that seed."""
+    seed: Seed = 1
+    """Seed of the targets."""
+    fps: Positive = 30.0
+    """Pictures a second, about: each shows a whole number of control steps."""
+    speed: Positive = 1.0
+    """1 is real time, 0.5 half as fast."""
+    json: bool = False
+    """Print what was filmed as one JSON object on standard output."""
+
+
+@dataclass(frozen=True)
 class Plot(Checked):
-    """Draw learning curves."""
+    """Draw learning curves, and of what was evaluated the errors and failures."""
 
     runs: Annotated[tuple[Path, ...], tyro.conf.Positional]
-    """Run directories."""
+    """Run directories; those that differ by their seeds alone become one curve with its interval."""
     out: Path | None = None
-    """Picture to write (.png or .svg); by default curve.png in the first run."""
+    """Picture to write (.png or .svg); by default plots.png in the first run."""
 
 
 @dataclass(frozen=True)
@@ -109,14 +138,16 @@ def train(arguments: Train) -> None:
         return
     _prepare_jax()
     from reachlab.console import TrainDisplay, console, print_reports
-    from reachlab.plots import plot_curves
+    from reachlab.plots import plot as draw
     from reachlab.training import train as run_training
 
     config = arguments.run
     out = arguments.resume or arguments.out or Path("runs") / f"{time.strftime('%Y%m%d-%H%M%S')}-{config.task}"
     with TrainDisplay() as display:
-        result = run_training(config, out, display, resume=arguments.resume is not None)
-    plot_curves([out], out / "curve.png")
+        result = run_training(
+            config, out, display, resume=arguments.resume is not None, tensorboard=arguments.tensorboard
+        )
+    draw([out], out / "curve.png")
     if arguments.json:
         print(jsonlib.dumps(result.to_json()))
     print_reports([result.to_json()])
@@ -158,8 +189,7 @@ def evaluate(arguments: Eval) -> None:
     from reachlab.checkpoint import RunDirectory
     from reachlab.console import print_reports
     from reachlab.env import Env
-    from reachlab.evaluation import AGENTS, LANES
-    from reachlab.evaluation import evaluate as run_evaluation
+    from reachlab.evaluation import AGENTS, LANES, examine
     from reachlab.sims import SIMULATORS
     from reachlab.training import load_policy
 
@@ -173,12 +203,15 @@ def evaluate(arguments: Eval) -> None:
         config = in_simulator(trained, choose("simulator", name, [*SIMULATORS, "all"]))
         if (arguments.gui or arguments.slow) and name != "pybullet":
             raise InputError(f"--gui and --slow are PyBullet's, and the simulator is {name!r}: add --sim pybullet.")
-        config = override(config, gui=arguments.gui, slow=arguments.slow)
+        config = override(config, gui=arguments.gui, slow=arguments.slow, randomise=arguments.perturb)
         env = Env(config, 1 if arguments.gui else min(arguments.episodes, EVALUATION_LANES.get(name, LANES)))
         policy = load_policy(run, config, env)
         for agent in arguments.agent:
-            report = run_evaluation(env, agent, policy, seed=arguments.seed, episodes=arguments.episodes).to_json()
-            run.write_report(f"{report['sim']}-{agent}-{arguments.seed}", report)
+            result, played = examine(env, agent, policy, seed=arguments.seed, episodes=arguments.episodes)
+            report = result.to_json()
+            rows = {"target": played.target, "distance": played.distance, "success": played.success}
+            kind = "-perturbed" if arguments.perturb else ""
+            run.write_report(f"{name}-{agent}-{arguments.seed}{kind}", report, rows)
             reports.append(report)
         env.close()
     if arguments.json:
@@ -187,15 +220,50 @@ def evaluate(arguments: Eval) -> None:
         print_reports(reports)
 
 
+def video(arguments: Video) -> None:
+    """Run `reachlab video`."""
+    _prepare_jax()
+    from reachlab.checkpoint import RunDirectory
+    from reachlab.console import console
+    from reachlab.env import Env
+    from reachlab.evaluation import AGENTS
+    from reachlab.sims import SIMULATORS
+    from reachlab.training import load_policy
+    from reachlab.video import write_video
+
+    agent = choose("agent", arguments.agent, AGENTS)
+    run = RunDirectory(arguments.run)
+    trained = run.read_config()
+    config = in_simulator(trained, choose("simulator", arguments.sim or trained.sim, SIMULATORS))
+    env = Env(config, 1)
+    clip = write_video(
+        env,
+        agent,
+        load_policy(run, config, env),
+        arguments.out or run.path / "video.webp",
+        seed=arguments.seed,
+        episodes=arguments.episodes,
+        fps=arguments.fps,
+        speed=arguments.speed,
+    )
+    env.close()
+    if arguments.json:
+        print(jsonlib.dumps(vars(clip)))
+    console.print(
+        f"Written: {clip.out}, {clip.seconds:.1f} s, {clip.frames} pictures, {clip.bytes / 1e6:.2f} MB:"
+        f" {clip.successes} of {clip.episodes} episodes reach the target."
+    )
+
+
 def plot(arguments: Plot) -> None:
     """Run `reachlab plot`."""
     from reachlab.console import console
-    from reachlab.plots import plot_curves
+    from reachlab.plots import plot as draw
 
     if not arguments.runs:
         raise InputError("plot needs at least one run directory.")
-    out = arguments.out or arguments.runs[0] / "curve.png"
-    plot_curves(arguments.runs, out)
+    out = arguments.out or arguments.runs[0] / "plots.png"
+    draw(arguments.runs, out)
     console.print(f"Written: {out}")
 
 
@@ -252,6 +320,7 @@ class Verb:
 VERBS: dict[str, Verb] = {
     "train": Verb(Train, train),
     "eval": Verb(Eval, evaluate),
+    "video": Verb(Video, video),
     "plot": Verb(Plot, plot),
     "bench": Verb(Bench, bench),
     "list": Verb(List, list_names),

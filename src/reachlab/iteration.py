@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple, TypeVar
 
@@ -117,7 +117,7 @@ def _finite(rollout: Rollout, lanes: EnvState, metrics: dict[str, Array], learne
         observation=_all_finite((rollout.observation, rollout.next_observation)),
         action=_all_finite((rollout.output, rollout.log_prob)),
         reward=_all_finite(rollout.reward),
-        environment=_all_finite((rollout.distance, lanes)),
+        environment=_all_finite((rollout.distance, replace(lanes, recent=None))),  # infinite where the arm moved
         gradient=_all_finite(metrics["gradient_norm"]),
         loss=_all_finite(metrics),
         parameter=_all_finite(learner),

@@ -1,4 +1,4 @@
-"""The sink of a run's numbers: one line of JSON for each iteration."""
+"""The sink of a run's numbers: one line of JSON for each iteration, and TensorBoard's events where wanted."""
 
 from __future__ import annotations
 
@@ -8,24 +8,31 @@ import os
 from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from reachlab.config import InputError
 from reachlab.storage import open_plain
+
+if TYPE_CHECKING:
+    from tensorboardX import SummaryWriter
 
 LINE_LIMIT = 2**16
 """Longest line that is taken for a row [bytes]."""
 
 
 class Metrics:
-    """Appends rows to `metrics.jsonl`; a row that finds no room waits for the next one."""
+    """Appends rows to `metrics.jsonl`, and the same numbers to an event file beside it.
 
-    def __init__(self, path: Path) -> None:
-        """Sink that appends to a file.
+    A row that finds no room waits for the next one.
+    """
+
+    def __init__(self, path: Path, *, tensorboard: bool = False) -> None:
+        """Sink that appends to a file, and with `tensorboard` to an event file in its folder.
 
         Raises:
-            InputError: it cannot be written.
+            InputError: it cannot be written, or TensorBoard is wanted and tensorboardX is not installed.
         """
+        self._events = event_writer()(str(path.parent)) if tensorboard else None
         self._waiting = b""
         try:
             self._descriptor = open_plain(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
@@ -33,10 +40,16 @@ class Metrics:
             raise InputError(f"'{path}' cannot be written: {getattr(error, 'strerror', None) or error}.") from None
 
     def write(self, row: Mapping[str, Any]) -> None:
-        """Append a row; it is on disk's way when `write` returns, unless the disk has no room for it."""
+        """Append a row; its `steps` are the axis of TensorBoard's charts.
+
+        It is on disk's way when `write` returns, unless the disk has no room for it.
+        """
         self._waiting += (json.dumps(dict(row)) + "\n").encode()
         with contextlib.suppress(OSError):
             self._flush()
+        if self._events is not None:
+            for name, value in row.items():
+                self._events.add_scalar(name, value, row["steps"])
 
     def sync(self) -> None:
         """Wait until all rows are on the disk.
@@ -58,8 +71,10 @@ class Metrics:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Close the file."""
+        """Close the files."""
         os.close(self._descriptor)
+        if self._events is not None:
+            self._events.close()
 
 
 def cut_metrics(path: Path, steps: int) -> None:
@@ -90,6 +105,19 @@ def _is_row_up_to(steps: int, line: bytes) -> bool:
 
 def _number(value: object) -> float:
     return value if isinstance(value, int | float) else float("inf")
+
+
+def event_writer() -> type[SummaryWriter]:
+    """The class that writes TensorBoard's event files.
+
+    Raises:
+        InputError: tensorboardX is not installed.
+    """
+    try:
+        from tensorboardX import SummaryWriter
+    except ImportError:
+        raise InputError("--tensorboard needs tensorboardX: pip install 'reachlab[tensorboard]'.") from None
+    return SummaryWriter
 
 
 def read_metrics(path: Path) -> list[dict[str, Any]]:

@@ -18,7 +18,7 @@ from reachlab.interrupts import Interrupts
 from reachlab.iteration import make_initial_policy
 from reachlab.lock import locked
 from reachlab.loop import Loop, Progress, unwritable
-from reachlab.metrics import Metrics, cut_metrics
+from reachlab.metrics import Metrics, cut_metrics, event_writer
 from reachlab.policy import Policy
 from reachlab.storage import write_json
 from reachlab.threads import set_threads
@@ -63,7 +63,12 @@ def load_policy(run: RunDirectory, config: RunConfig, env: Env) -> Policy:
 
 
 def train(
-    config: RunConfig, out: Path, watch: Callable[[Progress], None] = lambda _: None, *, resume: bool = False
+    config: RunConfig,
+    out: Path,
+    watch: Callable[[Progress], None] = lambda _: None,
+    *,
+    resume: bool = False,
+    tensorboard: bool = False,
 ) -> TrainResult:
     """Result of training, whose files are in the directory `out`.
 
@@ -74,14 +79,18 @@ def train(
         out: run directory, made here; with `resume` one that is there.
         watch: called after every iteration.
         resume: go on from the newest checkpoint of `out`, bit for bit as if training had never stopped.
+        tensorboard: write TensorBoard's event file too.
 
     Raises:
-        InputError: a setting that does not exist or fit, a directory that does, or one that cannot be gone on with.
+        InputError: a setting that does not exist or fit, a directory that does, one that cannot be gone on with, or
+            tensorboardX is wanted and missing.
         NotFiniteError: a number is not finite.
         Interrupted: a signal asked for it.
     """
     start = time.perf_counter()
     _check(config)
+    if tensorboard:
+        event_writer()
     run = RunDirectory(out)
     if resume:
         _check_unfinished(run, config)
@@ -91,7 +100,7 @@ def train(
         if not resume:
             run.create(config)
         with locked(out):
-            return _train(Loop(config, env, run, watch, start), resume=resume)
+            return _train(Loop(config, env, run, watch, start), resume=resume, tensorboard=tensorboard)
     finally:
         env.close()
 
@@ -117,11 +126,11 @@ def _choose_threads(run: RunDirectory, config: RunConfig) -> None:
         set_threads(saved.threads if saved else 1)
 
 
-def _train(loop: Loop, *, resume: bool) -> TrainResult:
+def _train(loop: Loop, *, resume: bool, tensorboard: bool) -> TrainResult:
     run, config = loop.run, loop.config
     state = loop.prepare(resume=resume)
     cut_metrics(run.metrics_file, loop.now.steps)
-    with Metrics(run.metrics_file) as metrics, Interrupts() as interrupts:
+    with Metrics(run.metrics_file, tensorboard=tensorboard) as metrics, Interrupts() as interrupts:
         state = loop.iterate(state, metrics, interrupts)
     trained = time.perf_counter()
     report = evaluate(
