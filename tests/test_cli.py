@@ -20,10 +20,10 @@ from reachlab.checkpoint import RunDirectory
 from reachlab.config import TASKS, RunConfig, configure
 from reachlab.env import Env
 from reachlab.evaluation import AGENTS
+from reachlab.iteration import initial_state
 from reachlab.robots import ROBOTS
 from reachlab.sims import SIMULATORS
 from reachlab.task import ACTIONS, OBSERVATIONS, REWARDS
-from reachlab.training import initial_state
 
 TINY = ["--lanes", "16", "--rollout-steps", "16", "--total-steps", "1024", "--no-stop-early", "--report-episodes", "10"]
 """A training of four iterations."""
@@ -145,11 +145,11 @@ WRONG = {
     "no value": ("train --out", "--out"),
     "word for a number": ("train --lanes many", "--lanes.*'many'"),
     "fraction for a whole number": ("train --lanes 2.5", "--lanes.*'2.5'"),
-    "number out of range": ("train --lanes 0", "lanes must be at least 1, got 0"),
+    "number out of range": ("train --lanes 0", "lanes must be at least 1 and at most 131072, got 0"),
     "negative seed": ("train --seed -1", "seed must be at least 0"),
     "not a number": ("train --gamma nan", "gamma must be .*nan"),
     "infinite": ("train --learning-rate inf", "learning_rate must be .*inf"),
-    "wrong entry": ("train --hidden 64 0", "each entry of hidden must be at least 1, got 0"),
+    "wrong entry": ("train --hidden 64 0", "each entry of hidden must be at least 1 and at most 2147483647, got 0"),
     "unknown task": ("train --task tutoral", "Did you mean 'tutorial'"),
     "unknown task with =": ("train --task=tutoral", "Did you mean 'tutorial'"),
     "task without a value": ("train --task", "--task"),
@@ -171,7 +171,10 @@ WRONG = {
     "eval of no run": ("eval nothing", "'nothing' does not exist: train one with"),
     "eval of an empty folder": ("eval taken", "config.json' is missing"),
     "eval of an unknown agent": ("eval taken --agent tained", "Did you mean 'trained'"),
-    "eval of no episodes": ("eval untrained --agent ik --episodes 0", "episodes must be at least 1, got 0"),
+    "eval of no episodes": (
+        "eval untrained --agent ik --episodes 0",
+        "episodes must be at least 1 and at most 2147483647, got 0",
+    ),
     "eval of a negative seed": ("eval untrained --seed -1 --agent ik", "seed"),
     "eval of an immense seed": ("eval untrained --seed 99999999999 --agent ik", "seed"),
     "video of no run": ("video nothing", "'nothing' does not exist"),

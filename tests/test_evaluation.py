@@ -28,8 +28,8 @@ from reachlab.evaluation import (
     summarise,
     wilson_interval,
 )
+from reachlab.iteration import TRAINING_STREAM
 from reachlab.policy import Policy
-from reachlab.training import TRAINING_STREAM
 
 REPORT_FIELDS = [
     "task",

@@ -120,7 +120,7 @@ def test_settings_are_keywords() -> None:
         ({"sim": "kinematics"}, "simulator 'kinematics' is not one of: .*Did you mean 'kinematic'"),
         ({"task": "tutoral"}, "task 'tutoral' is not one of: .*Did you mean 'tutorial'"),
         ({"render_mode": "human"}, "render mode 'human' is not one of: rgb_array"),
-        ({"max_steps": 0}, "max_steps must be at least 1, got 0"),
+        ({"max_steps": 0}, "max_steps must be at least 1 and at most 2147483647, got 0"),
         ({"clip_actions": "no"}, "clip_actions must be true or false, got 'no'"),
         ({"tool": "link_9"}, "link_9"),
     ],

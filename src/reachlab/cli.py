@@ -34,7 +34,7 @@ from reachlab.config import (
 EVALUATION_LANES = {"pybullet": 8}
 """Lanes of an evaluation where they are dear."""
 
-DONE, WRONG_INPUT, INTERRUPTED = 0, 2, 130
+DONE, WRONG_INPUT, NOT_FINITE, INTERRUPTED = 0, 2, 3, 130
 """Exit statuses."""
 
 
@@ -45,6 +45,8 @@ class Train(Checked):
     run: RunConfig = field(default_factory=RunConfig)
     out: Path | None = None
     """Run directory to make; by default a new one below runs/."""
+    resume: Path | None = None
+    """Run directory to go on in, from its newest checkpoint and with its own settings."""
     tensorboard: bool = False
     """Write TensorBoard's event file into the run directory too; needs the extra `tensorboard`."""
     json: bool = False
@@ -114,7 +116,7 @@ class Bench(Checked):
     """Measure speed, accuracy and learning on this machine."""
 
     suite: str = "speed"
-    """Suite of measurements: speed, kinematics, learning, start, simulators, soak."""
+    """Suite of measurements: speed, kinematics, learning, start, simulators, soak, trust."""
     json: bool = False
     """Print the measurements as a JSON list on standard output."""
 
@@ -129,15 +131,22 @@ class List(Checked):
 
 def train(arguments: Train) -> None:
     """Run `reachlab train`."""
+    from reachlab.interrupts import raise_on_termination
+
+    raise_on_termination()
+    if arguments.resume and _told_that_finished(arguments, arguments.resume):
+        return
     _prepare_jax()
     from reachlab.console import TrainDisplay, console, print_reports
     from reachlab.plots import plot as draw
     from reachlab.training import train as run_training
 
     config = arguments.run
-    out = arguments.out or Path("runs") / f"{time.strftime('%Y%m%d-%H%M%S')}-{config.task}"
+    out = arguments.resume or arguments.out or Path("runs") / f"{time.strftime('%Y%m%d-%H%M%S')}-{config.task}"
     with TrainDisplay() as display:
-        result = run_training(config, out, display, tensorboard=arguments.tensorboard)
+        result = run_training(
+            config, out, display, resume=arguments.resume is not None, tensorboard=arguments.tensorboard
+        )
     draw([out], out / "curve.png")
     if arguments.json:
         print(jsonlib.dumps(result.to_json()))
@@ -151,6 +160,27 @@ def train(arguments: Train) -> None:
         f" with the report {result.total_wall_s:.1f} s. Written to {out}: report.json, curve.png, checkpoint."
     )
     console.print(f"Next: reachlab eval {out} --agent trained random ik")
+
+
+def _told_that_finished(arguments: Train, folder: Path) -> bool:
+    """Whether the run to go on with is finished, and this was said.
+
+    Raises:
+        InputError: it cannot be gone on with; this is found before JAX is loaded.
+    """
+    from reachlab.checkpoint import RunDirectory
+    from reachlab.storage import read_json
+
+    if arguments.out:
+        raise InputError("--resume names the run directory: leave --out out.")
+    run = RunDirectory(folder)
+    run.read_unfinished(arguments.run)
+    if not run.finished:
+        return False
+    if arguments.json:
+        print(jsonlib.dumps(read_json(run.report_file)))
+    print(f"Run {folder} is finished: {run.report_file} holds its report.", file=sys.stderr)
+    return True
 
 
 def evaluate(arguments: Eval) -> None:
@@ -298,7 +328,7 @@ VERBS: dict[str, Verb] = {
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Exit status of the command line; see `DONE`, `WRONG_INPUT`, `INTERRUPTED`."""
+    """Exit status of the command line; see `DONE`, `WRONG_INPUT`, `NOT_FINITE`, `INTERRUPTED`."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     try:
         if not words or words[0] in ("-h", "--help"):
@@ -309,9 +339,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except InputError as error:
         print(f"reachlab: {error}", file=sys.stderr)
         return WRONG_INPUT
-    except KeyboardInterrupt:
-        print("reachlab: interrupted.", file=sys.stderr)
-        return INTERRUPTED
+    except OSError as error:
+        print(f"reachlab: {error.filename or 'a file'} cannot be used: {error.strerror or error}.", file=sys.stderr)
+        return WRONG_INPUT
+    except FloatingPointError as error:
+        print(f"reachlab: {error}", file=sys.stderr)
+        return NOT_FINITE
+    except KeyboardInterrupt as interruption:
+        print(f"reachlab: {str(interruption) or 'interrupted.'}", file=sys.stderr)
+        return vars(interruption).get("status", INTERRUPTED)
     return DONE
 
 
@@ -332,7 +368,7 @@ def _parse(verb: str, flags: type, words: list[str]) -> Any:
     """
     default: Any = tyro.MISSING_NONPROP
     if flags is Train:
-        default = Train(run=preset(_value_of("--task", words) or "tutorial", _value_of("--sim", words)))
+        default = Train(run=_defaults(words))
     said = io.StringIO()
     try:
         with contextlib.redirect_stderr(said):
@@ -343,6 +379,15 @@ def _parse(verb: str, flags: type, words: list[str]) -> Any:
         if not end.code:
             raise
         raise InputError(f"{_sentence(said.getvalue())} See `reachlab {verb} --help`.") from None
+
+
+def _defaults(words: Sequence[str]) -> RunConfig:
+    """Settings that the flags of a training change: those of the run to go on with, or a preset."""
+    if folder := _value_of("--resume", words):
+        from reachlab.checkpoint import RunDirectory
+
+        return RunDirectory(Path(folder)).read_config()
+    return preset(_value_of("--task", words) or "tutorial", _value_of("--sim", words))
 
 
 def _value_of(flag: str, words: Sequence[str]) -> str | None:

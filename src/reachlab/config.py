@@ -11,6 +11,8 @@ import dataclasses
 import difflib
 import functools
 import math
+import reprlib
+import sys
 import types
 import typing
 from collections.abc import Iterable, Mapping
@@ -49,16 +51,33 @@ class Range:
     def __contains__(self, value: float) -> bool:
         """Whether the value is finite and inside."""
         above = value > self.low if self.open_low else value >= self.low
-        return math.isfinite(value) and above and value <= self.high
+        return abs(value) <= sys.float_info.max and above and value <= self.high
 
     def __str__(self) -> str:
         """The range in words."""
-        low = "" if math.isinf(self.low) else f"{'above' if self.open_low else 'at least'} {self.low:g}"
-        high = "" if math.isinf(self.high) else f"at most {self.high:g}"
+        low = "" if math.isinf(self.low) else f"{'above' if self.open_low else 'at least'} {self.low:.12g}"
+        high = "" if math.isinf(self.high) else f"at most {self.high:.12g}"
         return " and ".join(part for part in (low, high) if part)
 
 
-Count = Annotated[int, Range(1)]
+@dataclass(frozen=True)
+class Length:
+    """Allowed lengths of a list."""
+
+    most: int
+
+    def __contains__(self, value: Any) -> bool:
+        """Whether the list is not too long."""
+        return len(value) <= self.most
+
+    def __str__(self) -> str:
+        """The length in words."""
+        return f"a list of at most {self.most}"
+
+
+Count = Annotated[int, Range(1, 2**31 - 1)]
+Steps = Annotated[int, Range(1, 10**12 - 1)]
+"""Environment steps of a whole training; a checkpoint's name has twelve digits."""
 NonNegativeInt = Annotated[int, Range(0)]
 Positive = Annotated[float, Range(0.0, open_low=True)]
 NonNegative = Annotated[float, Range(0.0)]
@@ -87,10 +106,10 @@ def _check(name: str, value: Any, hint: Any) -> None:
             raise TypeCheckError("a truth value is no number")
         check_type(value, base)
     except TypeCheckError:
-        raise InputError(f"{name} must be {_type_name(base)}, got {value!r}.") from None
+        raise InputError(f"{name} must be {_type_name(base)}, got {reprlib.repr(value)}.") from None
     for limit in limits:
-        if isinstance(limit, Range) and value not in limit:
-            raise InputError(f"{name} must be {limit}, got {value!r}.")
+        if isinstance(limit, Range | Length) and value not in limit:
+            raise InputError(f"{name} must be {limit}, got {reprlib.repr(value)}.")
     if isinstance(value, tuple):
         for item in value:
             _check(f"each entry of {name}", item, typing.get_args(base)[0])
@@ -174,7 +193,7 @@ class SimConfig(Checked):
 class PPOConfig(Checked):
     """Proximal policy optimisation and its loop."""
 
-    total_steps: Count = 20_000_000
+    total_steps: Steps = 20_000_000
     """Environment steps after which training ends in any case."""
     stop_early: bool = True
     """End training once `stop_streak` validations in a row hold `stop_success`."""
@@ -188,7 +207,7 @@ class PPOConfig(Checked):
     """Iterations between validations, once the training episodes themselves come near."""
     report_episodes: Count = 1000
     """Held-out episodes of the report at the end of training."""
-    lanes: Count = 128
+    lanes: Annotated[int, Range(1, 2**17)] = 128
     """Environments stepped together."""
     rollout_steps: Count = 64
     """Steps of each lane between two updates."""
@@ -200,7 +219,7 @@ class PPOConfig(Checked):
     """Adam's step size at the start."""
     final_learning_rate: NonNegative = 1e-4
     """Step size after `anneal_steps`, reached on a straight line."""
-    anneal_steps: Count = 2_000_000
+    anneal_steps: Steps = 2_000_000
     """Environment steps over which the learning rate falls."""
     gamma: Fraction = 0.98
     """Discount of a step."""
@@ -214,10 +233,16 @@ class PPOConfig(Checked):
     """Weight of the entropy bonus."""
     max_grad_norm: Positive = 0.5
     """The gradient of all parameters together is shortened to this norm."""
-    hidden: tuple[Count, ...] = (64, 64)
+    hidden: Annotated[tuple[Count, ...], Length(16)] = (64, 64)
     """Widths of the hidden layers of actor and critic."""
     initial_std: Positive = 0.4
     """Standard deviation of the first policy, in halves of the action box."""
+    checkpoint_interval: NonNegative = 20.0
+    """Time from one checkpoint to the next [s]; longer if saving took more than 2 % of it, and 0 saves always."""
+    keep_checkpoints: Count = 3
+    """Newest checkpoints that are kept; the best one is kept too."""
+    deterministic: bool = False
+    """Compute on one thread: the same weights on any number of cores."""
 
 
 @dataclass(frozen=True)
@@ -330,6 +355,18 @@ def _sections(config: RunConfig) -> dict[str, str | None]:
         elif outer.name != "task":
             sections[outer.name] = None
     return sections
+
+
+def difference(one: object, other: object) -> tuple[str, Any, Any] | None:
+    """Name of the first setting in which two configurations differ, and both values; None if they are the same."""
+    for entry in dataclasses.fields(typing.cast("Any", one)):
+        a, b = getattr(one, entry.name), getattr(other, entry.name)
+        if dataclasses.is_dataclass(a):
+            if found := difference(a, b):
+                return found
+        elif a != b:
+            return entry.name, a, b
+    return None
 
 
 def to_json(config: RunConfig) -> dict[str, Any]:

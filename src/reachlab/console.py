@@ -11,7 +11,7 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeEl
 from rich.table import Table
 
 if TYPE_CHECKING:
-    from reachlab.training import Progress as TrainProgress
+    from reachlab.loop import Progress as TrainProgress
 
 LINES = 20
 """Plain progress lines printed of a run that uses all its steps."""
