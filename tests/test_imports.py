@@ -29,7 +29,7 @@ LAYERS = (
     {"iteration"},
     {"loop"},
     {"training"},
-    {"console", "bench", "bench_sims", "bench_soak", "bench_faults", "bench_hostile", "bench_trust"},
+    {"console", "bench", "bench_precise", "bench_sims", "bench_soak", "bench_faults", "bench_hostile", "bench_trust"},
     {"cli"},
     {"__main__", "__init__"},
 )

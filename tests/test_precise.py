@@ -94,7 +94,7 @@ def test_no_joint_goes_faster_than_it_may(env, reports):
 
 @pytest.fixture(scope="module")
 def perturbed() -> Env:
-    return Env(configure("precise", randomise=True), LANES)
+    return Env(configure("precise", perturb=True), LANES)
 
 
 def settled(env: Env, state: EnvState) -> EnvState:
