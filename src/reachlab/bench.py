@@ -82,15 +82,16 @@ def to_markdown(rows: Sequence[Row]) -> str:
         name = line if unit == "rate" else f"{line} [{unit}]"
         lines.append([name, *[values.get(column, "–") for column in columns]])
     table = "\n".join(f"| {' | '.join(line)} |" for line in lines)
+    brackets = " In brackets: the lowest seed." if any("lowest_seed" in one["config"] for one in rows) else ""
     made = ", ".join(f"{name} {number}" for name, number in versions().items() if name != "machine")
-    return f"{table}\n\nOn {_machine()}; {made}.\n"
+    return f"{table}\n\nOn {_machine()}; {made}.{brackets}\n"
 
 
 def _cell(one: Row) -> str:
     if one["unit"] != "rate":
         return f"{one['value']:.3g}" if abs(one["value"]) < THOUSAND else f"{one['value']:,.0f}"
     lowest = one["config"].get("lowest_seed")
-    return f"{100 * one['value']:.2f} %" + (f" (lowest seed {100 * lowest:.2f})" if lowest is not None else "")
+    return f"{100 * one['value']:.2f} %" + (f" ({100 * lowest:.2f})" if lowest is not None else "")
 
 
 def _best(call: Callable[[], object], repeats: int = REPEATS) -> float:

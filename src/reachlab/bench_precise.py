@@ -67,8 +67,9 @@ def _accuracy(column: str, reports: tuple[Report, list[Report]]) -> Iterator[Row
     together, seeds = reports
     limits = np.array(load_robot(together.robot).speed)
     for limit, share in _within(together).items():
-        lowest = min(_within(report)[limit] for report in seeds)
-        yield row(f"held within {limit} mm/{column}", share, "rate", lowest_seed=lowest, episodes=together.episodes)
+        # Baselines have no seeds of their own.
+        lowest = {"lowest_seed": min(_within(report)[limit] for report in seeds)} if together.agent == "trained" else {}
+        yield row(f"held within {limit} mm/{column}", share, "rate", episodes=together.episodes, **lowest)
     for name, error in together.final_error_mm.items():
         if error is not None:
             yield row(f"held error, {name}/{column}", error, "mm")
