@@ -56,9 +56,10 @@ class TrainDisplay:
     def __call__(self, progress: TrainProgress) -> None:
         """Show where training stands."""
         now = progress.metrics
-        left = (progress.total_steps - progress.steps) / max(now["steps_per_second"], 1.0)
+        left = max(progress.total_steps - progress.steps, 0) / max(now["steps_per_second"], 1.0)
         status = (
             f"{progress.steps / 1e6:.2f}M steps  success {100 * now['success_rate']:5.1f} %"
+            f"  {1000 * now['final_distance']:.1f} mm off"
             f"  {now['steps_per_second'] / 1e3:.0f}k steps/s  at most {left:.0f} s left"
         )
         if "validation_success" in now:
@@ -82,8 +83,8 @@ def print_reports(reports: Sequence[dict[str, Any]]) -> None:
     table = Table(title=title, title_justify="left")
     for heading in ("agent", "simulator"):
         table.add_column(heading)
-    last = ("within 2 mm", "1 mm", "time") if held else ("steps",)
-    for heading in ("success", "95 % interval", "error median", "p99", *last):
+    last = ("≤ 2 mm", "≤ 1 mm", "time") if held else ("steps",)
+    for heading in ("success", "95 % interval", "median", "p99", *last):
         table.add_column(heading, justify="right")
     for report in reports:
         low, high = report["success_interval"]
