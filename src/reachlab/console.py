@@ -93,7 +93,7 @@ def print_reports(reports: Sequence[dict[str, Any]]) -> None:
             report["agent"],
             report["sim"],
             f"{100 * report['success_rate']:.2f} %",
-            f"{100 * low:.2f} to {100 * high:.2f}",
+            f"{100 * low:.1f} to {100 * high:.1f}",
             _millimetres(error["median"]),
             _millimetres(error["p99"]),
             *(_precision(report) if held else [f"{report['steps_mean']:.0f}"]),
