@@ -71,7 +71,7 @@ class RunDirectory:
 
     def write_checkpoint(self, step: int, state: object) -> None:
         """Save a pytree of arrays; a directory `step_<step>` is complete or absent."""
-        final = self.checkpoints / f"step_{step:012d}"
+        final = self._checkpoint(step)
         temporary = self.checkpoints / f".{final.name}.tmp"
         shutil.rmtree(temporary, ignore_errors=True)
         temporary.mkdir(parents=True)
@@ -87,16 +87,24 @@ class RunDirectory:
         temporary.rename(final)
         _sync(self.checkpoints)
 
-    def read_checkpoint(self, part: str, template: Tree) -> Tree:
-        """The newest checkpoint's part with that name, in the shape of `template`.
+    def checkpoint_steps(self) -> list[int]:
+        """Steps of the checkpoints, oldest first.
+
+        Raises:
+            InputError: there is none.
+        """
+        found = sorted(int(path.name.removeprefix("step_")) for path in self.checkpoints.glob("step_*"))
+        if not found:
+            raise InputError(f"run directory '{self.path}' holds no checkpoint: its training did not get so far.")
+        return found
+
+    def read_checkpoint(self, part: str, template: Tree, step: int | None = None) -> Tree:
+        """The part with that name, in the shape of `template`, of the newest checkpoint or the one after `step`.
 
         Raises:
             InputError: no checkpoint, a damaged one, or one of another shape.
         """
-        found = sorted(self.checkpoints.glob("step_*"))
-        if not found:
-            raise InputError(f"run directory '{self.path}' holds no checkpoint: its training did not get so far.")
-        checkpoint = found[-1]
+        checkpoint = self._checkpoint(self.checkpoint_steps()[-1] if step is None else step)
         manifest = _read_json(checkpoint / "manifest.json")
         try:
             data = (checkpoint / "state.safetensors").read_bytes()
@@ -106,6 +114,9 @@ class RunDirectory:
         except (OSError, SafetensorError, KeyError, TypeError):
             raise InputError(f"checkpoint '{checkpoint}' is damaged: it cannot be read.") from None
         return _unflatten(arrays, part, template, checkpoint)
+
+    def _checkpoint(self, step: int) -> Path:
+        return self.checkpoints / f"step_{step:012d}"
 
     def write_report(self, name: str, report: Mapping[str, Any]) -> None:
         """Save a report among the run's later ones; an earlier one of the same name is replaced."""

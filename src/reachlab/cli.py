@@ -10,8 +10,10 @@ import os
 import re
 import sys
 import time
+import webbrowser
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -22,6 +24,7 @@ from reachlab.config import (
     Checked,
     Count,
     InputError,
+    Range,
     RunConfig,
     Seed,
     choose,
@@ -68,6 +71,30 @@ class Eval(Checked):
     """PyBullet: slow down to be followed by eye."""
     json: bool = False
     """Print the report as JSON on standard output; a list of them for several agents or simulators."""
+
+
+@dataclass(frozen=True)
+class View(Checked):
+    """Watch a run in the browser and move its target by hand."""
+
+    run: Annotated[Path, tyro.conf.Positional]
+    """Run directory."""
+    sim: str | None = None
+    """Simulator; by default the run's own."""
+    agent: str = "trained"
+    """Agent to begin with: trained, random, zero, ik."""
+    seed: Seed = 1
+    """Seed of the targets."""
+    host: str = "127.0.0.1"
+    """Address to listen on; by default no other machine reaches it."""
+    port: Annotated[int, Range(1, 65535)] = 8080
+    """Port to listen on; the next free one where it is taken."""
+    open: bool = False
+    """Open the page in the browser."""
+    save: Path | None = None
+    """Write recorded episodes as one page that needs no server and no network, and end."""
+    episodes: Count = 5
+    """Episodes of the saved page."""
 
 
 @dataclass(frozen=True)
@@ -157,6 +184,39 @@ def evaluate(arguments: Eval) -> None:
         print_reports(reports)
 
 
+def view(arguments: View) -> None:
+    """Run `reachlab view`."""
+    _prepare_jax()
+    from reachlab.checkpoint import RunDirectory
+    from reachlab.console import console
+    from reachlab.env import Env
+    from reachlab.sims import SIMULATORS
+    from reachlab.training import load_policy
+    from reachlab.viewer import LOCAL, Viewer, save_page
+
+    run = RunDirectory(arguments.run)
+    trained = run.read_config()
+    config = in_simulator(trained, choose("simulator", arguments.sim or trained.sim, SIMULATORS))
+    steps = run.checkpoint_steps()
+    env = Env(config, 1)
+    if arguments.save:
+        save_page(
+            env, arguments.agent, load_policy(run, config, env), arguments.seed, arguments.episodes, arguments.save
+        )
+        console.print(f"Written: {arguments.save}")
+        return
+    load = partial(load_policy, run, config, env)
+    with Viewer(env, steps, load, arguments.agent, arguments.host, arguments.port) as viewer:
+        console.print(f"Viewer: {viewer.url}   Ctrl-C ends it.")
+        if arguments.host != LOCAL:
+            console.print(f"Whoever reaches {arguments.host} can watch and move the target.")
+        if arguments.open:
+            webbrowser.open(viewer.url)
+        with contextlib.suppress(KeyboardInterrupt):
+            viewer.prepare(arguments.seed)
+            viewer.run()
+
+
 def plot(arguments: Plot) -> None:
     """Run `reachlab plot`."""
     from reachlab.console import console
@@ -222,6 +282,7 @@ class Verb:
 VERBS: dict[str, Verb] = {
     "train": Verb(Train, train),
     "eval": Verb(Eval, evaluate),
+    "view": Verb(View, view),
     "plot": Verb(Plot, plot),
     "bench": Verb(Bench, bench),
     "list": Verb(List, list_names),

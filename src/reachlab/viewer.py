@@ -1,0 +1,346 @@
+"""The viewer: an agent at work in the browser, live or recorded in one page."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import socket
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from queue import SimpleQueue
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
+
+import numpy as np
+
+from reachlab.config import InputError, choose
+from reachlab.env import Env
+from reachlab.evaluation import AGENTS
+from reachlab.player import Player, target_box
+from reachlab.policy import Policy
+from reachlab.stage import Stage
+
+if TYPE_CHECKING:
+    import viser
+
+LOCAL = "127.0.0.1"
+"""Address of this machine that no other reaches."""
+
+FRAME_RATE = 50.0
+"""Pictures in a second [1/s]; viser sends at most 60."""
+
+TEXT_RATE = 5.0
+"""Updates of the panel's figures in a second [1/s]."""
+
+PAUSE = 0.8
+"""Time for which the end of an episode stays in view [s]."""
+
+MOST_BEHIND = 0.1
+"""Time that is made up for where steps take longer than they should [s]; the rest is dropped."""
+
+SLOWEST, FASTEST, SPEED_STEP = 0.1, 4.0, 0.1
+"""The speed slider's range and step, in multiples of real time."""
+
+TITLE = "reachlab"
+"""Title of the panel and the page."""
+
+TRAINED = "trained"
+"""The agent that takes a policy."""
+
+Load = Callable[[int], Policy]
+"""Policy of the checkpoint after so many steps."""
+
+
+class Panel:
+    """The controls beside the scene. What is chosen is read from it; buttons leave their name in `pressed`."""
+
+    def __init__(self, gui: viser.GuiApi, agent: str, checkpoints: Sequence[int]) -> None:
+        """Panel for the agents of `AGENTS` and the run's checkpoints, oldest first."""
+        self._steps = {f"{steps:,} steps": steps for steps in checkpoints}
+        self.pressed: SimpleQueue[str] = SimpleQueue()
+        gui.configure_theme(show_logo=False, show_share_button=False)
+        self._text = gui.add_markdown("Compiling …")
+        self._agent = gui.add_dropdown("Agent", tuple(AGENTS), initial_value=agent)
+        self._checkpoint = gui.add_dropdown("Checkpoint", tuple(self._steps), initial_value=[*self._steps][-1])
+        self._speed = gui.add_slider("Speed", SLOWEST, FASTEST, SPEED_STEP, 1.0, hint="Multiples of real time")
+        buttons = gui.add_button_group("Control", tuple(COMMANDS))
+        buttons.on_click(lambda event: self.pressed.put(event.target.value))
+        self._follow = gui.add_checkbox("Stay after success", False, hint="Follow the target instead of a new episode")
+        self._axes = gui.add_checkbox("Axes of the tool", False)
+
+    @property
+    def agent(self) -> str:
+        """Name of the chosen agent."""
+        return self._agent.value
+
+    @property
+    def checkpoint(self) -> int:
+        """Steps of the chosen checkpoint."""
+        return self._steps[self._checkpoint.value]
+
+    @property
+    def speed(self) -> float:
+        """Multiple of real time."""
+        return self._speed.value
+
+    @property
+    def follow(self) -> bool:
+        """Whether an episode goes on after success."""
+        return self._follow.value
+
+    @property
+    def axes(self) -> bool:
+        """Whether to show the tool's axes."""
+        return self._axes.value
+
+    def say(self, text: str) -> None:
+        """Show a text, in Markdown, above the controls."""
+        self._text.content = text
+
+
+class Viewer:
+    """A server for the browser, and the loop that plays.
+
+    Attributes:
+        url: where the browser finds it.
+        player, handle: the arm, and the handle by which its target is moved; there once `prepare` was called.
+        paused: nothing moves.
+    """
+
+    player: Player
+    handle: viser.TransformControlsHandle
+
+    def __init__(self, env: Env, checkpoints: Sequence[int], load: Load, agent: str, host: str, port: int) -> None:
+        """Viewer that shows the arm at home, before anything is compiled.
+
+        Args:
+            env: environment of one lane.
+            checkpoints: steps of the run's checkpoints, oldest first.
+            load: policy of one of them.
+            agent: the first one to play, of `AGENTS`.
+            host: address to listen on.
+            port: port to listen on; the next free one where it is taken.
+
+        Raises:
+            InputError: viser is not installed, there is no such agent, or the address is not this machine's.
+        """
+        choose("agent", agent, AGENTS)
+        self._env, self._load = env, load
+        self._policies: dict[int, Policy] = {}
+        self._server = start_server(host, port)
+        self._stage = Stage(self._server, env.reach.robot)
+        self._panel = Panel(self._server.gui, agent, checkpoints)
+        self._pace = Pace()
+        self._dragged = self.paused = False
+        self._owed = self._rest = 0.0
+        self.url = f"http://{host}:{self._server.get_port()}"
+
+    def __enter__(self) -> Self:
+        """Use it until it is closed."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Stop the server."""
+        stop_server(self._server)
+
+    def prepare(self, seed: int) -> None:
+        """Compile what playing takes and show the first held-out target of a seed."""
+        self.player = Player(self._env, seed)
+        self._box = target_box(self._env.reach)
+        self.handle = self._stage.add_handle((self._box[1] > self._box[0]).tolist())
+
+        async def drag(event: viser.TransformControlsEvent) -> None:
+            self._dragged = event.phase != "end"
+
+        self.handle.on_update(drag)
+        self._put_handle()
+        self._play(1)
+
+    def run(self) -> None:
+        """Play until interrupted."""
+        last = time.perf_counter()
+        while True:
+            now = time.perf_counter()
+            self.frame(now - last)
+            last = now
+            time.sleep(max(0.0, now + 1 / FRAME_RATE - time.perf_counter()))
+
+    def frame(self, elapsed: float) -> None:
+        """Play the time since the last picture [s]. Nothing moves while no browser is there."""
+        while not self._panel.pressed.empty():
+            COMMANDS[self._panel.pressed.get()](self)
+        self._follow_hand()
+        if self.paused or not self._server.get_clients():
+            return
+        self.player.hold(self._dragged or self._panel.follow)
+        if self.player.over:
+            self._rest -= elapsed
+            if self._rest <= 0:
+                self.new_target()
+        else:
+            self._play(self._due(elapsed))
+
+    def toggle_pause(self) -> None:
+        """Stop or go on."""
+        self.paused = not self.paused
+        self._tell()
+
+    def step(self) -> None:
+        """Take one control step and pause."""
+        self.paused = True
+        if self.player.over:
+            self.new_target()
+        self._play(1)
+        self._tell()
+
+    def new_target(self) -> None:
+        """Begin a new episode."""
+        self.player.new_episode()
+        self._stage.clear_path()
+        self._put_handle()
+        self._show()
+
+    def _due(self, elapsed: float) -> int:
+        """Control steps for which it is time."""
+        period = self._env.config.physics.control_period
+        self._owed += min(elapsed, MOST_BEHIND) * self._panel.speed
+        steps = int(self._owed / period)
+        self._owed -= steps * period
+        return steps
+
+    def _play(self, steps: int) -> None:
+        player, agent = self.player, self._panel.agent
+        policy = self._policy() if agent == TRAINED else None
+        for _ in range(steps):
+            if not player.over:
+                player.step(agent, policy)
+        self._rest = PAUSE
+        if steps:
+            self._show()
+
+    def _policy(self) -> Policy:
+        steps = self._panel.checkpoint
+        if steps not in self._policies:
+            self._policies[steps] = self._load(steps)
+        return self._policies[steps]
+
+    def _follow_hand(self) -> None:
+        """Bring the target to where its handle was moved, and the handle back to where a target may be."""
+        hand = np.array(self.handle.position)
+        if not np.array_equal(hand, self._hand):
+            self._hand = hand
+            self.player.move_target(np.clip(hand, *self._box))
+            self._show()
+        elif not self._dragged:
+            self._put_handle()
+
+    def _put_handle(self) -> None:
+        self.handle.position = self.player.moment.target
+        self._hand = np.array(self.handle.position)
+
+    def _show(self) -> None:
+        with self._server.atomic():
+            self._stage.show(self.player.moment, axes=self._panel.axes)
+        if self._pace.due(self.player.steps):
+            self._tell()
+
+    def _tell(self) -> None:
+        player, moment = self.player, self.player.moment
+        rate = "paused" if self.paused else f"{self._pace.rate:.0f} steps/s"
+        self._panel.say(
+            f"**{1000 * moment.distance:.1f} mm** to the target{', **reached**' if moment.reached else ''}\n\n"
+            f"{player.successes} of {player.episodes} episodes reached · {rate}"
+        )
+
+
+COMMANDS: dict[str, Callable[[Viewer], None]] = {
+    "Pause": Viewer.toggle_pause,
+    "Step": Viewer.step,
+    "New target": Viewer.new_target,
+}
+"""Buttons of the panel, and what they do."""
+
+
+class Pace:
+    """Measures control steps in a second, `TEXT_RATE` times in each."""
+
+    def __init__(self) -> None:
+        """Pace from now on."""
+        self.rate = 0.0
+        self._since, self._steps = time.perf_counter(), 0
+
+    def due(self, steps: int) -> bool:
+        """Whether it is time for a new figure, which is then taken from all the `steps` so far."""
+        elapsed = time.perf_counter() - self._since
+        if elapsed < 1 / TEXT_RATE:
+            return False
+        self.rate = (steps - self._steps) / elapsed
+        self._since, self._steps = time.perf_counter(), steps
+        return True
+
+
+def save_page(env: Env, agent: str, policy: Policy | None, seed: int, episodes: int, out: Path) -> None:
+    """Write episodes of an agent as one page that needs no server and no network.
+
+    Raises:
+        InputError: viser is not installed, there is no such agent, or the file cannot be written.
+    """
+    choose("agent", agent, AGENTS)
+    steps = max(1, round(1 / FRAME_RATE / env.config.physics.control_period))
+    server = start_server(LOCAL, 0)
+    try:
+        stage, player = Stage(server, env.reach.robot), Player(env, seed)
+        stage.show(player.moment)
+        recording = server.get_scene_serializer()
+        for _ in range(episodes):
+            while not player.over:
+                for _ in range(steps):
+                    if not player.over:
+                        player.step(agent, policy)
+                stage.show(player.moment)
+                recording.insert_sleep(steps * env.config.physics.control_period)
+            recording.insert_sleep(PAUSE)
+            player.new_episode()
+            stage.clear_path()
+        page = recording.as_html()
+    finally:
+        stop_server(server)
+    try:
+        out.write_text(page.replace("<title>Viser</title>", f"<title>{TITLE}</title>", 1), encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"page '{out}' cannot be written: {error.strerror}.") from None
+
+
+def start_server(host: str, port: int) -> viser.ViserServer:
+    """Viser's server, without its banner and without its way to share a scene through a server of its makers.
+
+    Raises:
+        InputError: viser is not installed, or the address is not this machine's.
+    """
+    try:
+        import viser
+    except ImportError:
+        raise InputError("viewing needs viser: pip install 'reachlab[viewer]'.") from None
+    try:
+        # Viser tries a thousand ports and waits forever on an address that has none.
+        socket.create_server((host, 0)).close()
+    except OSError as error:
+        raise InputError(f"host {host!r} is no address of this machine ({error.strerror}): leave it out.") from None
+    with contextlib.redirect_stdout(io.StringIO()):
+        server = viser.ViserServer(host=host, port=port, label=TITLE, verbose=False)
+    # Any page open in the browser could ask for it: a websocket does not heed where a page is from.
+    server.request_share_url = _share_nothing
+    return server
+
+
+def _share_nothing(verbose: bool = True) -> None:
+    del verbose
+
+
+def stop_server(server: viser.ViserServer) -> None:
+    """Stop a server, without its farewell."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        server.stop()

@@ -1,0 +1,122 @@
+"""A headless Chromium, driven over its DevTools protocol."""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import io
+import itertools
+import json
+import shutil
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+from websockets.sync.client import ClientConnection, connect
+
+NAMES = ("chromium", "chromium-browser", "google-chrome")
+
+FLAGS = (
+    "--headless=new",
+    "--no-sandbox",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-dev-shm-usage",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--remote-debugging-port=0",
+)
+
+PATIENCE = 20.0
+"""Time in which anything awaited has to happen [s]."""
+
+
+def executable() -> str | None:
+    """Chromium's path, if there is one."""
+    return next(filter(None, map(shutil.which, NAMES)), None)
+
+
+class Page:
+    """An open page, and every address that it asked for."""
+
+    def __init__(self, connection: ClientConnection) -> None:
+        self._connection, self._numbers = connection, itertools.count()
+        self._session: str | None = None
+        self.requests: list[str] = []
+        target = self.call("Target.createTarget", url="about:blank")["targetId"]
+        self._session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+        self.call("Network.enable")
+        self.call("Page.enable")
+
+    def call(self, method: str, **parameters: Any) -> dict[str, Any]:
+        number = next(self._numbers)
+        message = {"id": number, "method": method, "params": parameters}
+        self._connection.send(json.dumps(message | ({"sessionId": self._session} if self._session else {})))
+        while True:
+            answer = json.loads(self._connection.recv(timeout=PATIENCE))
+            said = answer.get("params", {})
+            if answer.get("method") == "Network.requestWillBeSent":
+                self.requests.append(said["request"]["url"])
+            elif answer.get("method") == "Network.webSocketCreated":
+                self.requests.append(said["url"])
+            elif answer.get("id") == number:
+                assert "error" not in answer, answer
+                return answer["result"]
+
+    def open(self, url: str) -> None:
+        self.call("Page.navigate", url=url)
+
+    def text(self) -> str:
+        return str(self.call("Runtime.evaluate", expression="document.body.innerText")["result"]["value"])
+
+    def picture(self) -> np.ndarray:
+        """What it shows, `[height, width, 3]` uint8."""
+        data = base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
+        return np.asarray(Image.open(io.BytesIO(data)).convert("RGB"))
+
+    def drag(self, start: tuple[float, float], end: tuple[float, float], steps: int = 10) -> None:
+        """Move the mouse from one point to another with its button down."""
+        self._mouse("mouseMoved", *start, held=False)
+        self._mouse("mousePressed", *start)
+        for x, y in np.linspace(start, end, steps):
+            self._mouse("mouseMoved", x, y)
+        self._mouse("mouseReleased", *end)
+
+    def _mouse(self, kind: str, x: float, y: float, *, held: bool = True) -> None:
+        button = {"button": "left", "buttons": 1, "clickCount": 1} if held else {}
+        self.call("Input.dispatchMouseEvent", type=kind, x=float(x), y=float(y), **button)
+
+
+@contextlib.contextmanager
+def browser(profile: Path, width: int = 900, height: int = 600) -> Iterator[Page]:
+    """A page of a new Chromium whose settings lie in the folder `profile`."""
+    words = [str(executable()), *FLAGS, f"--window-size={width},{height}", f"--user-data-dir={profile}", "about:blank"]
+    port = profile / "DevToolsActivePort"
+    with subprocess.Popen(words, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL) as process:
+        try:
+            wait_until(lambda: port.is_file() and len(port.read_text().split()) > 1, "Chromium's start")
+            number, path = port.read_text().split()
+            with connect(f"ws://127.0.0.1:{number}{path}", max_size=None) as connection:
+                yield Page(connection)
+        finally:
+            process.terminate()
+
+
+def wait_until(happened: Callable[[], bool], what: str) -> None:
+    """Return when it has happened; fail if that takes too long."""
+    end = time.monotonic() + PATIENCE
+    while not happened():
+        assert time.monotonic() < end, f"{what} did not happen"
+        time.sleep(0.05)
+
+
+def drawn(picture: np.ndarray) -> bool:
+    """Whether something is drawn in the middle: many colours, not one."""
+    height, width, _ = picture.shape
+    middle = picture[height // 4 : -height // 4, width // 4 : -width // 4].reshape(-1, 3)
+    return len(np.unique(middle, axis=0)) > 100
