@@ -58,18 +58,16 @@ class Page:
         message = {"id": number, "method": method, "params": parameters}
         self._connection.send(json.dumps(message | ({"sessionId": self._session} if self._session else {})))
         while True:
-            answer = json.loads(self._connection.recv(timeout=PATIENCE))
-            said = answer.get("params", {})
-            if answer.get("method") == "Network.requestWillBeSent":
-                self.requests.append(said["request"]["url"])
-            elif answer.get("method") == "Network.webSocketCreated":
-                self.requests.append(said["url"])
-            elif answer.get("id") == number:
+            answer = self._receive()
+            if answer.get("id") == number:
                 assert "error" not in answer, answer
                 return answer["result"]
 
     def open(self, url: str) -> None:
+        """Open an address and wait until the page is loaded."""
         self.call("Page.navigate", url=url)
+        while self._receive().get("method") != "Page.loadEventFired":
+            pass
 
     def text(self) -> str:
         return str(self.call("Runtime.evaluate", expression="document.body.innerText")["result"]["value"])
@@ -86,6 +84,15 @@ class Page:
         for x, y in np.linspace(start, end, steps):
             self._mouse("mouseMoved", x, y)
         self._mouse("mouseReleased", *end)
+
+    def _receive(self) -> dict[str, Any]:
+        message = json.loads(self._connection.recv(timeout=PATIENCE))
+        said = message.get("params", {})
+        if message.get("method") == "Network.requestWillBeSent":
+            self.requests.append(said["request"]["url"])
+        elif message.get("method") == "Network.webSocketCreated":
+            self.requests.append(said["url"])
+        return message
 
     def _mouse(self, kind: str, x: float, y: float, *, held: bool = True) -> None:
         button = {"button": "left", "buttons": 1, "clickCount": 1} if held else {}

@@ -19,11 +19,11 @@ LAYERS = (
     {"lanes", "compilation"},
     {"config", "chain", "kinematics", "policy", "metrics"},
     {"robots", "task", "ppo"},
-    {"scene"},
+    {"scene", "solids"},
     {"sims"},
     {"env"},
     {"gym_env", "rollout", "checkpoint", "evaluation"},
-    {"plots", "video", "viewer", "export"},
+    {"plots", "video", "viewer", "player", "stage", "export"},
     {"training"},
     {"console", "bench", "bench_sims"},
     {"cli"},
@@ -43,13 +43,13 @@ LEAVES = {
 """What the leaves import of the package."""
 
 ONLY_FROM = {
-    "scene": {"sims"},
+    "scene": {"sims", "stage"},
     "console": {"cli"},
     "cli": {"__main__"},
 }
 """Modules that only these import."""
 
-HEAVY = ("jax", "mujoco", "optax", "matplotlib", "pybullet")
+HEAVY = ("jax", "mujoco", "optax", "matplotlib", "pybullet", "viser")
 
 
 @dataclass
@@ -177,7 +177,7 @@ def test_importing_the_package_loads_neither_jax_nor_a_simulator() -> None:
 
 
 def test_help_loads_neither_jax_nor_a_simulator() -> None:
-    words = [["--help"], *([verb, "--help"] for verb in ("train", "eval", "plot", "bench", "list"))]
+    words = [["--help"], *([verb, "--help"] for verb in ("train", "eval", "view", "plot", "bench", "list"))]
     statement = (
         "from reachlab.cli import main\n"
         f"for words in {words}:\n"

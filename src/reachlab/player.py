@@ -17,7 +17,7 @@ from reachlab.env import Env, EnvState, Transition
 from reachlab.evaluation import AGENTS, REPORT_STREAM, episode_keys
 from reachlab.policy import Policy
 
-TARGET_SAMPLES = 256
+TARGET_SAMPLES = 4096
 """Draws from which the box of the task's targets is found."""
 
 Advance = Callable[[Policy | None, EnvState, Array], tuple[EnvState, Transition, Array]]
@@ -32,7 +32,7 @@ class Moment:
         tool, orientation: of the tool, `[3]` [m] and `[4]` wxyz.
         target: `[3]` [m].
         distance: from tool to target [m].
-        reached: the task calls this a success.
+        reached: the task calls this a success; a target that is held stays reached until it is moved.
     """
 
     q: np.ndarray
@@ -50,7 +50,7 @@ class Player:
         moment: the arm now.
         over: the episode has ended; it begins anew with `new_episode`.
         steps: control steps taken.
-        episodes, successes: those that ended, and in success. One whose target was moved does not count.
+        episodes, successes: those that ended, and in success. One whose target was held or moved does not count.
     """
 
     def __init__(self, env: Env, seed: int) -> None:
@@ -60,7 +60,7 @@ class Player:
         self._begin = env.compile(lambda state: env.reset(state, np.ones(1, bool)))
         self._state: EnvState = env.compile(env.init)(episode_keys(seed, REPORT_STREAM, 0, 1))
         self._key = jax.random.key(seed)
-        self._held = self._moved = self.over = False
+        self._held = self._touched = self.over = False
         self.steps = self.episodes = self.successes = 0
         self.moment = self._look(reached=False)
 
@@ -70,15 +70,16 @@ class Player:
             self._advances[agent] = make_advance(self._env, agent)
         self._state, transition, self._key = self._advances[agent](policy, self._state, self._key)
         self.steps += 1
-        self.moment = self._look(reached=bool(np.asarray(transition.terms["success"])[0]))
-        self.over = bool(np.asarray(transition.done)[0]) and not self._held
-        if self.over and not self._moved:
+        done, success = (bool(np.asarray(row)[0]) for row in (transition.done, transition.terms["success"]))
+        self.moment = self._look(reached=success or (self._held and self.moment.reached))
+        self.over = done and not self._held
+        if self.over and not self._touched:
             self.episodes += 1
-            self.successes += self.moment.reached
+            self.successes += success
 
     def hold(self, held: bool) -> None:
         """Let no episode end while `held`."""
-        self._held = held
+        self._held, self._touched = held, self._touched or held
         self.over = self.over and not held
 
     def move_target(self, target: np.ndarray) -> None:
@@ -87,13 +88,13 @@ class Player:
         row = jnp.asarray(target, jnp.float32)[None]
         distance = jnp.linalg.norm(state.arm.tool_position - row, axis=-1)
         self._state = replace(state, target=row, distance=distance, clock=jnp.zeros_like(state.clock))
-        self._moved, self.over = True, False
+        self._touched, self.over = True, False
         self.moment = self._look(reached=False)
 
     def new_episode(self) -> None:
         """Begin an episode with a new target."""
         self._state = self._begin(self._state)
-        self._moved = self.over = False
+        self._touched = self.over = False
         self.moment = self._look(reached=False)
 
     def _look(self, *, reached: bool) -> Moment:

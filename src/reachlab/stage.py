@@ -42,6 +42,10 @@ FIELD_OF_VIEW = 0.8
 """Vertical field of view of the first camera [rad]."""
 
 
+SKY, GROUND, SKY_INTENSITY = (255, 255, 255), (150, 155, 165), 2.2
+"""Light from above and below, and its strength."""
+
+
 class Stage:
     """Draws a robot at work on a viser server."""
 
@@ -85,10 +89,18 @@ class Stage:
         """Begin the path anew."""
         self._path.clear()
 
+    def cast_shadows(self, cast: bool) -> None:
+        """Draw shadows, or not."""
+        self._scene.configure_default_lights(cast_shadow=cast)
+
     def _set_view(self, server: viser.ViserServer) -> None:
         camera = server.initial_camera
         camera.position, camera.look_at, camera.fov = VIEW_FROM, VIEW_TO, FIELD_OF_VIEW
         self._scene.world_axes.visible = False
+        # Without a graphics card an environment map or shadows take longer to draw than all the rest.
+        self._scene.configure_environment_map(None)
+        self.cast_shadows(False)
+        self._scene.add_light_hemisphere("/sky", sky_color=SKY, ground_color=GROUND, intensity=SKY_INTENSITY)
         ground = (0.0, 0.0, TABLE_CENTRE[2] - TABLE_SIZE[2])
         self._scene.add_grid(
             "/ground", infinite_grid=True, cell_size=GRID_CELL, fade_distance=GRID_FADE, position=ground

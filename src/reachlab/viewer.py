@@ -68,6 +68,7 @@ class Panel:
         buttons.on_click(lambda event: self.pressed.put(event.target.value))
         self._follow = gui.add_checkbox("Stay after success", False, hint="Follow the target instead of a new episode")
         self._axes = gui.add_checkbox("Axes of the tool", False)
+        self._shadows = gui.add_checkbox("Shadows", False, hint="For a computer with a graphics card")
 
     @property
     def agent(self) -> str:
@@ -93,6 +94,10 @@ class Panel:
     def axes(self) -> bool:
         """Whether to show the tool's axes."""
         return self._axes.value
+
+    def on_shadows(self, change: Callable[[bool], None]) -> None:
+        """Call `change` when shadows are switched on or off."""
+        self._shadows.on_update(lambda event: change(event.target.value))
 
     def say(self, text: str) -> None:
         """Show a text, in Markdown, above the controls."""
@@ -131,6 +136,7 @@ class Viewer:
         self._server = start_server(host, port)
         self._stage = Stage(self._server, env.reach.robot)
         self._panel = Panel(self._server.gui, agent, checkpoints)
+        self._panel.on_shadows(self._stage.cast_shadows)
         self._pace = Pace()
         self._dragged = self.paused = False
         self._owed = self._rest = 0.0
@@ -244,7 +250,7 @@ class Viewer:
     def _show(self) -> None:
         with self._server.atomic():
             self._stage.show(self.player.moment, axes=self._panel.axes)
-        if self._pace.due(self.player.steps):
+        if self._pace.due(self.player.steps) or self.player.over:
             self._tell()
 
     def _tell(self) -> None:
