@@ -16,7 +16,8 @@ from typing import Any
 
 import numpy as np
 from PIL import Image
-from websockets.sync.client import ClientConnection, connect
+from websockets.sync.client import connect
+from websockets.sync.connection import Connection
 
 NAMES = ("chromium", "chromium-browser", "google-chrome")
 
@@ -44,7 +45,7 @@ def executable() -> str | None:
 class Page:
     """An open page, and every address that it asked for."""
 
-    def __init__(self, connection: ClientConnection) -> None:
+    def __init__(self, connection: Connection) -> None:
         self._connection, self._numbers = connection, itertools.count()
         self._session: str | None = None
         self.requests: list[str] = []
@@ -108,7 +109,7 @@ def browser(profile: Path, width: int = 900, height: int = 600) -> Iterator[Page
         try:
             wait_until(lambda: port.is_file() and len(port.read_text().split()) > 1, "Chromium's start")
             number, path = port.read_text().split()
-            with connect(f"ws://127.0.0.1:{number}{path}", max_size=None) as connection:
+            with connect(f"ws://127.0.0.1:{number}{path}", max_size=None, ping_interval=None) as connection:
                 yield Page(connection)
         finally:
             process.terminate()

@@ -206,15 +206,17 @@ def view(arguments: View) -> None:
         console.print(f"Written: {arguments.save}")
         return
     load = partial(load_policy, run, config, env)
-    with Viewer(env, steps, load, arguments.agent, arguments.host, arguments.port) as viewer:
+    with (
+        Viewer(env, steps, load, arguments.agent, arguments.host, arguments.port) as viewer,
+        contextlib.suppress(KeyboardInterrupt),
+    ):
         console.print(f"Viewer: {viewer.url}   Ctrl-C ends it.")
         if arguments.host != LOCAL:
             console.print(f"Whoever reaches {arguments.host} can watch and move the target.")
         if arguments.open:
             webbrowser.open(viewer.url)
-        with contextlib.suppress(KeyboardInterrupt):
-            viewer.prepare(arguments.seed)
-            viewer.run()
+        viewer.prepare(arguments.seed)
+        viewer.run()
 
 
 def plot(arguments: Plot) -> None:
