@@ -33,7 +33,7 @@ FLAGS = (
     "--remote-debugging-port=0",
 )
 
-PATIENCE = 20.0
+PATIENCE = 60.0
 """Time in which anything awaited has to happen [s]."""
 
 
@@ -43,7 +43,7 @@ def executable() -> str | None:
 
 
 class Page:
-    """An open page, and every address that it asked for."""
+    """An open page, and every address that it and its workers asked for."""
 
     def __init__(self, connection: Connection) -> None:
         self._connection, self._numbers = connection, itertools.count()
@@ -53,11 +53,10 @@ class Page:
         self._session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
         self.call("Network.enable")
         self.call("Page.enable")
+        self.call("Target.setAutoAttach", autoAttach=True, waitForDebuggerOnStart=True, flatten=True)
 
     def call(self, method: str, **parameters: Any) -> dict[str, Any]:
-        number = next(self._numbers)
-        message = {"id": number, "method": method, "params": parameters}
-        self._connection.send(json.dumps(message | ({"sessionId": self._session} if self._session else {})))
+        number = self._send(self._session, method, parameters)
         while True:
             answer = self._receive()
             if answer.get("id") == number:
@@ -86,9 +85,19 @@ class Page:
             self._mouse("mouseMoved", x, y)
         self._mouse("mouseReleased", *end)
 
+    def _send(self, session: str | None, method: str, parameters: dict[str, Any]) -> int:
+        number = next(self._numbers)
+        message = {"id": number, "method": method, "params": parameters}
+        self._connection.send(json.dumps(message | ({"sessionId": session} if session else {})))
+        return number
+
     def _receive(self) -> dict[str, Any]:
         message = json.loads(self._connection.recv(timeout=PATIENCE))
         said = message.get("params", {})
+        if message.get("method") == "Target.attachedToTarget" and self._session:
+            # A worker, which waits until its requests are watched too.
+            for method in ("Network.enable", "Runtime.runIfWaitingForDebugger"):
+                self._send(said["sessionId"], method, {})
         if message.get("method") == "Network.requestWillBeSent":
             self.requests.append(said["request"]["url"])
         elif message.get("method") == "Network.webSocketCreated":

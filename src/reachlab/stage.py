@@ -29,8 +29,8 @@ AXES_LENGTH, AXES_RADIUS = 0.12, 0.004
 HANDLE_SIZE = 0.16
 """Size of the arrows by which the target is moved [m]."""
 
-LABEL_ABOVE = (0.0, 0.0, 0.07)
-"""Where the label stands over the target [m]."""
+LABEL_BELOW = (0.0, 0.0, -0.05)
+"""Where the label hangs under the target [m]."""
 
 GRID_CELL, GRID_FADE = 0.1, 6.0
 """The ground's cells, and how far it is seen [m]."""
@@ -63,9 +63,7 @@ class Stage:
         target = self._model.body("target").id
         self._target, self._ball = self._frames[target], next(mesh for body, mesh in parts if body == target)
         self._target.visible = False
-        self._label = self._scene.add_label(
-            f"{self._target.name}/label", "", position=LABEL_ABOVE, anchor="bottom-center"
-        )
+        self._label = self._scene.add_label(f"{self._target.name}/label", "", position=LABEL_BELOW, anchor="top-center")
         self._axes = self._scene.add_frame("/tool", axes_length=AXES_LENGTH, axes_radius=AXES_RADIUS, visible=False)
         self._place(np.array(robot.home), None)
 

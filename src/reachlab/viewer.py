@@ -66,8 +66,8 @@ class Panel:
         self._speed = gui.add_slider("Speed", SLOWEST, FASTEST, SPEED_STEP, 1.0, hint="Multiples of real time")
         buttons = gui.add_button_group("Control", tuple(COMMANDS))
         buttons.on_click(lambda event: self.pressed.put(event.target.value))
-        self._follow = gui.add_checkbox("Stay after success", False, hint="Follow the target instead of a new episode")
-        self._axes = gui.add_checkbox("Axes of the tool", False)
+        self._endless = gui.add_checkbox("Endless", False, hint="No episode ends: the arm follows the target")
+        self._axes = gui.add_checkbox("Tool axes", False)
         self._shadows = gui.add_checkbox("Shadows", False, hint="For a computer with a graphics card")
 
     @property
@@ -86,9 +86,9 @@ class Panel:
         return self._speed.value
 
     @property
-    def follow(self) -> bool:
-        """Whether an episode goes on after success."""
-        return self._follow.value
+    def endless(self) -> bool:
+        """Whether no episode ends."""
+        return self._endless.value
 
     @property
     def axes(self) -> bool:
@@ -181,7 +181,7 @@ class Viewer:
         self._follow_hand()
         if self.paused or not self._server.get_clients():
             return
-        self.player.hold(self._dragged or self._panel.follow)
+        self.player.hold(self._dragged or self._panel.endless)
         if self.player.over:
             self._rest -= elapsed
             if self._rest <= 0:
