@@ -23,7 +23,7 @@ LAYERS = (
     {"sims"},
     {"env"},
     {"gym_env", "rollout", "checkpoint", "evaluation"},
-    {"plots", "video", "viewer", "player", "stage", "export"},
+    {"plots", "video", "viewer", "player", "panel", "stage", "export"},
     {"training"},
     {"console", "bench", "bench_sims"},
     {"cli"},

@@ -19,8 +19,9 @@ from reachlab import cli, stage
 from reachlab.checkpoint import RunDirectory
 from reachlab.config import InputError, RunConfig, configure
 from reachlab.env import Env
+from reachlab.stage import start_server, stop_server
 from reachlab.training import initial_state, load_policy
-from reachlab.viewer import COMMANDS, LOCAL, Viewer, save_page, start_server, stop_server
+from reachlab.viewer import COMMANDS, LOCAL, Viewer, save_page
 
 CHECKPOINTS = (0, 128)
 
@@ -28,6 +29,9 @@ WIDTH, HEIGHT = 800, 480
 
 FRAME = 0.02
 """Time between two pictures [s]."""
+
+EPISODES = 8
+"""Episodes of a saved page: it has to last, for beginning anew takes its time without a graphics card."""
 
 HERE_SCHEMES = {"data", "blob", "file", "about"}
 
@@ -133,7 +137,7 @@ def test_the_arm_follows_a_target_that_is_dragged_in_the_page(page: Page, viewer
 
 def test_a_saved_page_plays_from_its_file_alone(page: Page, config: RunConfig, tmp_path: Path) -> None:
     out = tmp_path / "page.html"
-    save_page(Env(config, 1), "ik", None, seed=1, episodes=2, out=out)
+    save_page(Env(config, 1), "ik", None, seed=1, episodes=EPISODES, out=out)
     page.open(out.as_uri())
     wait_until(lambda: drawn(page.picture()), "a picture")
     first = page.picture()

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
+import socket
 from collections import deque
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -9,6 +12,7 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
+from reachlab.config import InputError
 from reachlab.player import Moment
 from reachlab.robots import Robot
 from reachlab.scene import TABLE_CENTRE, TABLE_SIZE, scene_spec
@@ -16,6 +20,9 @@ from reachlab.solids import Solid, solids
 
 if TYPE_CHECKING:
     import viser
+
+TITLE = "reachlab"
+"""Title of the panel and the page."""
 
 WAITING, REACHED, PATH = (217, 31, 38), (34, 160, 84), (37, 99, 235)
 """Colours of the target before and when it is reached, and of the path."""
@@ -136,3 +143,35 @@ class Stage:
             self._line = self._scene.add_line_segments("/path", points, PATH, thickness=PATH_WIDTH)
         else:
             self._line.points = points
+
+
+def start_server(host: str, port: int) -> viser.ViserServer:
+    """Viser's server, without its banner and without its way to share a scene through a server of its makers.
+
+    Raises:
+        InputError: viser is not installed, or the address is not this machine's.
+    """
+    try:
+        import viser
+    except ImportError:
+        raise InputError("viewing needs viser: pip install 'reachlab[viewer]'.") from None
+    try:
+        # Viser tries a thousand ports and waits forever on an address that has none.
+        socket.create_server((host, 0)).close()
+    except OSError as error:
+        raise InputError(f"host {host!r} is no address of this machine ({error.strerror}): leave it out.") from None
+    with contextlib.redirect_stdout(io.StringIO()):
+        server = viser.ViserServer(host=host, port=port, label=TITLE, verbose=False)
+    # Any page open in the browser could ask for it: a websocket does not heed where a page is from.
+    server.request_share_url = _share_nothing
+    return server
+
+
+def _share_nothing(verbose: bool = True) -> None:
+    del verbose
+
+
+def stop_server(server: viser.ViserServer) -> None:
+    """Stop a server, without its farewell."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        server.stop()

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
-import socket
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from queue import SimpleQueue
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
@@ -17,9 +13,10 @@ import numpy as np
 from reachlab.config import InputError, choose
 from reachlab.env import Env
 from reachlab.evaluation import AGENTS
+from reachlab.panel import Panel
 from reachlab.player import Player, target_box
 from reachlab.policy import Policy
-from reachlab.stage import Stage
+from reachlab.stage import TITLE, Stage, start_server, stop_server
 
 if TYPE_CHECKING:
     import viser
@@ -39,69 +36,11 @@ PAUSE = 0.8
 MOST_BEHIND = 0.1
 """Time that is made up for where steps take longer than they should [s]; the rest is dropped."""
 
-SLOWEST, FASTEST, SPEED_STEP = 0.1, 4.0, 0.1
-"""The speed slider's range and step, in multiples of real time."""
-
-TITLE = "reachlab"
-"""Title of the panel and the page."""
-
 TRAINED = "trained"
 """The agent that takes a policy."""
 
 Load = Callable[[int], Policy]
 """Policy of the checkpoint after so many steps."""
-
-
-class Panel:
-    """The controls beside the scene. What is chosen is read from it; buttons leave their name in `pressed`."""
-
-    def __init__(self, gui: viser.GuiApi, agent: str, checkpoints: Sequence[int]) -> None:
-        """Panel for the agents of `AGENTS` and the run's checkpoints, oldest first."""
-        self._steps = {f"{steps:,} steps": steps for steps in checkpoints}
-        self.pressed: SimpleQueue[str] = SimpleQueue()
-        gui.configure_theme(show_logo=False, show_share_button=False)
-        self._text = gui.add_markdown("Compiling …")
-        self._agent = gui.add_dropdown("Agent", tuple(AGENTS), initial_value=agent)
-        self._checkpoint = gui.add_dropdown("Checkpoint", tuple(self._steps), initial_value=[*self._steps][-1])
-        self._speed = gui.add_slider("Speed", SLOWEST, FASTEST, SPEED_STEP, 1.0, hint="Multiples of real time")
-        buttons = gui.add_button_group("Control", tuple(COMMANDS))
-        buttons.on_click(lambda event: self.pressed.put(event.target.value))
-        self._endless = gui.add_checkbox("Endless", False, hint="No episode ends: the arm follows the target")
-        self._axes = gui.add_checkbox("Tool axes", False)
-        self._shadows = gui.add_checkbox("Shadows", False, hint="For a computer with a graphics card")
-
-    @property
-    def agent(self) -> str:
-        """Name of the chosen agent."""
-        return self._agent.value
-
-    @property
-    def checkpoint(self) -> int:
-        """Steps of the chosen checkpoint."""
-        return self._steps[self._checkpoint.value]
-
-    @property
-    def speed(self) -> float:
-        """Multiple of real time."""
-        return self._speed.value
-
-    @property
-    def endless(self) -> bool:
-        """Whether no episode ends."""
-        return self._endless.value
-
-    @property
-    def axes(self) -> bool:
-        """Whether to show the tool's axes."""
-        return self._axes.value
-
-    def on_shadows(self, change: Callable[[bool], None]) -> None:
-        """Call `change` when shadows are switched on or off."""
-        self._shadows.on_update(lambda event: change(event.target.value))
-
-    def say(self, text: str) -> None:
-        """Show a text, in Markdown, above the controls."""
-        self._text.content = text
 
 
 class Viewer:
@@ -135,7 +74,7 @@ class Viewer:
         self._policies: dict[int, Policy] = {}
         self._server = start_server(host, port)
         self._stage = Stage(self._server, env.reach.robot)
-        self._panel = Panel(self._server.gui, agent, checkpoints)
+        self._panel = Panel(self._server.gui, agent, checkpoints, tuple(COMMANDS))
         self._panel.on_shadows(self._stage.cast_shadows)
         self._pace = Pace()
         self._dragged = self.paused = False
@@ -318,35 +257,3 @@ def save_page(env: Env, agent: str, policy: Policy | None, seed: int, episodes: 
         out.write_text(page.replace("<title>Viser</title>", f"<title>{TITLE}</title>", 1), encoding="utf-8")
     except OSError as error:
         raise InputError(f"page '{out}' cannot be written: {error.strerror}.") from None
-
-
-def start_server(host: str, port: int) -> viser.ViserServer:
-    """Viser's server, without its banner and without its way to share a scene through a server of its makers.
-
-    Raises:
-        InputError: viser is not installed, or the address is not this machine's.
-    """
-    try:
-        import viser
-    except ImportError:
-        raise InputError("viewing needs viser: pip install 'reachlab[viewer]'.") from None
-    try:
-        # Viser tries a thousand ports and waits forever on an address that has none.
-        socket.create_server((host, 0)).close()
-    except OSError as error:
-        raise InputError(f"host {host!r} is no address of this machine ({error.strerror}): leave it out.") from None
-    with contextlib.redirect_stdout(io.StringIO()):
-        server = viser.ViserServer(host=host, port=port, label=TITLE, verbose=False)
-    # Any page open in the browser could ask for it: a websocket does not heed where a page is from.
-    server.request_share_url = _share_nothing
-    return server
-
-
-def _share_nothing(verbose: bool = True) -> None:
-    del verbose
-
-
-def stop_server(server: viser.ViserServer) -> None:
-    """Stop a server, without its farewell."""
-    with contextlib.redirect_stdout(io.StringIO()):
-        server.stop()
