@@ -18,10 +18,13 @@ import pytest
 import safetensors.numpy
 
 from reachlab import cli
-from reachlab.checkpoint import RunDirectory, write_json
+from reachlab.checkpoint import RunDirectory
 from reachlab.config import InputError, RunConfig, configure
 from reachlab.env import Env
-from reachlab.training import TrainState, initial_state, load_policy
+from reachlab.iteration import TrainState, initial_state
+from reachlab.manifest import seal
+from reachlab.storage import write_json
+from reachlab.training import load_policy
 
 STEP = "checkpoints/step_000000000512"
 
@@ -107,7 +110,7 @@ def test_no_checkpoint_is_pickled(finished: Path) -> None:
     assert all(array.dtype.kind in "fiub" for array in arrays.values())
     manifest = json.loads((finished / STEP / "manifest.json").read_text())
     assert manifest["format"] == 1
-    assert manifest["step"] == 512
+    assert manifest["counters"]["steps"] == 512
     assert "jax" in manifest["versions"]
 
 
@@ -131,7 +134,8 @@ def reseal(run: Path, data: bytes) -> None:
     (run / STEP / "state.safetensors").write_bytes(data)
     manifest = json.loads((run / STEP / "manifest.json").read_text())
     manifest["sha256"]["state.safetensors"] = hashlib.sha256(data).hexdigest()
-    (run / STEP / "manifest.json").write_text(json.dumps(manifest))
+    manifest["sizes"]["state.safetensors"] = len(data)
+    (run / STEP / "manifest.json").write_text(json.dumps(seal(manifest)))
 
 
 def drop_array(run: Path) -> None:
@@ -174,7 +178,7 @@ DAMAGES: dict[str, tuple[Callable[[Path], None], str]] = {
     "a flipped bit": (flip, "is damaged: its checksum does not fit"),
     "a cut file": (truncate, "is damaged"),
     "no arrays": (remove(f"{STEP}/state.safetensors"), "is damaged: it cannot be read"),
-    "arrays that are none": (lambda run: reseal(run, b"not tensors"), "is damaged: it cannot be read"),
+    "arrays that are none": (lambda run: reseal(run, b"not tensors"), "is damaged: its header is too large"),
     "an array too few": (drop_array, "does not fit the run's configuration at 'learner/policy/centre'"),
     "an array of another type": (retype_array, "does not fit the run's configuration at 'learner/policy/centre'"),
     "another shape": (edit_config(lambda c: c["ppo"].update(hidden=[32])), "does not fit the run's configuration"),

@@ -20,10 +20,10 @@ from reachlab.checkpoint import RunDirectory
 from reachlab.config import TASKS, RunConfig, configure
 from reachlab.env import Env
 from reachlab.evaluation import AGENTS
+from reachlab.iteration import initial_state
 from reachlab.robots import ROBOTS
 from reachlab.sims import SIMULATORS
 from reachlab.task import ACTIONS, OBSERVATIONS, REWARDS
-from reachlab.training import initial_state
 
 TINY = ["--lanes", "16", "--rollout-steps", "16", "--total-steps", "1024", "--no-stop-early", "--report-episodes", "10"]
 """A training of four iterations."""
@@ -145,11 +145,11 @@ WRONG = {
     "no value": ("train --out", "--out"),
     "word for a number": ("train --lanes many", "--lanes.*'many'"),
     "fraction for a whole number": ("train --lanes 2.5", "--lanes.*'2.5'"),
-    "number out of range": ("train --lanes 0", "lanes must be at least 1, got 0"),
+    "number out of range": ("train --lanes 0", "lanes must be at least 1 and at most 131072, got 0"),
     "negative seed": ("train --seed -1", "seed must be at least 0"),
     "not a number": ("train --gamma nan", "gamma must be .*nan"),
     "infinite": ("train --learning-rate inf", "learning_rate must be .*inf"),
-    "wrong entry": ("train --hidden 64 0", "each entry of hidden must be at least 1, got 0"),
+    "wrong entry": ("train --hidden 64 0", "each entry of hidden must be at least 1 and at most 2147483647, got 0"),
     "unknown task": ("train --task tutoral", "Did you mean 'tutorial'"),
     "unknown task with =": ("train --task=tutoral", "Did you mean 'tutorial'"),
     "task without a value": ("train --task", "--task"),
@@ -171,9 +171,17 @@ WRONG = {
     "eval of no run": ("eval nothing", "'nothing' does not exist: train one with"),
     "eval of an empty folder": ("eval taken", "config.json' is missing"),
     "eval of an unknown agent": ("eval taken --agent tained", "Did you mean 'trained'"),
-    "eval of no episodes": ("eval untrained --agent ik --episodes 0", "episodes must be at least 1, got 0"),
+    "eval of no episodes": (
+        "eval untrained --agent ik --episodes 0",
+        "episodes must be at least 1 and at most 2147483647, got 0",
+    ),
     "eval of a negative seed": ("eval untrained --seed -1 --agent ik", "seed"),
     "eval of an immense seed": ("eval untrained --seed 99999999999 --agent ik", "seed"),
+    "video of no run": ("video nothing", "'nothing' does not exist"),
+    "video of an unknown agent": ("video untrained --agent tained", "Did you mean 'trained'"),
+    "video to an unknown ending": ("video untrained --out film.avi", "video format '.avi' is not one of: .gif, .mp4"),
+    "video into no folder": ("video untrained --out no/film.gif", "cannot be written to 'no/film.gif'"),
+    "video of no pictures a second": ("video untrained --fps 0", "fps must be above 0"),
     "plot of nothing": ("plot", "run"),
     "plot of no run": ("plot nothing", "'nothing' holds no metrics.jsonl"),
     "plot to an unknown ending": ("plot young --out curve.xyz", "cannot be written to 'curve.xyz'"),
@@ -267,9 +275,8 @@ def test_a_trained_run_is_evaluated_and_drawn(trained: tuple[Path, Said], reachl
     assert json.loads(said.out)["agent"] == "trained"
     assert reachlab("plot", out, "--out", "curve.svg").status == 0
     assert ElementTree.parse("curve.svg").getroot().tag.endswith("svg")
-    (out / "curve.png").unlink()
     assert reachlab("plot", out).status == 0
-    assert (out / "curve.png").exists()
+    assert (out / "plots.png").exists()
 
 
 # --- eval -----------------------------------------------------------------------------------------
@@ -308,3 +315,17 @@ def test_eval_shows_a_person_a_table_and_prints_nothing(reachlab: Shell, untrain
     said = reachlab("eval", untrained, "--episodes", 20, "--agent", "ik")
     assert (said.status, said.out) == (0, "")
     assert "100.00 %" in said.err
+
+
+# --- video ----------------------------------------------------------------------------------------
+
+
+def test_video_tells_what_it_filmed(reachlab: Shell, untrained: Path) -> None:
+    said = reachlab("video", untrained, "--agent", "ik", "--episodes", 1, "--fps", 5, "--out", "film.gif", "--json")
+    if "pictures need OpenGL" in said.err:
+        pytest.skip(said.err)
+    clip = json.loads(said.out)
+    assert (said.status, clip["out"], clip["episodes"], clip["successes"]) == (0, "film.gif", 1, 1)
+    with Image.open("film.gif") as picture:
+        assert (picture.format, picture.n_frames) == ("GIF", clip["frames"])  # type: ignore[attr-defined]
+    assert "1 of 1 episodes reach the target" in said.err

@@ -109,10 +109,10 @@ def test_settings_cannot_be_changed_behind_the_checks():
         ("learning_rate", math.inf, "learning_rate must be above 0, got inf"),
         ("target_height", -math.inf, "target_height must be"),
         ("approach_weight", -1.0, "approach_weight must be at least 0"),
-        ("lanes", 0, "lanes must be at least 1, got 0"),
+        ("lanes", 0, "lanes must be at least 1 and at most 131072, got 0"),
         ("seed", -1, "seed must be"),
         ("seed", 2**31, "seed must be"),
-        ("hidden", (64, 0), r"each entry of hidden must be at least 1, got 0"),
+        ("hidden", (64, 0), r"each entry of hidden must be at least 1 and at most 2147483647, got 0"),
         ("control_period", -0.01, "control_period must be above 0"),
     ],
 )

@@ -172,7 +172,7 @@ def test_leaving_the_workspace_ends_the_episode_without_success(tutorial: Compil
 
 def test_the_terms_of_the_reward_add_up_to_it(tutorial: Compiled, settled: EnvState) -> None:
     _, transition = tutorial.walk(settled, (0.1, 0.2, -0.6), 3)
-    parts = [value for name, value in transition.terms.items() if name not in ("distance", "success")]
+    parts = [value for name, value in transition.terms.items() if name not in ("distance", "error", "success")]
     assert np.asarray(transition.reward) == pytest.approx(np.sum(parts, axis=0), abs=1e-6)
     assert float(transition.reward[0]) > 0
 

@@ -28,8 +28,8 @@ from reachlab.evaluation import (
     summarise,
     wilson_interval,
 )
+from reachlab.iteration import TRAINING_STREAM
 from reachlab.policy import Policy
-from reachlab.training import TRAINING_STREAM
 
 REPORT_FIELDS = [
     "task",
@@ -181,7 +181,7 @@ def test_doing_nothing_never_reaches(idle: Report) -> None:
 def test_random_actions_rarely_reach(env: Env) -> None:
     report = evaluate(env, "random", seed=1, episodes=200)
     assert report.success_rate < 0.3
-    assert report.final_error_mm["median"] > 100
+    assert (report.final_error_mm["median"] or 0) > 100
 
 
 def test_all_agents_meet_the_same_targets(env: Env, idle: Report) -> None:
@@ -210,7 +210,7 @@ def test_a_report_has_the_designs_fields(idle: Report) -> None:
     assert sorted(plain["final_error_mm"]) == ["max", "median", "p95", "p99"]
     assert len(plain["max_joint_speed"]) == 7
     told = ("task", "robot", "sim", "agent", "seed", "episodes", "perturb", "success_within")
-    assert [plain[name] for name in told] == ["tutorial", "iiwa14", "kinematic", "zero", 1, 30, None, None]
+    assert [plain[name] for name in told] == ["tutorial", "iiwa14", "kinematic", "zero", 1, 30, False, None]
     assert {"python", "reachlab", "jax", "mujoco", "numpy"} <= set(plain["versions"])
 
 
@@ -220,6 +220,7 @@ def test_a_report_sums_up_its_episodes(env: Env) -> None:
     speeds[1, 2] = 3.0
     speeds[2, 2] = 2.0
     values = {
+        "target": np.zeros((4, 3), np.float32),
         "done": np.ones(4, bool),
         "success": np.array([True, False, True, True]),
         "distance": np.array([0.02, 0.4, 0.04, 0.06], np.float32),
@@ -233,9 +234,9 @@ def test_a_report_sums_up_its_episodes(env: Env) -> None:
     assert (report.episodes, report.seed, report.agent, report.wall_s) == (4, 9, "ik", 1.5)
     assert report.success_rate == 0.75
     assert report.success_interval == wilson_interval(3, 4)
-    assert report.final_error_mm["median"] == pytest.approx(50)
+    assert report.final_error_mm["median"] == pytest.approx(40)
     assert report.final_error_mm["max"] == pytest.approx(400)
-    assert report.final_error_mm["p95"] == pytest.approx(349)
+    assert report.final_error_mm["p95"] == pytest.approx(400)
     assert report.steps_mean == 430
     assert report.time_to_reach_s == pytest.approx(240 / 240)
     assert report.max_joint_speed == [0, 0, 3, 0, 0, 0, 0]

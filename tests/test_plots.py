@@ -1,4 +1,4 @@
-"""Learning curves."""
+"""Pictures of runs."""
 
 from __future__ import annotations
 
@@ -11,11 +11,13 @@ import pytest
 from matplotlib.figure import Figure
 from PIL import Image
 
-from reachlab.config import InputError
-from reachlab.plots import plot_curves
+from reachlab.checkpoint import RunDirectory
+from reachlab.config import InputError, RunConfig, configure, to_json
+from reachlab.curves import band, group_runs, read_evaluations
+from reachlab.plots import plot
 
 
-def row(number: int, episodes: float = 60.0, **more: float) -> dict[str, float]:
+def row(number: int, episodes: float = 120.0, **more: float) -> dict[str, float]:
     share = min(1.0, number / 10)
     return {
         "steps": 8192 * number,
@@ -27,8 +29,10 @@ def row(number: int, episodes: float = 60.0, **more: float) -> dict[str, float]:
     }
 
 
-def make_run(path: Path, rows: list[dict[str, float]]) -> Path:
+def make_run(path: Path, rows: list[dict[str, float]], config: RunConfig | None = None) -> Path:
     path.mkdir()
+    if config:
+        (path / "config.json").write_text(json.dumps(to_json(config)))
     (path / "metrics.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
     return path
 
@@ -61,7 +65,7 @@ def curves(figure: Figure, axis: int) -> dict[str, np.ndarray]:
 
 
 def test_a_png_is_a_picture_with_a_curve_in_it(run: Path, tmp_path: Path) -> None:
-    plot_curves([run], tmp_path / "curve.png")
+    plot([run], tmp_path / "curve.png")
     with Image.open(tmp_path / "curve.png") as picture:
         assert picture.format == "PNG"
         assert picture.size[0] > 2 * picture.size[1] > 800
@@ -70,7 +74,7 @@ def test_a_png_is_a_picture_with_a_curve_in_it(run: Path, tmp_path: Path) -> Non
 
 def test_an_svg_is_a_drawing_with_the_runs_name(run: Path, tmp_path: Path) -> None:
     with mpl.rc_context({"svg.fonttype": "none"}):
-        plot_curves([run], tmp_path / "curve.svg")
+        plot([run], tmp_path / "curve.svg")
     text = (tmp_path / "curve.svg").read_text()
     assert "<svg" in text
     assert "first-run" in text
@@ -80,7 +84,7 @@ def test_an_svg_is_a_drawing_with_the_runs_name(run: Path, tmp_path: Path) -> No
 def test_curves_show_success_in_percent_and_distance_in_millimetres(
     run: Path, tmp_path: Path, figures: list[Figure]
 ) -> None:
-    plot_curves([run], tmp_path / "curve.png")
+    plot([run], tmp_path / "curve.png")
     steps, seconds, distance = (curves(figures[0], axis)["first-run"] for axis in range(3))
     assert steps[0] == pytest.approx((8192, 10))
     assert steps[-1] == pytest.approx((12 * 8192, 100))
@@ -90,7 +94,7 @@ def test_curves_show_success_in_percent_and_distance_in_millimetres(
 
 
 def test_validations_are_marked(run: Path, tmp_path: Path, figures: list[Figure]) -> None:
-    plot_curves([run], tmp_path / "curve.png")
+    plot([run], tmp_path / "curve.png")
     marks = [line for line in figures[0].axes[0].get_lines() if line.get_marker() == "."]
     points = np.concatenate([np.array(line.get_xydata()) for line in marks])
     assert points.tolist() == [[12 * 8192, 100]]
@@ -98,41 +102,41 @@ def test_validations_are_marked(run: Path, tmp_path: Path, figures: list[Figure]
 
 def test_runs_are_drawn_beside_each_other(run: Path, tmp_path: Path, figures: list[Figure]) -> None:
     other = make_run(tmp_path / "second-run", [row(number) for number in range(1, 6)])
-    plot_curves([run, other], tmp_path / "both.png")
+    plot([run, other], tmp_path / "both.png")
     named = curves(figures[0], 0)
     assert {"first-run", "second-run"} <= set(named)
     assert len(named["second-run"]) == 5
 
 
 def test_few_episodes_are_pooled_by_their_number(tmp_path: Path, figures: list[Figure]) -> None:
-    rows = [row(1, 0), row(2, 10, success_rate=0.0), row(3, 40, success_rate=1.0), row(4, 10)]
-    plot_curves([make_run(tmp_path / "few", rows)], tmp_path / "few.png")
+    rows = [row(1, 0), row(2, 20, success_rate=0.0), row(3, 80, success_rate=1.0), row(4, 20)]
+    plot([make_run(tmp_path / "few", rows)], tmp_path / "few.png")
     assert curves(figures[0], 0)["few"] == pytest.approx(np.array([[3 * 8192, 80.0]]))
 
 
 def test_a_last_line_that_was_cut_off_is_left_out(run: Path, tmp_path: Path, figures: list[Figure]) -> None:
     with (run / "metrics.jsonl").open("a") as file:
         file.write('{"steps": 9999, "wall')
-    plot_curves([run], tmp_path / "curve.png")
+    plot([run], tmp_path / "curve.png")
     assert len(curves(figures[0], 0)["first-run"]) == 12
 
 
 @pytest.mark.parametrize("rows", [[], [row(1, 0)]], ids=["no row", "no episode"])
 def test_a_training_that_has_hardly_begun_can_be_drawn(tmp_path: Path, rows: list[dict[str, float]]) -> None:
-    plot_curves([make_run(tmp_path / "young", rows)], tmp_path / "young.png")
+    plot([make_run(tmp_path / "young", rows)], tmp_path / "young.png")
     assert (tmp_path / "young.png").stat().st_size > 1000
 
 
 def test_a_run_without_metrics_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"holds no metrics.jsonl: train one with `reachlab train --out"):
-        plot_curves([tmp_path / "nothing"], tmp_path / "curve.png")
+        plot([tmp_path / "nothing"], tmp_path / "curve.png")
     assert not (tmp_path / "curve.png").exists()
 
 
 @pytest.mark.parametrize("name", ["curve.xyz", "missing/curve.png"])
 def test_a_picture_that_cannot_be_written_is_refused(run: Path, tmp_path: Path, name: str) -> None:
     with pytest.raises(InputError, match="the picture cannot be written to") as refused:
-        plot_curves([run], tmp_path / name)
+        plot([run], tmp_path / name)
     assert "\n" not in str(refused.value)
     assert not (tmp_path / name).exists()
 
@@ -140,4 +144,166 @@ def test_a_picture_that_cannot_be_written_is_refused(run: Path, tmp_path: Path, 
 def test_metrics_that_are_none_are_refused(tmp_path: Path) -> None:
     strange = make_run(tmp_path / "strange", [{"colour": 1.0}])
     with pytest.raises(InputError):
-        plot_curves([strange], tmp_path / "curve.png")
+        plot([strange], tmp_path / "curve.png")
+
+
+# --- seeds and groups -----------------------------------------------------------------------------
+
+
+def test_runs_that_differ_by_their_seeds_alone_are_one_group(tmp_path: Path) -> None:
+    runs = [
+        make_run(tmp_path / f"{reward}-{seed}", [row(1)], configure(reward=reward, seed=seed))
+        for seed in (0, 1, 2)
+        for reward in ("dense", "sparse")
+    ]
+    groups = group_runs([*runs, make_run(tmp_path / "other", [row(1)], configure(reward="sparse", gamma=0.9))])
+    assert [group.label for group in groups] == [
+        "gamma 0.98, reward dense, 3 seeds",
+        "gamma 0.98, reward sparse, 3 seeds",
+        "gamma 0.9, reward sparse",
+    ]
+    assert [run.name for run in groups[0].runs] == ["dense-0", "dense-1", "dense-2"]
+
+
+def test_a_single_group_is_called_by_its_run_or_its_task(tmp_path: Path) -> None:
+    runs = [make_run(tmp_path / f"run-{seed}", [row(1)], configure(seed=seed)) for seed in (0, 1)]
+    assert [group.label for group in group_runs(runs)] == ["tutorial task, 2 seeds"]
+    assert [group.label for group in group_runs(runs[:1])] == ["run-0"]
+
+
+def test_the_interval_is_students() -> None:
+    curves = [[{"x": 0.0, "y": 1.0}, {"x": 2.0, "y": value}] for value in (1.0, 2.0, 3.0)]
+    found = band(curves, "x", "y")
+    assert found.low is not None
+    assert found.high is not None
+    assert found.mean == pytest.approx([1.0, 2.0])
+    # Student's 97.5 % quantile with 2 degrees of freedom, and a standard deviation of 1.
+    half = 4.302653 / 3**0.5
+    assert found.high == pytest.approx([1.0, 2.0 + half], rel=1e-6)
+    assert found.low == pytest.approx([1.0, 0.0]), "nothing that is drawn is negative"
+    limited = band(curves, "x", "y", most=2.5)
+    assert limited.high == pytest.approx([1.0, 2.5])
+
+
+def test_curves_are_joined_where_all_have_begun_and_keep_their_last_value() -> None:
+    long = [{"x": at, "y": at} for at in (0.0, 2.0, 4.0)]
+    short = [{"x": at, "y": 0.0} for at in (1.0, 2.0)]
+    found = band([long, short], "x", "y")
+    assert found.x == pytest.approx([1, 2, 4])
+    assert found.mean == pytest.approx([0.5, 1, 2])
+
+
+def test_a_single_run_has_no_interval() -> None:
+    assert band([[{"x": 1.0, "y": 1.0}]], "x", "y").low is None
+
+
+def test_seeds_are_drawn_as_one_curve_with_its_interval(tmp_path: Path, figures: list[Figure]) -> None:
+    runs = [
+        make_run(
+            tmp_path / f"run-{seed}", [row(n, success_rate=0.5 + 0.1 * seed) for n in (1, 2)], configure(seed=seed)
+        )
+        for seed in (0, 1)
+    ]
+    plot(runs, tmp_path / "seeds.png")
+    success = curves(figures[0], 0)["tutorial task, 2 seeds"]
+    assert success[:, 1] == pytest.approx([55, 55])
+    assert len(figures[0].axes[0].collections) == 1
+
+
+# --- evaluations ----------------------------------------------------------------------------------
+
+SIDE = 20
+
+
+def evaluate(run: Path, agent: str = "trained", *, spread: bool = False, **changed: object) -> None:
+    """Keep 400 episodes of a grid of targets, of which the farthest row fails."""
+    x, y = (axis.ravel() for axis in np.meshgrid(np.linspace(0.3, 0.7, SIDE), np.linspace(-0.3, 0.3, SIDE)))
+    failed = x > 0.69
+    rows = {
+        "target": np.stack([x, y, np.linspace(0, 0.4, SIDE**2) if spread else np.full_like(x, -0.01)], axis=-1),
+        "distance": np.where(failed, 0.25, 0.05),
+        "success": ~failed,
+        **changed,
+    }
+    RunDirectory(run).write_report(f"kinematic-{agent}-1", {"sim": "kinematic", "agent": agent}, rows)
+
+
+@pytest.fixture
+def evaluated(tmp_path: Path) -> Path:
+    run = make_run(tmp_path / "evaluated", [row(n) for n in (1, 2)], configure())
+    evaluate(run)
+    return run
+
+
+def titles(figure: Figure) -> list[str]:
+    return [axes.get_title("left") for axes in figure.axes]
+
+
+def test_errors_are_drawn_as_the_share_of_episodes_within(
+    evaluated: Path, tmp_path: Path, figures: list[Figure]
+) -> None:
+    plot([evaluated], tmp_path / "all.png")
+    axes = figures[0].axes[titles(figures[0]).index("Error on held-out targets")]
+    line = np.array(next(line for line in axes.get_lines() if line.get_label() == "trained, kinematic").get_xydata())
+    assert line[line[:, 0] <= 100, 1].max() == pytest.approx(0.95)
+    assert line[:, 0].max() == pytest.approx(250)
+    assert axes.get_xscale() == "log"
+
+
+def test_every_failure_is_marked_where_its_target_was(evaluated: Path, tmp_path: Path, figures: list[Figure]) -> None:
+    plot([evaluated], tmp_path / "all.png")
+    name = "Workspace from above\n20 failures in 400 episodes"
+    cells, marks = figures[0].axes[titles(figures[0]).index(name)].collections
+    where = np.asarray(marks.get_offsets())
+    assert len(where) == SIDE
+    assert where[:, 1] == pytest.approx(np.full(SIDE, 0.7)), "x is up, as seen from above"
+    assert sorted(where[:, 0]) == pytest.approx(np.linspace(-0.3, 0.3, SIDE))
+    rates = np.ma.compressed(np.ma.asarray(cells.get_array()))
+    assert rates.max() == 100
+    assert 0 < rates.min() < 90, "the cells of the farthest row"
+
+
+def test_targets_of_many_heights_are_seen_from_two_sides(
+    evaluated: Path, tmp_path: Path, figures: list[Figure]
+) -> None:
+    plot([evaluated], tmp_path / "flat.png")
+    evaluate(evaluated, spread=True)
+    plot([evaluated], tmp_path / "high.png")
+    views = [[title.split("\n")[0] for title in titles(figure) if "Workspace" in title] for figure in figures]
+    assert views == [["Workspace from above"], ["Workspace from above", "Workspace from the front"]]
+
+
+def test_of_two_groups_each_has_its_map(evaluated: Path, tmp_path: Path, figures: list[Figure]) -> None:
+    other = make_run(tmp_path / "other", [row(1)], configure(reward="sparse"))
+    evaluate(other)
+    plot([evaluated, other], tmp_path / "two.png")
+    assert [title.split("\n")[0] for title in titles(figures[0]) if "failures" in title] == [
+        "reward dense",
+        "reward sparse",
+    ]
+
+
+def test_evaluations_of_a_groups_seeds_are_pooled_and_the_trained_agent_comes_first(tmp_path: Path) -> None:
+    runs = [make_run(tmp_path / f"run-{seed}", [row(1)], configure(seed=seed)) for seed in (0, 1)]
+    for run in runs:
+        for agent in ("ik", "trained"):
+            evaluate(run, agent)
+    found = read_evaluations(group_runs(runs)[0])
+    assert [evaluation.agent for evaluation in found] == ["trained", "ik"]
+    assert found[0].target.shape == (2 * SIDE**2, 3)
+    assert found[0].error.max() == pytest.approx(250)
+
+
+@pytest.mark.parametrize("episodes", [1, 2])
+def test_an_evaluation_of_few_episodes_can_be_drawn(tmp_path: Path, episodes: int) -> None:
+    run = make_run(tmp_path / "few", [row(1)], configure())
+    target = np.array([[0.4, 0.1, 0.0], [0.5, 0.2, 0.0]])[:episodes]
+    evaluate(run, target=target, distance=np.full(episodes, 0.0), success=np.ones(episodes, bool))
+    plot([run], tmp_path / "few.png")
+    assert (tmp_path / "few.png").stat().st_size > 1000
+
+
+def test_damaged_episodes_are_refused(evaluated: Path, tmp_path: Path) -> None:
+    (evaluated / "reports" / "kinematic-trained-1.safetensors").write_bytes(b"damaged")
+    with pytest.raises(InputError, match=r"is damaged: evaluate again"):
+        plot([evaluated], tmp_path / "all.png")

@@ -2,35 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import jax
 import numpy as np
 import pytest
 
+from reachlab.bench_soak import bad_actions, interleavings
 from reachlab.config import configure
-from reachlab.env import Env, EnvState, lane_keys
+from reachlab.env import Env, lane_keys
 from reachlab.robots import load_robot
-from reachlab.sims import make_simulator
+from reachlab.sims import SIMULATORS, make_simulator
 from reachlab.sims.mujoco import MujocoSimulator
 
 LANES = 4
-
-
-def actions(env: Env, steps: int, seed: int) -> np.ndarray:
-    low, high = env.action_bounds
-    return np.random.default_rng(seed).uniform(low, high, (steps, LANES, len(low))).astype(np.float32)
-
-
-def play(env: Env, state: EnvState, moves: np.ndarray) -> EnvState:
-    for move in moves:
-        state, transition = env.step(state, move)
-        if np.asarray(transition.done).any():
-            state = env.reset(state, transition.done)
-    return state
-
-
-def equal(a: EnvState, b: EnvState) -> bool:
-    pairs = zip(jax.tree.leaves((a.arm, a.distance)), jax.tree.leaves((b.arm, b.distance)), strict=True)
-    return all(np.array_equal(x, y) for x, y in pairs)
 
 
 @pytest.mark.parametrize("threads", [1, 2])
@@ -55,24 +40,20 @@ def test_mujoco_goes_on_from_a_saved_state_bit_for_bit_at_any_thread_count(threa
     assert np.array_equal(arm.q, again.q)
 
 
-@pytest.mark.parametrize("sim", ["mujoco", "pybullet"])
+@pytest.mark.parametrize("sim", SIMULATORS)
 def test_two_environments_in_turns_are_each_as_alone(sim):
     if sim == "pybullet":
         pytest.importorskip("pybullet")
-    first, second = (Env(configure(sim=sim), LANES) for _ in range(2))
-    moves, others = actions(first, 30, seed=1), actions(first, 30, seed=2)
-    alone = play(first, first.init(lane_keys(5, LANES)), moves)
-    a, b = first.init(lane_keys(5, LANES)), second.init(lane_keys(6, LANES))
-    done_a = done_b = 0
-    for turn in np.random.default_rng(3).permutation([0] * 30 + [1] * 30):
-        if turn == 0:
-            a, done_a = play(first, a, moves[done_a : done_a + 1]), done_a + 1
-        else:
-            b, done_b = play(second, b, others[done_b : done_b + 1]), done_b + 1
-    for env in (first, second):
-        env.close()
-    assert equal(a, alone)
-    assert not equal(a, b)
+    assert interleavings(sim, 3)["value"] == 3
+
+
+@pytest.mark.parametrize("sim", SIMULATORS)
+def test_bad_actions_raise_and_leave_the_state_as_it_was(sim):
+    if sim == "pybullet":
+        pytest.importorskip("pybullet")
+    measured = bad_actions(sim, 600, share=0.1)
+    assert measured["value"] == 0
+    assert measured["config"]["refused"] > 20
 
 
 def test_pybullet_follows_joint_commands_as_the_kinematic_simulator_does():
@@ -113,3 +94,15 @@ def test_gravity_pulls_the_mujoco_arm_down_unless_compensated():
         sag[compensated] = float(start.tool_position[0, 2] - arm.tool_position[0, 2])
     assert 0.005 < sag[False] < 0.05
     assert abs(sag[True]) < 1e-4
+
+
+def test_mujoco_refuses_to_go_on_from_a_broken_state_and_then_goes_on_from_a_sound_one(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # the engine leaves its log where it runs
+    env = Env(configure(sim="mujoco"), LANES)
+    state = env.init(lane_keys(0, LANES))
+    still = np.zeros_like(np.asarray(state.last_action))
+    broken = np.array(state.arm.engine)
+    broken.view(np.float64)[2] = np.nan
+    with pytest.raises(FloatingPointError, match="BADQPOS in lane 2"):
+        env.step(replace(state, arm=replace(state.arm, engine=broken)), still)
+    assert np.isfinite(np.asarray(env.step(state, still)[0].arm.q)).all()

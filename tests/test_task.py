@@ -40,7 +40,9 @@ def reach() -> Reach:
 
 
 def outcome_of(reach: Reach, tool: tuple[float, ...], clock: int, before: float = 0.5) -> Outcome:
-    return judge(reach, jnp.array([before]), jnp.array([tool]), jnp.array([TARGET]), jnp.array([clock]))
+    still = jnp.zeros((1, 7))
+    now = Situation(still, still, jnp.array([tool]), jnp.array([TARGET]), still, jnp.zeros((1, 3)))
+    return judge(reach, jnp.array([before]), None, now, jnp.array([clock]))
 
 
 def flags(outcome: Outcome) -> tuple[bool, bool, bool]:
@@ -113,7 +115,8 @@ def test_the_dense_reward_is_the_sparse_one_and_the_metres_gained(
     before: float, after: float, which: str | None, weight: float
 ) -> None:
     ends = {name: jnp.array([name == which]) for name in ("outside", "success", "timeout")}
-    outcome = Outcome(jnp.array([before]), jnp.array([after]), **ends)
+    rest = dict.fromkeys(("held", "speed", "effort"), jnp.zeros(1))
+    outcome = Outcome(jnp.array([before]), jnp.array([after]), **rest, **ends)
     config = TaskConfig(approach_weight=weight)
     sparse, dense = REWARDS["sparse"](config, outcome), REWARDS["dense"](config, outcome)
     assert {name: float(dense[name][0]) for name in sparse} == {name: float(sparse[name][0]) for name in sparse}

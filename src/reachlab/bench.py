@@ -19,14 +19,16 @@ import numpy as np
 from jax import Array
 
 from reachlab.bench_sims import Row, row, simulators
+from reachlab.bench_soak import soak
+from reachlab.bench_trust import trust
 from reachlab.chain import Chain
 from reachlab.compilation import jit
 from reachlab.config import choose, configure
 from reachlab.env import Env, EnvState, lane_keys
 from reachlab.evaluation import versions
+from reachlab.iteration import compile_iteration, initial_state
 from reachlab.kinematics import forward_kinematics, inverse_kinematics, jacobian
 from reachlab.robots import Robot, load_robot
-from reachlab.training import compile_iteration, initial_state
 
 REPEATS = 10
 """Timed repetitions; the best counts, since other work on the machine can only slow one down."""
@@ -243,5 +245,7 @@ SUITES: dict[str, Callable[[], Iterator[Row]]] = {
     "learning": learning,
     "start": start,
     "simulators": simulators,
+    "soak": soak,
+    "trust": trust,
 }
 """Suites by name."""

@@ -2,26 +2,34 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
-import json
+import logging
 import os
-import shutil
-from collections.abc import Mapping
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, TypeVar
 
-import jax
-import numpy as np
-import safetensors.numpy
-from safetensors import SafetensorError
+from reachlab.config import (
+    InputError,
+    RunConfig,
+    difference,
+    from_json,
+    to_json,
+)
+from reachlab.lock import refuse_if_held
+from reachlab.manifest import ARRAYS, FORMAT, MANIFEST, Counters, Manifest, read_manifest, seal
+from reachlab.storage import read_json, remove, sync, write_json, write_synced
 
-from reachlab.config import InputError, RunConfig, from_json, to_json
-from reachlab.evaluation import versions
-
-FORMAT = 1
-"""Version of the checkpoint format."""
+KEEP = 3
+"""Newest checkpoints that are kept, unless said otherwise."""
 
 Tree = TypeVar("Tree")
+T = TypeVar("T")
+
+log = logging.getLogger(__name__)
 
 
 class RunDirectory:
@@ -34,24 +42,33 @@ class RunDirectory:
         self.metrics_file = path / "metrics.jsonl"
         self.report_file = path / "report.json"
         self.curve_file = path / "curve.png"
+        self.offending_file = path / "not_finite.safetensors"
         self.checkpoints = path / "checkpoints"
         self.reports = path / "reports"
 
     def create(self, config: RunConfig) -> None:
-        """Make the directory and write the configuration, the first of all files.
+        """Make the directory with the configuration in it, the first of all files.
 
         Raises:
             InputError: it exists, or cannot be made.
         """
+        temporary = self.path.with_name(f".{self.path.name}.{os.getpid()}.tmp")
         try:
-            self.path.mkdir(parents=True)
+            if self.path.exists() or self.path.is_symlink():
+                raise FileExistsError
+            temporary.mkdir(parents=True)
+            write_json(temporary / self.config_file.name, to_json(config))
+            os.rename(temporary, self.path)  # noqa: PTH104 (see `storage`)
+            sync(self.path.parent)
         except FileExistsError:
+            refuse_if_held(self.path)
             raise InputError(
                 f"run directory '{self.path}' exists and is not overwritten: name another with --out."
             ) from None
         except OSError as error:
+            with contextlib.suppress(OSError):
+                remove(temporary)
             raise InputError(f"run directory '{self.path}' cannot be made: {error.strerror}.") from None
-        write_json(self.config_file, to_json(config))
 
     def read_config(self) -> RunConfig:
         """The run's configuration.
@@ -63,121 +80,236 @@ class RunDirectory:
             raise InputError(
                 f"run directory '{self.path}' does not exist: train one with `reachlab train --out {self.path}`."
             )
-        data = _read_json(self.config_file)
+        data = read_json(self.config_file)
         try:
             return from_json(data)
         except InputError as error:
             raise InputError(f"'{self.config_file}' is not usable: {error}") from None
 
-    def write_checkpoint(self, step: int, state: object) -> None:
-        """Save a pytree of arrays; a directory `step_<step>` is complete or absent."""
+    def read_unfinished(self, config: RunConfig) -> None:
+        """Make sure that a run can be gone on with in these settings.
+
+        Raises:
+            InputError: no such run, one of other settings, or another process trains it.
+        """
+        if other := difference(self.read_config(), config):
+            raise InputError(
+                f"run '{self.path}' was begun with {other[0]} {other[1]!r} and cannot go on with {other[2]!r}:"
+                f" leave the setting out, or train a new run with --out."
+            )
+        refuse_if_held(self.path)
+
+    @property
+    def finished(self) -> bool:
+        """Whether training has come to its report."""
+        return self.report_file.is_file()
+
+    # --- checkpoints ------------------------------------------------------------------------------
+
+    def write_checkpoint(self, step: int, state: object, counters: Counters | None = None, keep: int = KEEP) -> None:
+        """Save a pytree of arrays; a directory `step_<step>` is complete or absent.
+
+        Afterwards the newest `keep` are there, and the best of all.
+
+        Raises:
+            OSError, InputError: it cannot be written; what was there is as it was.
+        """
         final = self._checkpoint(step)
         temporary = self.checkpoints / f".{final.name}.tmp"
-        shutil.rmtree(temporary, ignore_errors=True)
-        temporary.mkdir(parents=True)
-        data = safetensors.numpy.save(_flatten(state))
-        _write_synced(temporary / "state.safetensors", data)
-        manifest = {
-            "format": FORMAT,
-            "step": step,
-            "sha256": {"state.safetensors": hashlib.sha256(data).hexdigest()},
-            "versions": versions(),
-        }
-        write_json(temporary / "manifest.json", manifest)
-        temporary.rename(final)
-        _sync(self.checkpoints)
+        try:
+            self.checkpoints.mkdir(exist_ok=True)
+            self.clean()
+            self._fill(temporary, state, counters or Counters(step))
+            _put(temporary, final)
+        except OSError:
+            with contextlib.suppress(OSError):
+                remove(temporary)
+            raise
+        with contextlib.suppress(OSError):
+            self._prune(keep)
 
     def checkpoint_steps(self) -> list[int]:
-        """Steps of the checkpoints, oldest first.
+        """Steps of the checkpoints that are whole, oldest first; others are named in a warning.
 
         Raises:
-            InputError: there is none.
+            InputError: no checkpoint, or none that is whole.
         """
-        found = sorted(int(path.name.removeprefix("step_")) for path in self.checkpoints.glob("step_*"))
-        if not found:
-            raise InputError(f"run directory '{self.path}' holds no checkpoint: its training did not get so far.")
-        return found
+        steps, failures = [], []
+        for folder in self._found():
+            try:
+                self._verify(folder)
+            except InputError as error:
+                failures.append(error)
+            else:
+                steps.append(int(folder.name.removeprefix("step_")))
+        if not steps:
+            raise self._none(failures)
+        for failure in failures:
+            log.warning("reachlab: %s It is left out.", failure)
+        return steps[::-1]
 
     def read_checkpoint(self, part: str, template: Tree, step: int | None = None) -> Tree:
-        """The part with that name, in the shape of `template`, of the newest checkpoint or the one after `step`.
+        """A checkpoint's part with that name, in the shape of `template`: after `step`, or of the newest usable one.
+
+        A newer one that is damaged is named in a warning.
 
         Raises:
-            InputError: no checkpoint, a damaged one, or one of another shape.
+            InputError: no checkpoint, none that is whole, or one of another shape.
         """
-        checkpoint = self._checkpoint(self.checkpoint_steps()[-1] if step is None else step)
-        manifest = _read_json(checkpoint / "manifest.json")
-        try:
-            data = (checkpoint / "state.safetensors").read_bytes()
-            if hashlib.sha256(data).hexdigest() != manifest["sha256"]["state.safetensors"]:
-                raise InputError(f"checkpoint '{checkpoint}' is damaged: its checksum does not fit.")
-            arrays = safetensors.numpy.load(data)
-        except (OSError, SafetensorError, KeyError, TypeError):
-            raise InputError(f"checkpoint '{checkpoint}' is damaged: it cannot be read.") from None
-        return _unflatten(arrays, part, template, checkpoint)
+        if step is not None:
+            return self._load(self._checkpoint(step), part, template)
+        return self._newest(lambda folder: self._load(folder, part, template))
+
+    def read_state(self, template: Tree) -> tuple[Counters, Tree]:
+        """Counters and whole state of the newest usable checkpoint; see `read_checkpoint`."""
+
+        def load(folder: Path) -> tuple[Counters, Tree]:
+            parts = {name: self._load(folder, name, part) for name, part in vars(template).items()}
+            return Counters(**read_manifest(folder).counters), type(template)(**parts)
+
+        return self._newest(load)
+
+    def newest_manifest(self) -> Manifest | None:
+        """Manifest of the newest checkpoint that has one; None if there is no checkpoint."""
+        for folder in self._found():
+            with contextlib.suppress(InputError):
+                return read_manifest(folder)
+        return None
+
+    def clean(self) -> None:
+        """Remove what saves that were cut off have left."""
+        for left in self.checkpoints.glob(".step_*"):
+            remove(left)
 
     def _checkpoint(self, step: int) -> Path:
         return self.checkpoints / f"step_{step:012d}"
 
-    def write_report(self, name: str, report: Mapping[str, Any]) -> None:
-        """Save a report among the run's later ones; an earlier one of the same name is replaced."""
-        self.reports.mkdir(exist_ok=True)
-        write_json(self.reports / f"{name}.json", report)
+    def _found(self) -> list[Path]:
+        """Checkpoints, the newest first."""
+        return sorted(
+            (p for p in self.checkpoints.glob("step_*") if re.fullmatch(r"step_\d{12}", p.name)), reverse=True
+        )
+
+    def _newest(self, load: Callable[[Path], T]) -> T:
+        failures: list[InputError] = []
+        for folder in self._found():
+            try:
+                loaded = load(folder)
+            except InputError as error:
+                failures.append(error)
+                continue
+            for failure in failures:
+                log.warning("reachlab: %s Used instead: '%s'.", failure, folder)
+            return loaded
+        raise self._none(failures)
+
+    def _none(self, failures: Sequence[InputError]) -> InputError:
+        """Why no checkpoint can be used."""
+        missing = InputError(f"run directory '{self.path}' holds no checkpoint: its training did not get so far.")
+        return next(iter(failures), missing)
+
+    def _load(self, folder: Path, part: str, template: Tree) -> Tree:
+        from reachlab import arrays
+
+        self._verify(folder)
+        try:
+            return arrays.load(folder / ARRAYS, part, template)
+        except InputError as error:
+            raise InputError(f"checkpoint '{folder}' {error}.") from None
+        except arrays.UNREADABLE:
+            raise InputError(f"checkpoint '{folder}' is damaged: it cannot be read.") from None
+
+    def _verify(self, folder: Path) -> None:
+        """Make sure that a checkpoint is whole and of this run.
+
+        Raises:
+            InputError: it is not.
+        """
+        from reachlab import arrays
+
+        manifest, file = read_manifest(folder), folder / ARRAYS
+        if other := difference(self.read_config(), _saved_config(manifest, folder)):
+            raise InputError(
+                f"checkpoint '{folder}' does not fit the run's configuration: {other[0]} is {other[2]!r} there and"
+                f" {other[1]!r} in '{self.config_file}'."
+            )
+        try:
+            if arrays.digest(file, manifest.sizes[ARRAYS]) != manifest.sha256[ARRAYS]:
+                raise InputError("its checksum does not fit")
+        except InputError as error:
+            raise InputError(f"checkpoint '{folder}' is damaged: {error}.") from None
+        except arrays.UNREADABLE:
+            raise InputError(f"checkpoint '{folder}' is damaged: it cannot be read.") from None
+
+    def _fill(self, folder: Path, state: object, counters: Counters) -> None:
+        from reachlab.arrays import to_bytes
+        from reachlab.evaluation import versions
+        from reachlab.threads import threads
+
+        data = to_bytes(state)
+        os.mkdir(folder)  # noqa: PTH102 (see `storage`)
+        write_synced(folder / ARRAYS, data)
+        manifest = Manifest(
+            format=FORMAT,
+            counters=asdict(counters),
+            config=read_json(self.config_file),
+            threads=threads(),
+            versions=versions(),
+            sizes={ARRAYS: len(data)},
+            sha256={ARRAYS: hashlib.sha256(data).hexdigest()},
+        )
+        write_json(folder / MANIFEST, seal(vars(manifest)))
+
+    def _prune(self, keep: int) -> None:
+        older = self._found()[keep:]
+        best = max(self._found(), key=_rank, default=None)
+        for folder in older:
+            if folder != best:
+                # Out of sight first: half of a checkpoint is never seen.
+                hidden = folder.with_name(f".{folder.name}.tmp")
+                os.rename(folder, hidden)  # noqa: PTH104
+                remove(hidden)
+
+    def write_report(self, name: str, report: Mapping[str, Any], episodes: Mapping[str, Any]) -> None:
+        """Save a report among the run's later ones, and arrays `[N, ...]` with a row for each of its episodes.
+
+        Earlier ones of the same name are replaced.
+
+        Raises:
+            InputError: they cannot be written.
+        """
+        from reachlab.arrays import to_bytes
+
+        try:
+            self.reports.mkdir(exist_ok=True)
+            write_json(self.reports / f"{name}.json", report)
+            write_synced(self.reports / f"{name}.safetensors", to_bytes(dict(episodes)))
+        except OSError as error:
+            raise InputError(f"report '{self.reports / name}.json' cannot be written: {error.strerror}.") from None
 
 
-def write_json(path: Path, data: object) -> None:
-    """Write JSON so that the file is the old one or the new one, never half of it."""
-    temporary = path.with_name(f".{path.name}.tmp")
-    _write_synced(temporary, (json.dumps(data, indent=2) + "\n").encode())
-    temporary.rename(path)
-    _sync(path.parent)
+def _put(temporary: Path, final: Path) -> None:
+    """Show a checkpoint that is complete; one of the same step gives way."""
+    if final.exists():
+        old = final.with_name(f".{final.name}.old")
+        os.rename(final, old)  # noqa: PTH104
+        os.rename(temporary, final)  # noqa: PTH104
+        remove(old)
+    else:
+        os.rename(temporary, final)  # noqa: PTH104
+    sync(final.parent)
 
 
-def _read_json(path: Path) -> Any:
+def _saved_config(manifest: Manifest, folder: Path) -> RunConfig:
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(f"'{path}' is missing: '{path.parent}' is not a complete run.") from None
-    except (OSError, ValueError, RecursionError):
-        raise InputError(f"'{path}' is not JSON that can be read.") from None
+        return from_json(manifest.config)
+    except InputError as error:
+        raise InputError(f"checkpoint '{folder}' is damaged: {error}") from None
 
 
-def _write_synced(path: Path, data: bytes) -> None:
-    with path.open("wb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
-
-
-def _sync(folder: Path) -> None:
-    descriptor = os.open(folder, os.O_RDONLY)
+def _rank(folder: Path) -> tuple[int, tuple[bool, float]]:
+    """Order of checkpoints from worse to better; one that cannot be read is worse than any, a later one better."""
     try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
-
-
-def _named_leaves(tree: object) -> list[tuple[str, Any]]:
-    leaves, _ = jax.tree_util.tree_flatten_with_path(tree)
-    return [(jax.tree_util.keystr(path, simple=True, separator="/"), leaf) for path, leaf in leaves]
-
-
-def _is_key(leaf: Any) -> bool:
-    return jax.numpy.issubdtype(leaf.dtype, jax.dtypes.prng_key)
-
-
-def _flatten(tree: object) -> dict[str, np.ndarray]:
-    return {
-        name: np.asarray(jax.random.key_data(leaf) if _is_key(leaf) else leaf, order="C")
-        for name, leaf in _named_leaves(tree)
-    }
-
-
-def _unflatten(arrays: Mapping[str, np.ndarray], part: str, template: Tree, where: Path) -> Tree:
-    leaves = []
-    for name, like in _named_leaves({part: template}):
-        array = arrays.get(name)
-        wanted = jax.eval_shape(jax.random.key_data, like) if _is_key(like) else like
-        if array is None or array.shape != wanted.shape or array.dtype != wanted.dtype:
-            raise InputError(f"checkpoint '{where}' does not fit the run's configuration at {name!r}.")
-        leaves.append(jax.random.wrap_key_data(jax.numpy.asarray(array)) if _is_key(like) else jax.numpy.asarray(array))
-    return jax.tree.unflatten(jax.tree.structure(template), leaves)
+        return 1, read_manifest(folder).rank
+    except InputError:
+        return 0, (False, 0.0)

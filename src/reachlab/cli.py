@@ -24,6 +24,7 @@ from reachlab.config import (
     Checked,
     Count,
     InputError,
+    Positive,
     Range,
     RunConfig,
     Seed,
@@ -36,7 +37,7 @@ from reachlab.config import (
 EVALUATION_LANES = {"pybullet": 8}
 """Lanes of an evaluation where they are dear."""
 
-DONE, WRONG_INPUT, INTERRUPTED = 0, 2, 130
+DONE, WRONG_INPUT, NOT_FINITE, INTERRUPTED = 0, 2, 3, 130
 """Exit statuses."""
 
 
@@ -47,6 +48,10 @@ class Train(Checked):
     run: RunConfig = field(default_factory=RunConfig)
     out: Path | None = None
     """Run directory to make; by default a new one below runs/."""
+    resume: Path | None = None
+    """Run directory to go on in, from its newest checkpoint and with its own settings."""
+    tensorboard: bool = False
+    """Write TensorBoard's event file into the run directory too; needs the extra `tensorboard`."""
     json: bool = False
     """Print the result as one JSON object on standard output."""
 
@@ -60,17 +65,43 @@ class Eval(Checked):
     sim: str | None = None
     """Simulator, or `all` of them; by default the run's own."""
     agent: tuple[str, ...] = ("trained",)
-    """Agents: trained, random, zero, ik."""
+    """Agents: trained, random, zero, ik, ik_open."""
     episodes: Count = 1000
     """Held-out episodes."""
     seed: Seed = 1
     """Seed of the targets."""
+    perturb: bool = False
+    """Give every episode an arm of its own and noisy measurements; see `randomise` of train."""
     gui: bool = False
     """PyBullet: open its window."""
     slow: bool = False
     """PyBullet: slow down to be followed by eye."""
     json: bool = False
     """Print the report as JSON on standard output; a list of them for several agents or simulators."""
+
+
+@dataclass(frozen=True)
+class Video(Checked):
+    """Film held-out episodes of a run."""
+
+    run: Annotated[Path, tyro.conf.Positional]
+    """Run directory."""
+    out: Path | None = None
+    """File to write (.webp, .gif, or .mp4 with the extra `video`); by default video.webp in the run."""
+    sim: str | None = None
+    """Simulator; by default the run's own."""
+    agent: str = "trained"
+    """Agent: trained, random, zero, ik."""
+    episodes: Count = 4
+    """Episodes, one after the other: the first ones of `reachlab eval` with that seed."""
+    seed: Seed = 1
+    """Seed of the targets."""
+    fps: Positive = 30.0
+    """Pictures a second, about: each shows a whole number of control steps."""
+    speed: Positive = 1.0
+    """1 is real time, 0.5 half as fast."""
+    json: bool = False
+    """Print what was filmed as one JSON object on standard output."""
 
 
 @dataclass(frozen=True)
@@ -99,12 +130,12 @@ class View(Checked):
 
 @dataclass(frozen=True)
 class Plot(Checked):
-    """Draw learning curves."""
+    """Draw learning curves, and of what was evaluated the errors and failures."""
 
     runs: Annotated[tuple[Path, ...], tyro.conf.Positional]
-    """Run directories."""
+    """Run directories; those that differ by their seeds alone become one curve with its interval."""
     out: Path | None = None
-    """Picture to write (.png or .svg); by default curve.png in the first run."""
+    """Picture to write (.png or .svg); by default plots.png in the first run."""
 
 
 @dataclass(frozen=True)
@@ -112,7 +143,7 @@ class Bench(Checked):
     """Measure speed, accuracy and learning on this machine."""
 
     suite: str = "speed"
-    """Suite of measurements: speed, kinematics, learning, start, simulators."""
+    """Suite of measurements: speed, kinematics, learning, start, simulators, soak, trust."""
     json: bool = False
     """Print the measurements as a JSON list on standard output."""
 
@@ -127,16 +158,23 @@ class List(Checked):
 
 def train(arguments: Train) -> None:
     """Run `reachlab train`."""
+    from reachlab.interrupts import raise_on_termination
+
+    raise_on_termination()
+    if arguments.resume and _told_that_finished(arguments, arguments.resume):
+        return
     _prepare_jax()
     from reachlab.console import TrainDisplay, console, print_reports
-    from reachlab.plots import plot_curves
+    from reachlab.plots import plot as draw
     from reachlab.training import train as run_training
 
     config = arguments.run
-    out = arguments.out or Path("runs") / f"{time.strftime('%Y%m%d-%H%M%S')}-{config.task}"
+    out = arguments.resume or arguments.out or Path("runs") / f"{time.strftime('%Y%m%d-%H%M%S')}-{config.task}"
     with TrainDisplay() as display:
-        result = run_training(config, out, display)
-    plot_curves([out], out / "curve.png")
+        result = run_training(
+            config, out, display, resume=arguments.resume is not None, tensorboard=arguments.tensorboard
+        )
+    draw([out], out / "curve.png")
     if arguments.json:
         print(jsonlib.dumps(result.to_json()))
     print_reports([result.to_json()])
@@ -151,14 +189,34 @@ def train(arguments: Train) -> None:
     console.print(f"Next: reachlab eval {out} --agent trained random ik")
 
 
+def _told_that_finished(arguments: Train, folder: Path) -> bool:
+    """Whether the run to go on with is finished, and this was said.
+
+    Raises:
+        InputError: it cannot be gone on with; this is found before JAX is loaded.
+    """
+    from reachlab.checkpoint import RunDirectory
+    from reachlab.storage import read_json
+
+    if arguments.out:
+        raise InputError("--resume names the run directory: leave --out out.")
+    run = RunDirectory(folder)
+    run.read_unfinished(arguments.run)
+    if not run.finished:
+        return False
+    if arguments.json:
+        print(jsonlib.dumps(read_json(run.report_file)))
+    print(f"Run {folder} is finished: {run.report_file} holds its report.", file=sys.stderr)
+    return True
+
+
 def evaluate(arguments: Eval) -> None:
     """Run `reachlab eval`."""
     _prepare_jax()
     from reachlab.checkpoint import RunDirectory
     from reachlab.console import print_reports
     from reachlab.env import Env
-    from reachlab.evaluation import AGENTS, LANES
-    from reachlab.evaluation import evaluate as run_evaluation
+    from reachlab.evaluation import AGENTS, LANES, examine
     from reachlab.sims import SIMULATORS
     from reachlab.training import load_policy
 
@@ -170,18 +228,58 @@ def evaluate(arguments: Eval) -> None:
     reports = []
     for name in names:
         config = in_simulator(trained, choose("simulator", name, [*SIMULATORS, "all"]))
-        config = override(config, gui=arguments.gui, slow=arguments.slow)
+        if (arguments.gui or arguments.slow) and name != "pybullet":
+            raise InputError(f"--gui and --slow are PyBullet's, and the simulator is {name!r}: add --sim pybullet.")
+        config = override(config, gui=arguments.gui, slow=arguments.slow, randomise=arguments.perturb)
         env = Env(config, 1 if arguments.gui else min(arguments.episodes, EVALUATION_LANES.get(name, LANES)))
         policy = load_policy(run, config, env)
         for agent in arguments.agent:
-            report = run_evaluation(env, agent, policy, seed=arguments.seed, episodes=arguments.episodes).to_json()
-            run.write_report(f"{report['sim']}-{agent}-{arguments.seed}", report)
+            result, played = examine(env, agent, policy, seed=arguments.seed, episodes=arguments.episodes)
+            report = result.to_json()
+            rows = {"target": played.target, "distance": played.distance, "success": played.success}
+            kind = "-perturbed" if arguments.perturb else ""
+            run.write_report(f"{name}-{agent}-{arguments.seed}{kind}", report, rows)
             reports.append(report)
         env.close()
     if arguments.json:
         print(jsonlib.dumps(reports[0] if len(reports) == 1 else reports))
     else:
         print_reports(reports)
+
+
+def video(arguments: Video) -> None:
+    """Run `reachlab video`."""
+    _prepare_jax()
+    from reachlab.checkpoint import RunDirectory
+    from reachlab.console import console
+    from reachlab.env import Env
+    from reachlab.evaluation import AGENTS
+    from reachlab.sims import SIMULATORS
+    from reachlab.training import load_policy
+    from reachlab.video import write_video
+
+    agent = choose("agent", arguments.agent, AGENTS)
+    run = RunDirectory(arguments.run)
+    trained = run.read_config()
+    config = in_simulator(trained, choose("simulator", arguments.sim or trained.sim, SIMULATORS))
+    env = Env(config, 1)
+    clip = write_video(
+        env,
+        agent,
+        load_policy(run, config, env),
+        arguments.out or run.path / "video.webp",
+        seed=arguments.seed,
+        episodes=arguments.episodes,
+        fps=arguments.fps,
+        speed=arguments.speed,
+    )
+    env.close()
+    if arguments.json:
+        print(jsonlib.dumps(vars(clip)))
+    console.print(
+        f"Written: {clip.out}, {clip.seconds:.1f} s, {clip.frames} pictures, {clip.bytes / 1e6:.2f} MB:"
+        f" {clip.successes} of {clip.episodes} episodes reach the target."
+    )
 
 
 def view(arguments: View) -> None:
@@ -222,12 +320,12 @@ def view(arguments: View) -> None:
 def plot(arguments: Plot) -> None:
     """Run `reachlab plot`."""
     from reachlab.console import console
-    from reachlab.plots import plot_curves
+    from reachlab.plots import plot as draw
 
     if not arguments.runs:
         raise InputError("plot needs at least one run directory.")
-    out = arguments.out or arguments.runs[0] / "curve.png"
-    plot_curves(arguments.runs, out)
+    out = arguments.out or arguments.runs[0] / "plots.png"
+    draw(arguments.runs, out)
     console.print(f"Written: {out}")
 
 
@@ -284,6 +382,7 @@ class Verb:
 VERBS: dict[str, Verb] = {
     "train": Verb(Train, train),
     "eval": Verb(Eval, evaluate),
+    "video": Verb(Video, video),
     "view": Verb(View, view),
     "plot": Verb(Plot, plot),
     "bench": Verb(Bench, bench),
@@ -292,7 +391,7 @@ VERBS: dict[str, Verb] = {
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Exit status of the command line; see `DONE`, `WRONG_INPUT`, `INTERRUPTED`."""
+    """Exit status of the command line; see `DONE`, `WRONG_INPUT`, `NOT_FINITE`, `INTERRUPTED`."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     try:
         if not words or words[0] in ("-h", "--help"):
@@ -303,9 +402,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except InputError as error:
         print(f"reachlab: {error}", file=sys.stderr)
         return WRONG_INPUT
-    except KeyboardInterrupt:
-        print("reachlab: interrupted.", file=sys.stderr)
-        return INTERRUPTED
+    except OSError as error:
+        print(f"reachlab: {error.filename or 'a file'} cannot be used: {error.strerror or error}.", file=sys.stderr)
+        return WRONG_INPUT
+    except FloatingPointError as error:
+        print(f"reachlab: {error}", file=sys.stderr)
+        return NOT_FINITE
+    except KeyboardInterrupt as interruption:
+        print(f"reachlab: {str(interruption) or 'interrupted.'}", file=sys.stderr)
+        return vars(interruption).get("status", INTERRUPTED)
     return DONE
 
 
@@ -326,7 +431,7 @@ def _parse(verb: str, flags: type, words: list[str]) -> Any:
     """
     default: Any = tyro.MISSING_NONPROP
     if flags is Train:
-        default = Train(run=preset(_value_of("--task", words) or "tutorial", _value_of("--sim", words)))
+        default = Train(run=_defaults(words))
     said = io.StringIO()
     try:
         with contextlib.redirect_stderr(said):
@@ -337,6 +442,15 @@ def _parse(verb: str, flags: type, words: list[str]) -> Any:
         if not end.code:
             raise
         raise InputError(f"{_sentence(said.getvalue())} See `reachlab {verb} --help`.") from None
+
+
+def _defaults(words: Sequence[str]) -> RunConfig:
+    """Settings that the flags of a training change: those of the run to go on with, or a preset."""
+    if folder := _value_of("--resume", words):
+        from reachlab.checkpoint import RunDirectory
+
+        return RunDirectory(Path(folder)).read_config()
+    return preset(_value_of("--task", words) or "tutorial", _value_of("--sim", words))
 
 
 def _value_of(flag: str, words: Sequence[str]) -> str | None:

@@ -11,6 +11,8 @@ import dataclasses
 import difflib
 import functools
 import math
+import reprlib
+import sys
 import types
 import typing
 from collections.abc import Iterable, Mapping
@@ -49,20 +51,38 @@ class Range:
     def __contains__(self, value: float) -> bool:
         """Whether the value is finite and inside."""
         above = value > self.low if self.open_low else value >= self.low
-        return math.isfinite(value) and above and value <= self.high
+        return abs(value) <= sys.float_info.max and above and value <= self.high
 
     def __str__(self) -> str:
         """The range in words."""
-        low = "" if math.isinf(self.low) else f"{'above' if self.open_low else 'at least'} {self.low:g}"
-        high = "" if math.isinf(self.high) else f"at most {self.high:g}"
+        low = "" if math.isinf(self.low) else f"{'above' if self.open_low else 'at least'} {self.low:.12g}"
+        high = "" if math.isinf(self.high) else f"at most {self.high:.12g}"
         return " and ".join(part for part in (low, high) if part)
 
 
-Count = Annotated[int, Range(1)]
+@dataclass(frozen=True)
+class Length:
+    """Allowed lengths of a list."""
+
+    most: int
+
+    def __contains__(self, value: Any) -> bool:
+        """Whether the list is not too long."""
+        return len(value) <= self.most
+
+    def __str__(self) -> str:
+        """The length in words."""
+        return f"a list of at most {self.most}"
+
+
+Count = Annotated[int, Range(1, 2**31 - 1)]
+Steps = Annotated[int, Range(1, 10**12 - 1)]
+"""Environment steps of a whole training; a checkpoint's name has twelve digits."""
 NonNegativeInt = Annotated[int, Range(0)]
 Positive = Annotated[float, Range(0.0, open_low=True)]
 NonNegative = Annotated[float, Range(0.0)]
 Fraction = Annotated[float, Range(0.0, 1.0)]
+Point = tuple[float, float, float]
 Seed = Annotated[int, Range(0, 2**31 - 1)]
 
 
@@ -86,10 +106,10 @@ def _check(name: str, value: Any, hint: Any) -> None:
             raise TypeCheckError("a truth value is no number")
         check_type(value, base)
     except TypeCheckError:
-        raise InputError(f"{name} must be {_type_name(base)}, got {value!r}.") from None
+        raise InputError(f"{name} must be {_type_name(base)}, got {reprlib.repr(value)}.") from None
     for limit in limits:
-        if isinstance(limit, Range) and value not in limit:
-            raise InputError(f"{name} must be {limit}, got {value!r}.")
+        if isinstance(limit, Range | Length) and value not in limit:
+            raise InputError(f"{name} must be {limit}, got {reprlib.repr(value)}.")
     if isinstance(value, tuple):
         for item in value:
             _check(f"each entry of {name}", item, typing.get_args(base)[0])
@@ -126,8 +146,26 @@ class TaskConfig(Checked):
     """An episode is truncated on this step."""
     approach_weight: NonNegative = 5.0
     """Reward of the `dense` reward for each metre that the tool comes closer [1/m]."""
+    targets: str = "table"
+    """Where targets are drawn: `table`, or `box`."""
     target_height: Annotated[float, Range(-10.0, 10.0)] = -0.0083
-    """Height of the targets [m]; the tutorial's object settles there."""
+    """Height of the targets on the table [m]; the tutorial's object settles there."""
+    target_low: Point = (0.3, -0.4, 0.1)
+    """Lower corner of the box of targets [m]."""
+    target_high: Point = (0.7, 0.4, 0.6)
+    """Upper corner of the box of targets [m]."""
+    start_noise: NonNegative = 0.0
+    """Episodes start with every joint within this of its home [rad or m]."""
+    hold_steps: NonNegativeInt = 0
+    """Steps for which the tool has to be held at the target; with 0, touching it ends the episode in success."""
+    hold_speed: Positive = 0.05
+    """Joint speed below which the tool counts as held [rad/s or m/s]."""
+    closeness_weight: NonNegative = 0.2
+    """Reward of the `precise` reward for a step at the target itself, and as much again for being still there."""
+    closeness_scale: Positive = 0.01
+    """Distance at which that reward has fallen to about a half [m]."""
+    effort_weight: NonNegative = 0.01
+    """Penalty of the `precise` reward for a step with actions of 1."""
 
 
 @dataclass(frozen=True)
@@ -146,13 +184,16 @@ class SimConfig(Checked):
     """PyBullet: open its window, on the first lane."""
     slow: bool = False
     """PyBullet: slow down to be followed by eye."""
+    randomise: bool = False
+    """Every episode has an arm of its own: servo gains within 15 %, joint damping within 30 %, a payload of 0 to 2 kg
+    at the tool (MuJoCo); and its joints are measured with noise of 0.5 mrad and 0.01 rad/s."""
 
 
 @dataclass(frozen=True)
 class PPOConfig(Checked):
     """Proximal policy optimisation and its loop."""
 
-    total_steps: Count = 20_000_000
+    total_steps: Steps = 20_000_000
     """Environment steps after which training ends in any case."""
     stop_early: bool = True
     """End training once `stop_streak` validations in a row hold `stop_success`."""
@@ -166,7 +207,7 @@ class PPOConfig(Checked):
     """Iterations between validations, once the training episodes themselves come near."""
     report_episodes: Count = 1000
     """Held-out episodes of the report at the end of training."""
-    lanes: Count = 128
+    lanes: Annotated[int, Range(1, 2**17)] = 128
     """Environments stepped together."""
     rollout_steps: Count = 64
     """Steps of each lane between two updates."""
@@ -178,7 +219,7 @@ class PPOConfig(Checked):
     """Adam's step size at the start."""
     final_learning_rate: NonNegative = 1e-4
     """Step size after `anneal_steps`, reached on a straight line."""
-    anneal_steps: Count = 2_000_000
+    anneal_steps: Steps = 2_000_000
     """Environment steps over which the learning rate falls."""
     gamma: Fraction = 0.98
     """Discount of a step."""
@@ -192,10 +233,16 @@ class PPOConfig(Checked):
     """Weight of the entropy bonus."""
     max_grad_norm: Positive = 0.5
     """The gradient of all parameters together is shortened to this norm."""
-    hidden: tuple[Count, ...] = (64, 64)
+    hidden: Annotated[tuple[Count, ...], Length(16)] = (64, 64)
     """Widths of the hidden layers of actor and critic."""
     initial_std: Positive = 0.4
     """Standard deviation of the first policy, in halves of the action box."""
+    checkpoint_interval: NonNegative = 20.0
+    """Time from one checkpoint to the next [s]; longer if saving took more than 2 % of it, and 0 saves always."""
+    keep_checkpoints: Count = 3
+    """Newest checkpoints that are kept; the best one is kept too."""
+    deterministic: bool = False
+    """Compute on one thread: the same weights on any number of cores."""
 
 
 @dataclass(frozen=True)
@@ -215,7 +262,38 @@ class RunConfig(Checked):
     ppo: PPOConfig = field(default_factory=PPOConfig)
 
 
-TASKS: dict[str, RunConfig] = {"tutorial": RunConfig()}
+TASKS: dict[str, RunConfig] = {
+    "tutorial": RunConfig(),
+    "precise": RunConfig(
+        task="precise",
+        sim="mujoco",
+        rules=TaskConfig(
+            tool="flange",
+            observation="state",
+            action="joint_delta",
+            reward="precise",
+            success_distance=0.01,
+            max_steps=100,
+            targets="box",
+            start_noise=0.3,
+            hold_steps=10,
+        ),
+        physics=SimConfig(control_period=0.02),
+        ppo=PPOConfig(
+            total_steps=2_500_000,
+            stop_early=False,
+            report_episodes=2000,
+            lanes=256,
+            rollout_steps=100,
+            epochs=4,
+            minibatches=4,
+            gamma=0.97,
+            hidden=(128, 128),
+            final_learning_rate=1e-5,
+            anneal_steps=2_500_000,
+        ),
+    ),
+}
 """Presets by name: `--task` starts from one of them and flags change it."""
 
 
@@ -277,6 +355,18 @@ def _sections(config: RunConfig) -> dict[str, str | None]:
         elif outer.name != "task":
             sections[outer.name] = None
     return sections
+
+
+def difference(one: object, other: object) -> tuple[str, Any, Any] | None:
+    """Name of the first setting in which two configurations differ, and both values; None if they are the same."""
+    for entry in dataclasses.fields(typing.cast("Any", one)):
+        a, b = getattr(one, entry.name), getattr(other, entry.name)
+        if dataclasses.is_dataclass(a):
+            if found := difference(a, b):
+                return found
+        elif a != b:
+            return entry.name, a, b
+    return None
 
 
 def to_json(config: RunConfig) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeEl
 from rich.table import Table
 
 if TYPE_CHECKING:
-    from reachlab.training import Progress as TrainProgress
+    from reachlab.loop import Progress as TrainProgress
 
 LINES = 20
 """Plain progress lines printed of a run that uses all its steps."""
@@ -89,11 +89,15 @@ def print_reports(reports: Sequence[dict[str, Any]]) -> None:
             report["sim"],
             f"{100 * report['success_rate']:.2f} %",
             f"{100 * low:.2f} to {100 * high:.2f}",
-            f"{error['median']:.1f} mm",
-            f"{error['p99']:.1f} mm",
+            _millimetres(error["median"]),
+            _millimetres(error["p99"]),
             f"{report['steps_mean']:.0f}",
         )
     console.print(table)
+
+
+def _millimetres(error: float | None) -> str:
+    return "not held" if error is None else f"{error:.2f} mm" if error < 1 else f"{error:.1f} mm"
 
 
 def print_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:

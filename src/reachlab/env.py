@@ -14,9 +14,13 @@ from jax import Array
 from reachlab import task
 from reachlab.compilation import dispatch_inline, jit
 from reachlab.config import RunConfig
+from reachlab.kinematics import forward_kinematics
 from reachlab.robots import load_robot
 from reachlab.sims import SIMULATORS, ArmState, Lanes, make_simulator
 from reachlab.task import Reach, Situation, make_reach
+
+POSITION_NOISE, SPEED_NOISE = 0.0005, 0.01
+"""Standard deviations of the joint measurements where the physics is randomised [rad, rad/s]."""
 
 
 @jax.tree_util.register_dataclass
@@ -30,6 +34,7 @@ class EnvState:
         target_q: last joint command `[B, n]` [rad or m]; commands accumulate on it.
         last_action: `[B, a]`, zero at the start.
         distance: tool to target `[B]` [m].
+        recent: errors of the last steps `[B, hold_steps]` [m], see `task.remember`; None if touching is enough.
         clock: steps since the reset `[B]`.
         key: random key of each lane `[B]`.
     """
@@ -39,6 +44,7 @@ class EnvState:
     target_q: Array
     last_action: Array
     distance: Array
+    recent: Array | None
     clock: Array
     key: Array
 
@@ -54,7 +60,7 @@ class Transition:
         terminated: the task ended the episode `[B]`.
         truncated: the clock did `[B]`.
         done: the episode ended, either way `[B]`.
-        terms: `distance` [m], `success` and each term of the reward, `[B]`.
+        terms: `distance` [m], the `error` that counts at the end [m], `success` and each term of the reward, `[B]`.
     """
 
     observation: Array
@@ -98,23 +104,30 @@ class Env:
 
     def init(self, keys: Array) -> EnvState:
         """State in which every lane begins an episode; `keys [B]`, see `lane_keys`."""
-        key, q, target = self._draw(keys)
-        return self._begin(self.simulator.reset(None, q, target, None), target, key)
+        key, q, target, chance = self._draw(keys)
+        return self._begin(self.simulator.reset(None, q, target, None, chance), target, key)
 
     def reset(self, state: EnvState, mask: Array | np.ndarray) -> EnvState:
         """State in which the lanes of `mask [B]` begin a new episode."""
-        key, q, target = self._draw(state.key)
-        arm = self.simulator.reset(state.arm, q, target, mask)
+        key, q, target, chance = self._draw(state.key)
+        arm = self.simulator.reset(state.arm, q, target, mask, chance)
         return self._merge(jnp.asarray(mask), replace(self._begin(arm, target, key), arm=arm), replace(state, arm=arm))
 
     def step(self, state: EnvState, action: Lanes) -> tuple[EnvState, Transition]:
         """State and transition after `action [B, a]`."""
         target_q = self._command(state.target_q, action)
         arm = self.simulator.step(state.arm, target_q)
-        now = Situation(arm.q, arm.qd, arm.tool_position, state.target, target_q, cast("Array", action))
-        clock, transition = self._judge(now, state.distance, state.clock)
-        distance = transition.terms["distance"]
-        state = replace(state, arm=arm, target_q=target_q, last_action=now.last_action, distance=distance, clock=clock)
+        last = (state.distance, state.recent, state.clock)
+        (distance, recent, clock), transition = self._judge(self._true(state, arm, target_q, action), last, state.key)
+        state = replace(
+            state,
+            arm=arm,
+            target_q=target_q,
+            last_action=cast("Array", action),
+            distance=distance,
+            recent=recent,
+            clock=clock,
+        )
         return state, transition
 
     def observe(self, state: EnvState) -> Array:
@@ -122,9 +135,22 @@ class Env:
         return task.observe(self.reach, self.situation(state))
 
     def situation(self, state: EnvState) -> Situation:
-        """What observations and baselines may look at."""
-        arm = state.arm
-        return Situation(arm.q, arm.qd, arm.tool_position, state.target, state.target_q, state.last_action)
+        """What observations and baselines may look at: as measured, with noise where the physics has it."""
+        now = self._true(state, state.arm, state.target_q, state.last_action)
+        return self._measured(now, state.key, state.clock)
+
+    @staticmethod
+    def _true(state: EnvState, arm: ArmState, target_q: Array, action: Lanes) -> Situation:
+        return Situation(arm.q, arm.qd, arm.tool_position, state.target, target_q, cast("Array", action))
+
+    def _measured(self, now: Situation, keys: Array, clock: Array) -> Situation:
+        if not self.config.physics.randomise:
+            return now
+        noise = jax.vmap(lambda key, step: jax.random.normal(jax.random.fold_in(key, step), (2, now.q.shape[-1])))(
+            keys, clock
+        )
+        q, qd = now.q + POSITION_NOISE * noise[:, 0], now.qd + SPEED_NOISE * noise[:, 1]
+        return now._replace(q=q, qd=qd, tool_position=forward_kinematics(self.reach.robot.chain, q).position)
 
     def traced(self, function: Callable[..., Any]) -> Callable[..., Any]:
         """A function beside the simulator: itself where a caller traces everything, compiled where none can."""
@@ -142,10 +168,16 @@ class Env:
         """Close the simulator."""
         self.simulator.close()
 
-    def _draw(self, keys: Array) -> tuple[Array, Array, Array]:
-        def one(key: Array) -> tuple[Array, Array, Array]:
+    def _draw(self, keys: Array) -> tuple[Array, Array, Array, Array | None]:
+        """Next keys, starts, targets and, where the physics is randomised, the chances of the arms."""
+        chances = 2 * self.reach.robot.chain.n + 1 if self.config.physics.randomise else 0
+
+        def one(key: Array) -> tuple[Array, Array, Array, Array | None]:
             key, for_target, for_start = jax.random.split(key, 3)
-            return key, task.draw_start(self.reach, for_start), task.draw_target(self.reach, for_target)
+            start, target = task.draw_start(self.reach, for_start), task.draw_target(self.reach, for_target)
+            for_arm = jax.random.fold_in(for_start, 1)
+            chance = jax.random.uniform(for_arm, (chances,), minval=-1.0) if chances else None
+            return key, start, target, chance
 
         return jax.vmap(one)(keys)
 
@@ -157,6 +189,7 @@ class Env:
             target_q=arm.q,
             last_action=jnp.zeros((lanes, len(self.action_bounds[0]))),
             distance=jnp.linalg.norm(arm.tool_position - target, axis=-1),
+            recent=task.nothing_held(self.reach, lanes),
             clock=jnp.zeros(lanes, jnp.int32),
             key=key,
         )
@@ -175,17 +208,20 @@ class Env:
         most = jnp.array(self.reach.robot.speed) * self.config.physics.control_period
         return jnp.clip(target_q, last - most, last + most)
 
-    def _judge(self, now: Situation, distance_before: Array, clock: Array) -> tuple[Array, Transition]:
-        """Clock and transition of a step that led to a situation; apart from the state, which it would only copy."""
-        rules, clock = self.reach.config, clock + 1
-        outcome = task.judge(self.reach, distance_before, now.tool_position, now.target, clock)
+    def _judge(
+        self, now: Situation, last: tuple[Array, Array | None, Array], keys: Array
+    ) -> tuple[tuple[Array, Array | None, Array], Transition]:
+        """Distance, recent errors and clock, and the transition, of a step that led to a situation."""
+        rules, recent, clock = self.reach.config, task.remember(self.reach, last[1], now), last[2] + 1
+        outcome = task.judge(self.reach, last[0], recent, now, clock)
         terms = task.REWARDS[rules.reward](rules, outcome)
-        terminated = outcome.outside | outcome.success
-        return clock, Transition(
-            observation=task.observe(self.reach, now),
+        terminated = outcome.outside | (outcome.success if recent is None else jnp.zeros_like(outcome.success))
+        transition = Transition(
+            observation=task.observe(self.reach, self._measured(now, keys, clock)),
             reward=sum(terms.values(), jnp.zeros_like(outcome.distance)),
             terminated=terminated,
             truncated=outcome.timeout,
             done=terminated | outcome.timeout,
-            terms={"distance": outcome.distance, "success": outcome.success, **terms},
+            terms={"distance": outcome.distance, "error": outcome.held, "success": outcome.success, **terms},
         )
+        return (outcome.distance, recent, clock), transition

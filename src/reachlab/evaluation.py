@@ -20,13 +20,20 @@ from reachlab import task
 from reachlab.compilation import jit
 from reachlab.config import InputError, choose
 from reachlab.env import Env, EnvState, Transition
+from reachlab.kinematics import forward_kinematics
 from reachlab.policy import Policy
 
 REPORT_STREAM, VALIDATION_STREAM = 1, 2
 """Random streams beside the one that lanes train on, so that no evaluation repeats a training target."""
 
+QUANTILES = {"median": 0.5, "p95": 0.95, "p99": 0.99, "max": 1.0}
+"""Quantiles of the final error in a report."""
+
 NORMAL_95 = 1.959964
 """97.5 % quantile of the standard normal distribution."""
+
+WITHIN = (100, 50, 20, 10, 5, 2, 1)
+"""Errors of which `success_within` speaks [mm]."""
 
 LANES = 1000
 """Episodes evaluated together where the simulator is pure; one size, so one compiled program."""
@@ -57,12 +64,21 @@ def _zero(env: Env, policy: Policy | None, state: EnvState, key: Array) -> Array
 
 
 def _ik(env: Env, policy: Policy | None, state: EnvState, key: Array) -> Array:
-    """Inverse kinematics: straight to the target."""
+    """Inverse kinematics in a closed loop: to the target from where the tool is measured, at every step."""
     del policy, key
     return task.ACTIONS[env.reach.config.action].towards(env.reach, env.situation(state))
 
 
-AGENTS: dict[str, Agent] = {"trained": _trained, "random": _random, "zero": _zero, "ik": _ik}
+def _ik_open(env: Env, policy: Policy | None, state: EnvState, key: Array) -> Array:
+    """Inverse kinematics solved once: to the target from where the tool was commanded, whatever is measured."""
+    del policy, key
+    now = env.situation(state)
+    commanded = forward_kinematics(env.reach.robot.chain, now.target_q).position
+    blind = now._replace(q=now.target_q, tool_position=commanded)
+    return task.ACTIONS[env.reach.config.action].towards(env.reach, blind)
+
+
+AGENTS: dict[str, Agent] = {"trained": _trained, "random": _random, "zero": _zero, "ik": _ik, "ik_open": _ik_open}
 """Agents by name: the trained policy, and what it has to beat."""
 
 
@@ -72,9 +88,10 @@ class Episodes:
     """What became of `B` episodes.
 
     Attributes:
+        target: point to reach `[B, 3]` [m].
         done: the episode has ended `[B]`; nothing of it changes any more.
         success: it ended in success `[B]`.
-        distance: tool to target at its end `[B]` [m].
+        distance: error at its end `[B]` [m]: from tool to target, held where the task says so.
         steps: its length `[B]`.
         returns: sum of its rewards `[B]`.
         max_speed: largest joint speeds in it `[B, n]` [rad/s].
@@ -82,6 +99,7 @@ class Episodes:
         motion: joint positions, displacement and its change at the last step, three `[B, n]`.
     """
 
+    target: Array
     done: Array
     success: Array
     distance: Array
@@ -98,11 +116,12 @@ class Report:
 
     Attributes:
         task, robot, sim, agent, seed, episodes: what was evaluated, on which seed's held-out targets.
-        perturb: whether the robot was perturbed; None where that does not exist.
+        perturb: whether every episode had a perturbed arm of its own, see `SimConfig.randomise`.
         success_rate: share of episodes that ended in success.
         success_interval: its 95 % Wilson interval.
         success_within: share within so many millimetres at the end; None where success ends the episode.
-        final_error_mm: distance from tool to target at the end: median, p95, p99, max.
+        final_error_mm: distance from tool to target at the end: median, p95, p99, max; where the task says so the held
+            one, None if infinite.
         return_mean: mean sum of rewards.
         steps_mean: mean length, to success or the end.
         time_to_reach_s: mean time of the successes [s]; None without any.
@@ -118,11 +137,11 @@ class Report:
     agent: str
     seed: int
     episodes: int
-    perturb: bool | None
+    perturb: bool
     success_rate: float
     success_interval: tuple[float, float]
     success_within: dict[str, float] | None
-    final_error_mm: dict[str, float]
+    final_error_mm: dict[str, float | None]
     return_mean: float
     steps_mean: float
     time_to_reach_s: float | None
@@ -168,6 +187,7 @@ def make_runner(env: Env, agent: str) -> Runner:
         state = env.init(keys)
         lanes, still = len(keys), jnp.zeros_like(state.arm.q)
         episodes = Episodes(
+            target=state.target,
             done=jnp.zeros(lanes, bool),
             success=jnp.zeros(lanes, bool),
             distance=state.distance,
@@ -211,9 +231,10 @@ def _count(episodes: Episodes, state: EnvState, transition: Transition, period: 
     change_now = moved_now - moved
     jerk = jnp.square((change_now - change) / period**3).mean(-1)
     new = Episodes(
+        target=episodes.target,
         done=transition.done,
         success=transition.terms["success"],
-        distance=transition.terms["distance"],
+        distance=transition.terms["error"],
         steps=episodes.steps + 1,
         returns=episodes.returns + transition.reward,
         max_speed=jnp.maximum(episodes.max_speed, jnp.abs(state.arm.qd)),
@@ -249,7 +270,20 @@ def evaluate(
     episodes: int,
     runner: Runner | None = None,
 ) -> Report:
-    """Report of an agent on held-out targets.
+    """Report of an agent on held-out targets; see `examine`."""
+    return examine(env, agent, policy, seed=seed, episodes=episodes, runner=runner)[0]
+
+
+def examine(
+    env: Env,
+    agent: str,
+    policy: Policy | None = None,
+    *,
+    seed: int,
+    episodes: int,
+    runner: Runner | None = None,
+) -> tuple[Report, Episodes]:
+    """Report of an agent on held-out targets, and the episodes that it sums up.
 
     Args:
         env: the environment.
@@ -266,7 +300,7 @@ def evaluate(
         raise InputError(f"episodes must be at least 1, got {episodes}.")
     start = time.perf_counter()
     result = run_episodes(runner or make_runner(env, agent), policy, seed, REPORT_STREAM, episodes)
-    return summarise(env, agent, result, seed, time.perf_counter() - start)
+    return summarise(env, agent, result, seed, time.perf_counter() - start), result
 
 
 def summarise(env: Env, agent: str, result: Episodes, seed: int, wall_s: float) -> Report:
@@ -282,15 +316,12 @@ def summarise(env: Env, agent: str, result: Episodes, seed: int, wall_s: float) 
         agent=agent,
         seed=seed,
         episodes=count,
-        perturb=None,
+        perturb=env.config.physics.randomise,
         success_rate=successes / count,
         success_interval=wilson_interval(successes, count),
-        success_within=None,
+        success_within=_shares_within(error) if env.config.rules.hold_steps else None,
         final_error_mm={
-            "median": float(np.median(error)),
-            "p95": float(np.quantile(error, 0.95)),
-            "p99": float(np.quantile(error, 0.99)),
-            "max": float(error.max()),
+            name: _finite(np.quantile(error, share, method="inverted_cdf")) for name, share in QUANTILES.items()
         },
         return_mean=float(result.returns.mean()),
         steps_mean=float(result.steps.mean()),
@@ -300,6 +331,15 @@ def summarise(env: Env, agent: str, result: Episodes, seed: int, wall_s: float) 
         wall_s=wall_s,
         versions=versions(),
     )
+
+
+def _shares_within(error: np.ndarray) -> dict[str, float]:
+    return {str(limit): float((error <= limit).mean()) for limit in WITHIN}
+
+
+def _finite(value: np.floating[Any]) -> float | None:
+    """The number, None for infinity, which JSON has no word for."""
+    return float(value) if np.isfinite(value) else None
 
 
 def versions() -> dict[str, str]:

@@ -68,6 +68,15 @@ class ReachEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         """Picture of the arm, `[height, width, 3]` uint8, in render mode `rgb_array`."""
         return self._lanes.render(0) if self.render_mode == "rgb_array" else None
 
+    @property
+    def state(self) -> EnvState:
+        """State of the episode under way, in a batch of one.
+
+        Raises:
+            InputError: none has begun.
+        """
+        return self._lanes.state
+
     def close(self) -> None:
         """Close the simulator."""
         self._lanes.env.close()
@@ -197,24 +206,26 @@ class _Lanes:
 
     def restart(self, mask: np.ndarray) -> None:
         """New episodes in the lanes of `mask`."""
-        self._state = self._reset(self._begun(), mask)
+        self._state = self._reset(self.state, mask)
 
     def step(self, actions: ArrayLike) -> Transition:
         """Transition of all lanes, checked first."""
-        state = self._begun()
+        state = self.state
         self._state, done = self._step(state, _checked_actions(actions, state.last_action.shape))
         return done
 
     def look(self) -> tuple[np.ndarray, np.ndarray]:
         """Observations `[B, k]` and distances `[B]` of the present state."""
-        observation, distance = self._look(self._begun())
+        observation, distance = self._look(self.state)
         return np.array(observation), np.array(distance)
 
     def render(self, lane: int) -> np.ndarray:
         """Picture of a lane."""
-        return self.env.render(self._begun(), lane)
+        return self.env.render(self.state, lane)
 
-    def _begun(self) -> EnvState:
+    @property
+    def state(self) -> EnvState:
+        """State of the episodes under way."""
         if self._state is None:
             raise InputError("the environment has no episode yet: call reset first.")
         return self._state

@@ -38,6 +38,9 @@ if TYPE_CHECKING:
 DAMPING = 1e-5
 """Added to the diagonal of J Jᵀ; the tutorial's joint damping."""
 
+POINT_DAMPING = 1e-3
+"""The same for the position alone, whose target may be far."""
+
 SUGIHARA = 0.1
 """Weight of the squared error in the damping of the inverse-kinematics solver."""
 
@@ -157,6 +160,15 @@ def ik_displace(chain: Chain, q: Array, displacement: Array, quaternion: Array) 
     frames = _frames(chain, lanes)
     angular = _rotation_error(frames.rotation, rotation_from_quaternion(*_lanes(quaternion)))
     return _single_step(chain, q, lanes, Vec(*_lanes(displacement)), angular, _columns(chain, frames))
+
+
+def ik_point_step(chain: Chain, q: Array, displacement: Array) -> Array:
+    """Joint displacement `[..., n]` for a tool displacement `[..., 3]` m at `q [..., n]`, its orientation left free.
+
+    The damped least-squares step of `ik_step` for the position alone; joint limits are not looked at.
+    """
+    columns = [column[:3] for column in _columns(chain, _frames(chain, _lanes(q)))]
+    return _stack(_least_squares(columns, _lanes(displacement), POINT_DAMPING), q)
 
 
 def _single_step(

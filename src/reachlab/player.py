@@ -12,13 +12,9 @@ import numpy as np
 from jax import Array
 
 from reachlab import task
-from reachlab.compilation import jit
 from reachlab.env import Env, EnvState, Transition
 from reachlab.evaluation import AGENTS, REPORT_STREAM, episode_keys
 from reachlab.policy import Policy
-
-TARGET_SAMPLES = 4096
-"""Draws from which the box of the task's targets is found."""
 
 Advance = Callable[[Policy | None, EnvState, Array], tuple[EnvState, Transition, Array]]
 
@@ -87,7 +83,8 @@ class Player:
         state = self._state
         row = jnp.asarray(target, jnp.float32)[None]
         distance = jnp.linalg.norm(state.arm.tool_position - row, axis=-1)
-        self._state = replace(state, target=row, distance=distance, clock=jnp.zeros_like(state.clock))
+        recent = task.nothing_held(self._env.reach, 1)
+        self._state = replace(state, target=row, distance=distance, recent=recent, clock=jnp.zeros_like(state.clock))
         self._touched, self.over = True, False
         self.moment = self._look(reached=False)
 
@@ -117,7 +114,5 @@ def make_advance(env: Env, agent: str) -> Advance:
 
 
 def target_box(reach: task.Reach) -> np.ndarray:
-    """Lower and upper corner `[2, 3]` of the task's targets [m], found by drawing some."""
-    keys = jax.random.split(jax.random.key(0), TARGET_SAMPLES)
-    targets = np.asarray(jit(jax.vmap(partial(task.draw_target, reach)))(keys))
-    return np.stack([targets.min(axis=0), targets.max(axis=0)])
+    """Lower and upper corner `[2, 3]` of the task's targets [m]."""
+    return np.stack(task.TARGETS[reach.config.targets](reach))

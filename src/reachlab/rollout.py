@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -50,6 +50,14 @@ class Rollout:
         return self.terminated | self.truncated
 
 
+class EngineError(FloatingPointError):
+    """An engine's state is not finite any more; `rollout` is what was collected before, None if nothing was."""
+
+    def __init__(self, message: str, rollout: Rollout | None) -> None:
+        super().__init__(message)
+        self.rollout = rollout
+
+
 Collect = Callable[[Env, Policy, EnvState, Array, int], tuple[EnvState, Rollout]]
 
 
@@ -73,13 +81,20 @@ def host_collector(env: Env) -> Collect:
         rows = []
         for step_key in jax.random.split(key, steps):
             choice = choose(policy, state, step_key)
-            state, transition = env.step(state, choice.action)
+            try:
+                state, transition = env.step(state, choice.action)
+            except FloatingPointError as error:
+                raise EngineError(str(error), _stacked(rows) if rows else None) from None
             rows.append(_row(choice, state, transition))
             if np.asarray(transition.done).any():
                 state = env.reset(state, transition.done)
-        return state, jax.tree.map(lambda *x: np.stack(x), *rows)
+        return state, _stacked(rows)
 
     return collect
+
+
+def _stacked(rows: Sequence[Rollout]) -> Rollout:
+    return jax.tree.map(lambda *x: np.stack(x), *rows)
 
 
 class Choice(NamedTuple):

@@ -24,6 +24,9 @@ TARGET_RADIUS = 0.022
 EDGE_RADIUS = 0.0015
 """Radius of the workspace's drawn edges [m]."""
 
+EDGE, DECORATION = int(mujoco.mjtObj.mjOBJ_SITE), int(mujoco.mjtCatBit.mjCAT_DECOR)
+"""The workspace's edges are sites, drawn as decoration: that throws no shadow."""
+
 
 def scene_spec(robot: Robot) -> mujoco.MjSpec:
     """The robot on a table, with a target (mocap body `target`), the workspace's edges and light."""
@@ -53,7 +56,7 @@ def scene_spec(robot: Robot) -> mujoco.MjSpec:
     capsule, sphere = mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_SPHERE
     add_table(spec)
     for start, end in robot.workspace_edges():
-        world.add_geom(type=capsule, fromto=[*start, *end], size=[EDGE_RADIUS, 0, 0], rgba=[1, 1, 1, 0.6], **drawn)
+        world.add_site(type=capsule, fromto=[*start, *end], size=[EDGE_RADIUS, 0, 0], rgba=[1, 1, 1, 0.6])
     target = world.add_body(name="target", mocap=True)
     target.add_geom(type=sphere, size=[TARGET_RADIUS, 0, 0], rgba=[0.85, 0.12, 0.15, 1], **drawn)
     return spec
@@ -106,6 +109,9 @@ class Camera:
         mujoco.mjv_updateScene(
             self._model, self._data, self._option, None, self._view, mujoco.mjtCatBit.mjCAT_ALL, self._scene
         )
+        for geom in self._scene.geoms[: self._scene.ngeom]:
+            if geom.objtype == EDGE:
+                geom.category = DECORATION
         height, width, _ = self._shape
         viewport = mujoco.MjrRect(0, 0, width, height)
         mujoco.mjr_render(viewport, self._scene, self._draw)

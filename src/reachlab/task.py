@@ -6,7 +6,7 @@ written once, traced for the pure simulator and compiled for the others.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -16,7 +16,7 @@ import numpy as np
 from jax import Array
 
 from reachlab.config import TaskConfig, choose
-from reachlab.kinematics import Pose, forward_kinematics, ik_displace, ik_step
+from reachlab.kinematics import ik_displace, ik_point_step
 from reachlab.robots import Robot
 
 OUTSIDE_REWARD = -0.1
@@ -57,10 +57,18 @@ class Situation(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """What a step led to, `[B]` each; distances from tool to target in metres."""
+    """What a step led to, `[B]` each.
+
+    Distances from tool to target in metres: before the step, after it, and held: the largest of the steps of which the
+    task speaks, infinite where a joint moved. Speed is the fastest joint's [rad/s or m/s], effort the mean
+    square of the action.
+    """
 
     distance_before: Array
     distance: Array
+    held: Array
+    speed: Array
+    effort: Array
     outside: Array
     success: Array
     timeout: Array
@@ -69,17 +77,38 @@ class Outcome(NamedTuple):
 # --- targets and starts ---------------------------------------------------------------------------
 
 
+def _table_corners(reach: Reach) -> Bounds:
+    """The workspace's x and y, at the configured height."""
+    low, high = np.array(reach.robot.workspace, np.float32)
+    low[2] = high[2] = reach.config.target_height
+    return low, high
+
+
+def _box_corners(reach: Reach) -> Bounds:
+    """The configured box."""
+    return np.array(reach.config.target_low, np.float32), np.array(reach.config.target_high, np.float32)
+
+
+TARGETS: dict[str, Callable[[Reach], Bounds]] = {"table": _table_corners, "box": _box_corners}
+"""Boxes of targets by name: lower and upper corner `[3]` m."""
+
+
 def draw_target(reach: Reach, key: Array) -> Array:
-    """Target `[3]`: x and y uniform in the workspace, at the configured height."""
-    (low_x, low_y, _), (high_x, high_y, _) = reach.robot.workspace
-    xy = jax.random.uniform(key, (2,), minval=jnp.array([low_x, low_y]), maxval=jnp.array([high_x, high_y]))
-    return jnp.append(xy, reach.config.target_height)
+    """Target `[3]`, uniform in its box."""
+    low, high = TARGETS[reach.config.targets](reach)
+    wide = low < high
+    drawn = jax.random.uniform(key, (int(wide.sum()),), minval=low[wide], maxval=high[wide])
+    return jnp.array(low).at[np.flatnonzero(wide)].set(drawn)
 
 
 def draw_start(reach: Reach, key: Array) -> Array:
-    """Joint vector `[n]` in which an episode starts: the robot's home."""
-    del key
-    return jnp.array(reach.robot.home)
+    """Joint vector `[n]` in which an episode starts: the robot's home, and noise where the task has it."""
+    chain, noise = reach.robot.chain, reach.config.start_noise
+    home = jnp.array(reach.robot.home)
+    if not noise:
+        return home
+    start = home + jax.random.uniform(key, home.shape, minval=-noise, maxval=noise)
+    return jnp.clip(start, jnp.array(chain.lower), jnp.array(chain.upper))
 
 
 # --- observations ---------------------------------------------------------------------------------
@@ -95,6 +124,8 @@ class Observation:
 
 
 def _target_bounds(reach: Reach) -> Bounds:
+    if reach.config.targets == "box":
+        return _box_corners(reach)
     low, high = np.array(reach.robot.workspace, np.float32)
     low[2] = min(low[2], LOWEST_TARGET, reach.config.target_height)
     high[2] = max(high[2], reach.config.target_height)
@@ -117,12 +148,45 @@ def _join(*parts: Bounds) -> Bounds:
     return np.concatenate(low), np.concatenate(high)
 
 
+NEAR = 0.02
+"""Distance at which the near form of the way to the target is half as long as a far one [m]."""
+
+
+def _state(reach: Reach, now: Situation) -> Array:
+    del reach
+    way = now.target - now.tool_position
+    near = way / (jnp.linalg.norm(way, axis=-1, keepdims=True) + NEAR)
+    parts = (now.q, now.qd, now.target_q - now.q, now.tool_position, now.target, way, near, now.last_action)
+    return jnp.concatenate(parts, axis=-1)
+
+
+def _state_bounds(reach: Reach) -> Bounds:
+    def within(size: np.ndarray | Sequence[float]) -> Bounds:
+        size = np.asarray(size, np.float32)
+        return -size, size
+
+    chain, speed = reach.robot.chain, np.array(reach.robot.speed)
+    lower, upper = np.array(chain.lower, np.float32), np.array(chain.upper, np.float32)
+    tool, target = _tool_bounds(reach), _target_bounds(reach)
+    way = np.maximum(np.abs(target[0] - tool[1]), np.abs(target[1] - tool[0]))
+    # Joints swing past their limits for moments, and past their rated speeds when an arm is overloaded.
+    swing, rush = within(np.full(chain.n, 0.1)), within(10 * speed)
+    joints = (lower + swing[0], upper + swing[1])
+    action = within(np.abs(ACTIONS[reach.config.action].bounds(reach)).max(axis=0))
+    return _join(joints, rush, within(upper - lower), tool, target, within(way), within(np.ones(3)), action)
+
+
 OBSERVATIONS: dict[str, Observation] = {
     "target": Observation("the target's position [m]", _target_bounds, lambda _, now: now.target),
     "target+tool": Observation(
         "the target's and the tool's positions [m]",
         lambda reach: _join(_target_bounds(reach), _tool_bounds(reach)),
         lambda _, now: jnp.concatenate([now.target, now.tool_position], axis=-1),
+    ),
+    "state": Observation(
+        "joints, their speeds and lag, tool, target, the way between them far and near, and the last action",
+        _state_bounds,
+        _state,
     ),
 }
 """Observation designs by name."""
@@ -185,12 +249,15 @@ def _move_joints(reach: Reach, target_q: Array, action: Array) -> Array:
     return jnp.clip(target_q + action * reach.config.joint_scale, jnp.array(chain.lower), jnp.array(chain.upper))
 
 
+JOINT_GAIN = 0.1
+"""Share of the way to the target that inverse kinematics commands in a step: with more, an arm whose servos lag by a
+tenth of a second swings about the target."""
+
+
 def _joints_towards(reach: Reach, now: Situation) -> Array:
-    """Joint displacement of one inverse-kinematics step to the target, the tool's orientation kept."""
-    chain = reach.robot.chain
-    pose = forward_kinematics(chain, now.target_q)
-    moved = ik_step(chain, now.target_q, Pose(now.target, pose.quaternion))
-    wanted = (moved - now.target_q) / reach.config.joint_scale
+    """Joint displacement that brings the tool a share of its way to the target, in whatever orientation."""
+    wanted = JOINT_GAIN * ik_point_step(reach.robot.chain, now.q, now.target - now.tool_position)
+    wanted /= reach.config.joint_scale
     return wanted / jnp.maximum(jnp.abs(wanted).max(axis=-1, keepdims=True), 1.0)
 
 
@@ -228,21 +295,64 @@ def _dense(config: TaskConfig, outcome: Outcome) -> dict[str, Array]:
     return {**_sparse(config, outcome), "approach": approach}
 
 
-REWARDS: dict[str, Callable[[TaskConfig, Outcome], dict[str, Array]]] = {"sparse": _sparse, "dense": _dense}
+def _precise(config: TaskConfig, outcome: Outcome) -> dict[str, Array]:
+    """For coming closer, for being within millimetres, for being still there, and against effort."""
+    close = config.closeness_scale / (config.closeness_scale + outcome.distance)
+    still = config.hold_speed / (config.hold_speed + outcome.speed)
+    return {
+        "approach": config.approach_weight * (outcome.distance_before - outcome.distance),
+        "closeness": config.closeness_weight * close,
+        "stillness": config.closeness_weight * close * still,
+        "effort": -config.effort_weight * outcome.effort,
+    }
+
+
+REWARDS: dict[str, Callable[[TaskConfig, Outcome], dict[str, Array]]] = {
+    "sparse": _sparse,
+    "dense": _dense,
+    "precise": _precise,
+}
 """Rewards by name; each gives named terms `[B]` whose sum is the reward."""
 
 
-def judge(reach: Reach, distance_before: Array, tool_position: Array, target: Array, clock: Array) -> Outcome:
-    """Outcome of a step that brought the tool to `tool_position [B, 3]` as step number `clock [B]`.
+def judge(reach: Reach, distance_before: Array, recent: Array | None, now: Situation, clock: Array) -> Outcome:
+    """Outcome of a step, number `clock [B]` of its episode, that led to a situation.
 
-    Leaving the workspace outranks success, and success a time-out on the same step.
+    Args:
+        reach: the task.
+        distance_before: tool to target before the step `[B]` [m].
+        recent: the errors of the last steps `[B, hold_steps]`, see `remember`; None if touching is enough.
+        now: the situation.
+        clock: number of the step.
+
+    Where touching is enough, leaving the workspace outranks success, and success a time-out on the same step. Where the
+    tool has to be held, nothing but the clock ends the episode.
     """
-    low, high = (jnp.array(corner) for corner in reach.robot.workspace)
-    outside = ((tool_position < low) | (tool_position > high)).any(axis=-1)
-    distance = jnp.linalg.norm(tool_position - target, axis=-1)
-    success = ~outside & (distance < reach.config.success_distance)
-    timeout = ~outside & ~success & (clock >= reach.config.max_steps)
-    return Outcome(distance_before, distance, outside, success, timeout)
+    distance = jnp.linalg.norm(now.tool_position - now.target, axis=-1)
+    held = distance if recent is None else recent.max(axis=-1)
+    outside = jnp.zeros_like(distance, bool)
+    if recent is None:
+        low, high = (jnp.array(corner) for corner in reach.robot.workspace)
+        outside = ((now.tool_position < low) | (now.tool_position > high)).any(axis=-1)
+    success = ~outside & (held < reach.config.success_distance)
+    over = clock >= reach.config.max_steps
+    timeout = over if recent is not None else ~outside & ~success & over
+    speed, effort = jnp.abs(now.qd).max(axis=-1), jnp.square(now.last_action).mean(axis=-1)
+    return Outcome(distance_before, distance, held, speed, effort, outside, success, timeout)
+
+
+def remember(reach: Reach, recent: Array | None, now: Situation) -> Array | None:
+    """Errors of the last steps `[B, hold_steps]` [m], this one's included: infinite where a joint was not still."""
+    if recent is None:
+        return None
+    distance = jnp.linalg.norm(now.tool_position - now.target, axis=-1)
+    still = jnp.abs(now.qd).max(axis=-1) < reach.config.hold_speed
+    return jnp.concatenate([recent[:, 1:], jnp.where(still, distance, jnp.inf)[:, None]], axis=1)
+
+
+def nothing_held(reach: Reach, lanes: int) -> Array | None:
+    """Errors `[B, hold_steps]` at the start of an episode."""
+    return jnp.full((lanes, reach.config.hold_steps), jnp.inf) if reach.config.hold_steps else None
 
 
 def make_reach(config: TaskConfig, robot: Robot) -> Reach:
@@ -255,6 +365,7 @@ def make_reach(config: TaskConfig, robot: Robot) -> Reach:
         ("observation", config.observation, OBSERVATIONS),
         ("action", config.action, ACTIONS),
         ("reward", config.reward, REWARDS),
+        ("targets", config.targets, TARGETS),
     ):
         choose(kind, name, table)
     return Reach(config, robot)

@@ -46,10 +46,13 @@ class Simulator(Protocol):
 
     pure: bool
 
-    def reset(self, state: ArmState | None, q: Lanes, target: Lanes, mask: Lanes | None) -> ArmState:
+    def reset(
+        self, state: ArmState | None, q: Lanes, target: Lanes, mask: Lanes | None, chance: Lanes | None = None
+    ) -> ArmState:
         """State with the lanes of `mask [B]` at rest at `q [B, n]`, their target drawn at `target [B, 3]`.
 
-        Without a state (the first time) every lane is set.
+        Without a state (the first time) every lane is set. Where the physics is randomised, `chance [B, 2 n + 1]`,
+        drawn in -1 to 1, decides which arm a lane gets.
         """
         ...
 

@@ -25,9 +25,11 @@ class KinematicSimulator:
         self._period = config.control_period
         self._camera = LazyCamera(robot)
 
-    def reset(self, state: ArmState | None, q: Lanes, target: Lanes, mask: Lanes | None) -> ArmState:
+    def reset(
+        self, state: ArmState | None, q: Lanes, target: Lanes, mask: Lanes | None, chance: Lanes | None = None
+    ) -> ArmState:
         """See `Simulator.reset`."""
-        del target
+        del target, chance
         if state is not None and mask is not None:
             q = jnp.where(mask[:, None], q, state.q)
             qd = jnp.where(mask[:, None], 0.0, state.qd)

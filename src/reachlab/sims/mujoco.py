@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import jax.numpy as jnp
+from typing import cast
+
 import mujoco
 import numpy as np
 from jax import Array
@@ -17,6 +18,13 @@ from reachlab.sims import ArmState, Lanes
 
 SERVO_STIFFNESS, SERVO_DAMPING = 2000.0, 200.0
 """Gains of servos added to an arm whose file has none [Nm/rad, Nm s/rad]; those of MuJoCo Menagerie's iiwa."""
+
+
+GAIN_SPREAD, DAMPING_SPREAD, LARGEST_PAYLOAD = 0.15, 0.3, 2.0
+"""Where the physics is randomised: relative spread of each joint's servo gains and of its damping, payload [kg]."""
+
+PAYLOAD_RADIUS = 0.05
+"""The payload is a ball of this radius about the tool point [m]."""
 
 
 class MujocoSimulator:
@@ -37,11 +45,14 @@ class MujocoSimulator:
         joints = list(robot.chain.joints)
         self._positions, self._speeds = self._model.jnt_qposadr[joints], self._model.jnt_dofadr[joints]
         self._servos = _servos(self._model, robot)
+        self._arms = _Arms(self._batch, self._servos, self._speeds) if config.randomise else None
         self._begin = self._batch.state[0].copy()
         self._pose = jit(lambda q: forward_kinematics(robot.chain, q))
         self._camera = LazyCamera(robot)
 
-    def reset(self, state: ArmState | None, q: Lanes, target: Lanes, mask: Lanes | None) -> ArmState:
+    def reset(
+        self, state: ArmState | None, q: Lanes, target: Lanes, mask: Lanes | None, chance: Lanes | None = None
+    ) -> ArmState:
         """See `Simulator.reset`."""
         del target
         lanes = np.ones(len(q), bool) if state is None or mask is None else np.asarray(mask)
@@ -50,20 +61,24 @@ class MujocoSimulator:
         self._batch.state[lanes] = self._begin
         for rows, columns in ((self._qpos, self._positions), (self._ctrl, self._servos)):
             rows[np.ix_(lanes, columns)] = np.asarray(q)[lanes]
+        if self._arms and chance is not None:
+            self._arms.become(np.where(lanes[:, None], np.asarray(chance, np.float64), self._arms.drawn))
         return self._arm()
 
     def step(self, state: ArmState, target_q: Lanes) -> ArmState:
         """See `Simulator.step`.
 
         Raises:
-            FloatingPointError: an arm's state is not finite any more.
+            FloatingPointError: the engine warned, e.g. of a state that is not finite or of a full contact buffer.
         """
         self._restore(state)
         self._ctrl[:, self._servos] = np.asarray(target_q)
         self._batch.step(nstep=self._substeps)
-        broken = ~np.isfinite(self._qpos).all(axis=1)
-        if broken.any():
-            raise FloatingPointError(f"MuJoCo's state of lane {int(np.flatnonzero(broken)[0])} is not finite any more")
+        warnings = self._batch.warning[..., 1]  # [B, kinds], how often; beside it stands what the last one was about
+        if warnings.any():
+            lane, kind = np.argwhere(warnings)[0]
+            warnings[:] = 0
+            raise FloatingPointError(f"MuJoCo warned of {mujoco.mjtWarning(kind).name[7:]} in lane {lane}")
         return self._arm()
 
     def render(self, state: ArmState, target: Array, lane: int) -> np.ndarray:
@@ -75,14 +90,61 @@ class MujocoSimulator:
         self._camera.close()
 
     def _restore(self, state: ArmState) -> None:
-        self._batch.state[:] = np.asarray(state.engine).view(np.float64)
+        rows, columns = np.asarray(state.engine).view(np.float64), self._batch.state.shape[1]
+        self._batch.state[:] = rows[:, :columns]
+        if self._arms:
+            self._arms.become(rows[:, columns:])
 
     def _arm(self) -> ArmState:
-        q = jnp.asarray(self._qpos[:, self._positions], jnp.float32)
-        qd = jnp.asarray(self._qvel[:, self._speeds], jnp.float32)
+        """State of NumPy rows: what is compiled takes them in faster than JAX would convert them here."""
+        q = self._qpos[:, self._positions].astype(np.float32)
+        qd = self._qvel[:, self._speeds].astype(np.float32)
         # From the joints: the engine's own site positions are one physics step old after a step.
-        pose = self._pose(q)
-        return ArmState(q, qd, pose.position, pose.quaternion, jnp.array(self._batch.state.view(np.uint32)))
+        position, quaternion = self._pose(q)
+        rows = [self._batch.state, *([self._arms.drawn] if self._arms else [])]
+        engine = np.concatenate(rows, axis=1).view(np.uint32)
+        return ArmState(cast("Array", q), cast("Array", qd), position, quaternion, cast("Array", engine))
+
+
+class _Arms:
+    """The arm of each lane, where they differ: `drawn [B, 2 n + 1]` in -1 to 1 for servo gains, damping and payload."""
+
+    def __init__(self, batch: Batch, servos: np.ndarray, joints: np.ndarray) -> None:
+        self._batch, self._servos, self._joints = batch, servos, joints
+        names = ("actuator_gainprm", "actuator_biasprm", "dof_damping", "body_mass", "body_inertia")
+        self._gain, self._bias, self._damping, self._mass, self._inertia = map(batch.expand, names)
+        self._nominal = [
+            np.array(field) for field in (self._gain, self._bias, self._damping, self._mass, self._inertia)
+        ]
+        self._payload = batch.model.body(PAYLOAD).id
+        self.drawn = np.full((batch.nsim, 2 * len(joints) + 1), np.nan)
+
+    def become(self, drawn: np.ndarray) -> None:
+        """Make the arms those of `drawn`."""
+        if np.array_equal(drawn, self.drawn):
+            return
+        self.drawn = np.array(drawn)
+        n = len(self._joints)
+        gain, bias, damping, mass, inertia = self._nominal
+        stiff = 1 + GAIN_SPREAD * drawn[:, :n, None]
+        self._gain[:, self._servos] = gain[:, self._servos] * stiff
+        self._bias[:, self._servos] = bias[:, self._servos] * stiff
+        self._damping[:, self._joints] = damping[:, self._joints] * (1 + DAMPING_SPREAD * drawn[:, n : 2 * n])
+        load = (1 + drawn[:, -1]) / 2
+        self._mass[:, self._payload] = mass[:, self._payload] * load
+        self._inertia[:, self._payload] = inertia[:, self._payload] * load[:, None]
+        self._batch.set_const()
+
+
+PAYLOAD = "payload"
+"""Name of the body that the payload is."""
+
+
+def _add_payload(spec: mujoco.MjSpec, tool: str) -> None:
+    site = spec.site(tool)
+    body, place = (spec.body(tool), [0.0, 0.0, 0.0]) if site is None else (site.parent, site.pos)
+    inertia = [0.4 * LARGEST_PAYLOAD * PAYLOAD_RADIUS**2] * 3  # of a ball
+    body.add_body(name=PAYLOAD, pos=place, mass=LARGEST_PAYLOAD, inertia=inertia, ipos=[0, 0, 0], explicitinertial=True)
 
 
 def physics_model(robot: Robot, config: SimConfig) -> mujoco.MjModel:
@@ -103,6 +165,8 @@ def physics_model(robot: Robot, config: SimConfig) -> mujoco.MjModel:
     if config.gravity_compensation:
         for body in spec.bodies:
             body.gravcomp = 1.0
+    if config.randomise:
+        _add_payload(spec, robot.tool)
     if not spec.actuators:
         names = [spec.joints[joint].name for joint in robot.chain.joints]
         for name, torque in zip(names, robot.torque, strict=True):

@@ -86,8 +86,11 @@ class PybulletSimulator:
             for lane in range(batch_size)
         ]
 
-    def reset(self, state: ArmState | None, q: Lanes, target: Lanes, mask: Lanes | None) -> ArmState:
+    def reset(
+        self, state: ArmState | None, q: Lanes, target: Lanes, mask: Lanes | None, chance: Lanes | None = None
+    ) -> ArmState:
         """See `Simulator.reset`."""
+        del chance
         wanted, points = np.asarray(q, np.float32), np.asarray(target, np.float64)
         lanes = np.ones(len(wanted), bool) if state is None or mask is None else np.asarray(mask)
         for lane in np.flatnonzero(lanes):

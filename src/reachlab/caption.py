@@ -1,0 +1,90 @@
+"""Captions below pictures: what is shown, and how far the tool is from the target."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+HEIGHT = 56
+"""Height of the strip that a caption adds below a picture [pixels]; even, as MP4 needs it."""
+
+MARGIN, INNER, LINE = 16, 10, 24
+"""Distance of text from the strip's sides, of the verdict's text from its frame, and of two lines [pixels]."""
+
+FIGURES = 110
+"""Width of the figures on the right, which the verdict leaves free [pixels]."""
+
+LARGE, SMALL = 17, 13
+"""Sizes of type [pixels]."""
+
+FONTS = {"plain": "DejaVuSans.ttf", "bold": "DejaVuSans-Bold.ttf"}
+"""Files of the fonts that matplotlib brings; their digits are all of one width."""
+
+GROUND, INK, FAINT = (31, 41, 51), (255, 255, 255), (168, 179, 190)
+"""Colours of the strip and of text on it."""
+
+VERDICTS = {"success": (0, 158, 115), "failed": (213, 94, 0)}
+"""Colours of an episode's end, told apart without colour vision too (Okabe and Ito, "Color universal design", 2008)."""
+
+FINE_MM = 10.0
+"""Below this distance tenths of a millimetre are shown [mm]."""
+
+
+@dataclass(frozen=True)
+class Caption:
+    """What a caption says.
+
+    Attributes:
+        title, detail: two lines on the left.
+        distance: tool to target [m].
+        time: since the episode began [s].
+        verdict: of `VERDICTS`; empty while the episode is under way.
+    """
+
+    title: str
+    detail: str
+    distance: float
+    time: float
+    verdict: str = ""
+
+
+def captioned(picture: np.ndarray, caption: Caption) -> Image.Image:
+    """A picture `[height, width, 3]` uint8 with a caption below it, `HEIGHT` pixels higher."""
+    height, width, _ = picture.shape
+    image = Image.new("RGB", (width, height + HEIGHT), GROUND)
+    image.paste(Image.fromarray(picture), (0, 0))
+    draw = ImageDraw.Draw(image)
+    upper = height + (HEIGHT - LINE) // 2
+    right = width - MARGIN
+    draw.text((MARGIN, upper), caption.title, INK, _font("bold", LARGE), anchor="lm")
+    draw.text((MARGIN, upper + LINE), caption.detail, FAINT, _font("plain", SMALL), anchor="lm")
+    draw.text((right, upper), distance_text(caption.distance), INK, _font("bold", LARGE), anchor="rm")
+    draw.text((right, upper + LINE), f"{caption.time:.2f} s", FAINT, _font("plain", SMALL), anchor="rm")
+    if caption.verdict:
+        _stamp(draw, (right - FIGURES, height + HEIGHT // 2), caption.verdict)
+    return image
+
+
+def distance_text(distance: float) -> str:
+    """A distance [m] in millimetres, with a tenth where that can be seen."""
+    millimetres = 1000 * distance
+    return f"{millimetres:.{1 if millimetres < FINE_MM else 0}f} mm"
+
+
+def _stamp(draw: ImageDraw.ImageDraw, end: tuple[int, int], verdict: str) -> None:
+    """Draw the verdict, in a frame filled with its colour, to the left of a point."""
+    font = _font("bold", LARGE)
+    left, top, right, bottom = draw.textbbox(end, verdict, font, anchor="rm")
+    box = (left - INNER, top - INNER, right + INNER, bottom + INNER)
+    draw.rounded_rectangle(box, radius=INNER, fill=VERDICTS[verdict])
+    draw.text(end, verdict, INK, font, anchor="rm")
+
+
+@functools.cache
+def _font(style: str, size: int) -> ImageFont.FreeTypeFont:
+    return ImageFont.truetype(str(Path(mpl.get_data_path()) / "fonts" / "ttf" / FONTS[style]), size)

@@ -1,0 +1,59 @@
+"""The sink of a run's numbers."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from reachlab.config import InputError, configure
+from reachlab.metrics import Metrics, read_metrics
+from reachlab.training import train
+
+ROWS = [{"steps": 128, "success_rate": 0.25}, {"steps": 256, "success_rate": 0.5, "validation_success": 0.75}]
+
+Scalars = set[tuple[str, int, float]]
+
+
+def scalars(folder: Path) -> Scalars:
+    """Name, step and value of every scalar in a folder's event file."""
+    from tensorboardX.proto.event_pb2 import Event  # type: ignore[attr-defined]
+    from tensorboardX.record_writer import masked_crc32c
+
+    [file] = folder.glob("events.out.tfevents.*")
+    data, found = file.read_bytes(), set()
+    while data:
+        # TFRecord: length (8 bytes), its checksum (4), the event, its checksum (4).
+        size = int.from_bytes(data[:8], "little")
+        assert int.from_bytes(data[8:12], "little") == masked_crc32c(data[:8])
+        event = Event.FromString(data[12 : 12 + size])
+        found |= {(value.tag, event.step, value.simple_value) for value in event.summary.value}
+        data = data[16 + size :]
+    return found
+
+
+def test_rows_are_read_as_they_were_written(tmp_path: Path) -> None:
+    with Metrics(tmp_path / "metrics.jsonl") as metrics:
+        for number, row in enumerate(ROWS):
+            metrics.write(row)
+            assert read_metrics(tmp_path / "metrics.jsonl") == ROWS[: number + 1], "already on disk's way"
+    assert [file.name for file in tmp_path.iterdir()] == ["metrics.jsonl"]
+
+
+def test_tensorboard_gets_the_same_numbers_by_the_same_names(tmp_path: Path) -> None:
+    pytest.importorskip("tensorboardX")
+    with Metrics(tmp_path / "metrics.jsonl", tensorboard=True) as metrics:
+        for row in ROWS:
+            metrics.write(row)
+    assert scalars(tmp_path) == {(name, int(row["steps"]), value) for row in ROWS for name, value in row.items()}
+    assert read_metrics(tmp_path / "metrics.jsonl") == ROWS
+
+
+def test_without_the_extra_tensorboard_is_refused_before_anything_is_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "tensorboardX", None)
+    with pytest.raises(InputError, match=r"pip install 'reachlab\[tensorboard\]'"):
+        train(configure(), tmp_path / "run", tensorboard=True)
+    assert not (tmp_path / "run").exists()

@@ -1,0 +1,370 @@
+"""A training that was interrupted goes on as if it had never been."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from reachlab import cli
+from reachlab.checkpoint import RunDirectory
+from reachlab.config import InputError, RunConfig, configure
+from reachlab.interrupts import Interrupted
+from reachlab.lock import NAME, locked
+from reachlab.loop import Progress
+from reachlab.manifest import Counters, seal
+from reachlab.metrics import cut_metrics
+from reachlab.storage import read_json, write_json
+from reachlab.threads import threads
+from reachlab.training import train
+
+EACH = 256
+"""Environment steps of an iteration."""
+
+TINY: dict[str, Any] = {
+    "lanes": 16,
+    "rollout_steps": 16,
+    "total_steps": 8 * EACH,
+    "hidden": (8,),
+    "validation_episodes": 4,
+    "report_episodes": 4,
+    "max_steps": 30,
+}
+
+SIMS: dict[str, dict[str, Any]] = {
+    "kinematic": {},
+    "mujoco": {},
+    "pybullet": {"lanes": 2, "rollout_steps": 128, "max_steps": 100},
+}
+RUNS = {sim: {"sim": sim, **settings} for sim, settings in SIMS.items()}
+RUNS["precise"] = {"task": "precise", "sim": "mujoco", "randomise": True}
+
+
+def at(iteration: int, act: Callable[[], object]) -> Callable[[Progress], None]:
+    """A watch that acts after the n-th iteration it sees."""
+    seen: list[int] = []
+
+    def watch(progress: Progress) -> None:
+        seen.append(progress.steps)
+        if len(seen) == iteration:
+            act()
+
+    return watch
+
+
+def ask(number: int) -> Callable[[], None]:
+    return lambda: os.kill(os.getpid(), number)
+
+
+def weights(run: Path) -> bytes:
+    return (max((run / "checkpoints").glob("step_*")) / "state.safetensors").read_bytes()
+
+
+def rows(run: Path) -> list[dict[str, float]]:
+    """Metrics without times."""
+    lines = [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()]
+    return [{name: x for name, x in line.items() if name not in ("wall_s", "steps_per_second")} for line in lines]
+
+
+def interrupted(config: RunConfig, out: Path, iteration: int = 3, number: int = signal.SIGINT) -> Interrupted:
+    with pytest.raises(Interrupted) as caught:
+        train(config, out, at(iteration, ask(number)), resume=out.exists())
+    return caught.value
+
+
+@pytest.fixture(scope="module")
+def unbroken(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("resume") / "unbroken"
+    train(configure(**TINY, stop_early=False), out)
+    return out
+
+
+@pytest.fixture
+def config() -> RunConfig:
+    return configure(**TINY, stop_early=False)
+
+
+# --- exactly --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_a_run_stopped_twice_ends_with_the_weights_of_one_never_stopped(tmp_path: Path, name: str) -> None:
+    if name == "pybullet":
+        pytest.importorskip("pybullet")
+    config = configure(**{**TINY, "stop_early": False, **RUNS[name]})
+    whole = train(config, tmp_path / "whole")
+    for iteration in (3, 2):
+        interrupted(config, tmp_path / "parts", iteration)
+    parts = train(config, tmp_path / "parts", resume=True)
+    assert weights(tmp_path / "parts") == weights(tmp_path / "whole")
+    assert rows(tmp_path / "parts") == rows(tmp_path / "whole")
+    assert parts.report.final_error_mm == whole.report.final_error_mm
+
+
+def test_validations_in_a_row_go_on_counting(tmp_path: Path) -> None:
+    config = configure(**{**TINY, "total_steps": 100_000}, success_distance=2.0, stop_success=0.5, stop_streak=3)
+    whole = train(config, tmp_path / "whole")
+    assert whole.validated
+    interrupted(config, tmp_path / "parts", 4)
+    parts = train(config, tmp_path / "parts", resume=True)
+    assert (parts.validated, parts.steps) == (True, whole.steps)
+    assert rows(tmp_path / "parts") == rows(tmp_path / "whole")
+    assert weights(tmp_path / "parts") == weights(tmp_path / "whole")
+
+
+def test_rows_after_the_checkpoint_are_written_once(tmp_path: Path, config: RunConfig, unbroken: Path) -> None:
+    interrupted(config, tmp_path / "run", 3)
+    with (tmp_path / "run/metrics.jsonl").open("a") as file:
+        file.write(json.dumps({"steps": 4 * EACH}) + "\n" + '{"steps": 12')
+    train(config, tmp_path / "run", resume=True)
+    assert rows(tmp_path / "run") == rows(unbroken)
+
+
+def test_time_goes_on(tmp_path: Path, config: RunConfig) -> None:
+    interrupted(config, tmp_path / "run", 3)
+    before = [json.loads(line)["wall_s"] for line in (tmp_path / "run/metrics.jsonl").read_text().splitlines()]
+    result = train(config, tmp_path / "run", resume=True)
+    walls = [json.loads(line)["wall_s"] for line in (tmp_path / "run/metrics.jsonl").read_text().splitlines()]
+    assert walls[:3] == before
+    assert walls == sorted(walls)
+    assert result.train_wall_s > walls[-1]
+
+
+def test_without_a_checkpoint_it_starts_from_the_beginning(tmp_path: Path, config: RunConfig, unbroken: Path) -> None:
+    RunDirectory(tmp_path / "run").create(config)
+    (tmp_path / "run/metrics.jsonl").write_text('{"steps": 256}\n')
+    train(config, tmp_path / "run", resume=True)
+    assert weights(tmp_path / "run") == weights(unbroken)
+    assert rows(tmp_path / "run") == rows(unbroken)
+
+
+def test_a_damaged_newest_checkpoint_gives_way_to_the_one_before(
+    tmp_path: Path, unbroken: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    config = configure(**TINY, stop_early=False, checkpoint_interval=0.0)
+    interrupted(config, tmp_path / "run", 4)
+    newest = tmp_path / f"run/checkpoints/step_{4 * EACH:012d}"
+    (newest / "state.safetensors").write_bytes(b"")
+    train(config, tmp_path / "run", resume=True)
+    assert weights(tmp_path / "run") == weights(unbroken)
+    (said,) = [record.getMessage() for record in caplog.records if "checkpoint" in record.name]
+    assert "is damaged: its size does not fit" in said
+    assert f"step_{3 * EACH:012d}" in said
+
+
+def test_a_run_of_damaged_checkpoints_is_not_begun_anew(tmp_path: Path, config: RunConfig) -> None:
+    interrupted(config, tmp_path / "run")
+    (newest,) = (tmp_path / "run/checkpoints").iterdir()
+    (newest / "state.safetensors").write_bytes(b"")
+    with pytest.raises(InputError, match="is damaged"):
+        train(config, tmp_path / "run", resume=True)
+
+
+# --- what is kept ---------------------------------------------------------------------------------
+
+
+def test_the_newest_and_the_best_are_kept(tmp_path: Path, config: RunConfig) -> None:
+    run = RunDirectory(tmp_path / "run")
+    run.create(config)
+    successes = {1: (0.99, False), 2: (0.5, True), 3: (0.4, True), 4: (0.9, False), 5: (0.1, False), 6: (0.2, False)}
+    for step, (success, validated) in successes.items():
+        counters = Counters(step, success=success, validated=validated)
+        run.write_checkpoint(step, {"x": np.zeros(3)}, counters, keep=2)
+    assert sorted(path.name[-1] for path in run.checkpoints.iterdir()) == ["2", "5", "6"]
+
+
+def test_leftovers_of_a_killed_save_are_cleared(tmp_path: Path, config: RunConfig) -> None:
+    interrupted(config, tmp_path / "run")
+    left = tmp_path / "run/checkpoints/.step_000000000999.tmp"
+    left.mkdir()
+    (left / "state.safetensors").write_bytes(b"half")
+    train(config, tmp_path / "run", resume=True)
+    assert not list((tmp_path / "run/checkpoints").glob(".*"))
+
+
+# --- signals --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_saves_and_leaves_after_the_iteration(
+    tmp_path: Path, config: RunConfig, number: int, status: int
+) -> None:
+    before = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
+    said = interrupted(config, tmp_path / "run", 2, number)
+    assert said.status == status
+    assert "interrupted at step 512; step 512 is saved: `reachlab train --resume" in str(said)
+    assert [row["steps"] for row in rows(tmp_path / "run")] == [256, 512]
+    assert (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)) == before
+    with locked(tmp_path / "run"):
+        pass  # given back
+
+
+TWICE = """
+import os, signal, sys
+from pathlib import Path
+from reachlab.config import configure
+from reachlab.interrupts import Interrupts
+with Interrupts():
+    os.kill(os.getpid(), signal.SIGINT)
+    print("still here", flush=True)
+    os.kill(os.getpid(), signal.SIGINT)
+    print("never said", flush=True)
+"""
+
+
+def test_a_second_ctrl_c_leaves_at_once() -> None:
+    done = subprocess.run([sys.executable, "-c", TWICE], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (130, "still here\n")
+
+
+# --- the command line -----------------------------------------------------------------------------
+
+
+def say(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, str]:
+    capsys.readouterr()
+    status = cli.main([str(word) for word in words])
+    out, err = capsys.readouterr()
+    return status, str(out), str(err)
+
+
+def test_a_finished_run_says_so(unbroken: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    status, out, err = say(capsys, "train", "--resume", unbroken, "--json")
+    assert status == 0
+    assert json.loads(out) == json.loads((unbroken / "report.json").read_text())
+    assert err == f"Run {unbroken} is finished: {unbroken / 'report.json'} holds its report.\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["--lanes", "32"], "was begun with lanes 16 and cannot go on with 32: leave the setting out"),
+        (["--sim", "mujoco"], "was begun with sim 'kinematic' and cannot go on with 'mujoco'"),
+        (["--deterministic"], "was begun with deterministic False and cannot go on with True"),
+        (["--out", "elsewhere"], "leave --out out"),
+    ],
+)
+def test_other_settings_than_the_runs_are_refused(
+    unbroken: Path, words: list[str], sentence: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status, out, err = say(capsys, "train", "--resume", unbroken, *words)
+    assert (status, out, err.count("\n")) == (2, "", 1)
+    assert sentence in err
+
+
+def test_the_runs_own_settings_may_be_repeated(unbroken: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert say(capsys, "train", "--resume", unbroken, "--lanes", 16, "--seed=0")[0] == 0
+
+
+def test_a_run_that_is_none_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    status, _, err = say(capsys, "train", "--resume", tmp_path / "none")
+    assert status == 2
+    assert "does not exist: train one with" in err
+
+
+# --- one trainer ----------------------------------------------------------------------------------
+
+HOLD = """
+import sys
+from pathlib import Path
+from reachlab.lock import locked
+with locked(Path(sys.argv[1])):
+    print("held", flush=True)
+    sys.stdin.read()
+"""
+
+
+def test_a_second_trainer_is_refused_and_a_dead_ones_lock_taken_over(
+    tmp_path: Path, config: RunConfig, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = tmp_path / "run"
+    RunDirectory(run).create(config)
+    holder = subprocess.Popen(
+        [sys.executable, "-c", HOLD, str(run)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    assert holder.stdout is not None
+    assert holder.stdout.readline() == "held\n"
+    for words in (["--resume", run], ["--out", run]):
+        status, _, err = say(capsys, "train", *words)
+        assert status == 2
+        assert f"is being trained by process {holder.pid}: wait for it, or stop it." in err
+    holder.kill()
+    holder.communicate()
+    assert (run / NAME).read_text() == f"{holder.pid}\n"
+    with locked(run):
+        assert (run / NAME).read_text() == f"{os.getpid()}\n"
+
+
+# --- threads --------------------------------------------------------------------------------------
+
+WEIGHTS = """
+import hashlib, os, sys
+os.sched_setaffinity(0, set(map(int, sys.argv[2].split(","))))
+from pathlib import Path
+from reachlab import cli
+status = cli.main(["train", "--out", sys.argv[1], *sys.argv[3:]])
+(state,) = Path(sys.argv[1]).glob("checkpoints/*/state.safetensors")
+print(status, hashlib.sha256(state.read_bytes()).hexdigest())
+"""
+
+
+def test_deterministic_gives_the_same_weights_on_one_core_and_on_all(tmp_path: Path) -> None:
+    if not hasattr(os, "sched_setaffinity"):
+        pytest.skip("no way to take cores away here")
+    flags = ["--total-steps", "8192", "--no-stop-early", "--report-episodes", "5", "--deterministic"]
+    cores = {"one": {0}, "all": os.sched_getaffinity(0)}
+    said = []
+    for name, some in cores.items():
+        words = [str(tmp_path / name), ",".join(map(str, some)), *flags]
+        done = subprocess.run([sys.executable, "-c", WEIGHTS, *words], capture_output=True, text=True, check=True)
+        said.append(done.stdout)
+    assert said[0] == said[1]
+    for name in cores:
+        manifest = RunDirectory(tmp_path / name).newest_manifest()
+        assert manifest is not None
+        assert manifest.threads == 1
+
+
+def test_another_number_of_threads_is_refused(tmp_path: Path, config: RunConfig) -> None:
+    interrupted(config, tmp_path / "run")
+    (folder,) = (tmp_path / "run/checkpoints").iterdir()
+    manifest = read_json(folder / "manifest.json")
+    write_json(folder / "manifest.json", seal(manifest | {"threads": threads() + 1}))
+    with pytest.raises(InputError, match=r"needs JAX to compute with \d+ threads, and it runs already with \d+"):
+        train(config, tmp_path / "run", resume=True)
+
+
+def test_deterministic_is_refused_where_jax_runs_with_more_threads(tmp_path: Path) -> None:
+    if threads() == 1:
+        pytest.skip("JAX runs with one thread here")
+    with pytest.raises(InputError, match="set NPROC=1 in the environment before Python starts"):
+        train(configure(**TINY, deterministic=True), tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+# --- metrics --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "kept"),
+    [
+        ('{"steps": 1}\n{"steps": 2}\n{"steps": 3}\n', 2),
+        ('{"steps": 1}\n{"steps": 2}', 1),
+        ('{"steps": 1}\nnot JSON\n{"steps": 2}\n', 1),
+        ('{"steps": 1}\n[]\n', 1),
+        ('{"steps": 1}\n{"steps": "2"}\n', 1),
+        ("", 0),
+    ],
+)
+def test_metrics_are_cut_after_the_last_whole_row_of_the_checkpoint(tmp_path: Path, text: str, kept: int) -> None:
+    file = tmp_path / "metrics.jsonl"
+    file.write_text(text)
+    cut_metrics(file, 2)
+    assert file.read_text() == "".join(f"{line}\n" for line in text.splitlines()[:kept])

@@ -1,0 +1,178 @@
+"""Videos of held-out episodes."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from reachlab import video
+from reachlab.caption import HEIGHT, VERDICTS, Caption, captioned, distance_text
+from reachlab.config import InputError, configure
+from reachlab.env import Env
+from reachlab.evaluation import LANES, REPORT_STREAM, episode_keys, make_runner, run_episodes
+from reachlab.video import BEGIN_PAUSE, ENCODERS, END_PAUSE, Clip, Moment, episode_player, write_video
+
+SIZE = (64, 48)
+"""Of the pictures that stand for rendered ones here."""
+
+
+@pytest.fixture(scope="module")
+def env() -> Env:
+    return Env(configure(), 1)
+
+
+@pytest.fixture(scope="module")
+def moments(env: Env) -> list[list[Moment]]:
+    """Two episodes of inverse kinematics, every eighth step."""
+    play = episode_player(env, "ik", None, 8)
+    return [list(play(episode_keys(1, REPORT_STREAM, number, 1))) for number in range(2)]
+
+
+@pytest.fixture
+def film(env: Env, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., Clip]:
+    """Writes a video of inverse kinematics whose pictures are plain grey, so that it needs no OpenGL."""
+    monkeypatch.setattr(env, "render", lambda _: np.full((*SIZE[::-1], 3), 200, np.uint8))
+
+    def write(name: str, episodes: int = 1, fps: float = 30.0, speed: float = 1.0) -> Clip:
+        return write_video(env, "ik", None, tmp_path / name, seed=1, episodes=episodes, fps=fps, speed=speed)
+
+    return write
+
+
+def durations(path: str) -> list[int]:
+    """Milliseconds for which each picture is shown."""
+    with Image.open(path) as picture:
+        times = []
+        for number in range(picture.n_frames):  # type: ignore[attr-defined]
+            picture.seek(number)
+            picture.load()
+            times.append(int(picture.info["duration"]))
+        return times
+
+
+# --- episodes -------------------------------------------------------------------------------------
+
+
+def test_the_episodes_are_those_of_the_evaluation(moments: list[list[Moment]]) -> None:
+    evaluated = run_episodes(make_runner(Env(configure(), LANES), "ik"), None, 1, REPORT_STREAM, 2)
+    assert [episode[-1].step for episode in moments] == evaluated.steps.tolist()
+    assert [episode[-1].success for episode in moments] == evaluated.success.tolist()
+    ends = [float(episode[-1].state.distance[0]) for episode in moments]
+    assert ends == pytest.approx(evaluated.distance, abs=1e-5)
+
+
+def test_an_episode_is_seen_from_its_begin_to_its_end(moments: list[list[Moment]]) -> None:
+    for episode in moments:
+        steps = [moment.step for moment in episode]
+        assert steps[:-1] == list(range(0, steps[-1], 8))
+        assert [moment.done for moment in episode] == [False] * (len(steps) - 1) + [True]
+        assert not any(moment.success for moment in episode[:-1])
+
+
+def test_an_episode_in_a_host_simulator_ends_with_the_clock() -> None:
+    env = Env(configure(sim="mujoco", max_steps=5), 1)
+    [*_, last] = episode_player(env, "random", None, 2)(episode_keys(0, REPORT_STREAM, 0, 1))
+    assert (last.step, last.done, last.success) == (5, True, False)
+    env.close()
+
+
+# --- files ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("ending", [".webp", ".gif"])
+def test_an_animation_plays_in_real_time(film: Callable[..., Clip], moments: list[list[Moment]], ending: str) -> None:
+    clip = film(f"film{ending}", episodes=2)
+    lengths = [len(episode) for episode in moments]
+    assert clip.frames == sum(lengths)
+    assert (clip.episodes, clip.successes) == (2, 2)
+    # Every picture is 8 steps of 1/240 s long but the last, which stands, and the first, which stands longer.
+    seconds = sum((count - 1) / 30 for count in lengths) + 2 * (BEGIN_PAUSE + END_PAUSE)
+    assert clip.seconds == pytest.approx(seconds, abs=0.05)
+    assert sum(durations(clip.out)) == pytest.approx(1000 * seconds, abs=20), "roundings do not add up"
+    assert clip.bytes == Path(clip.out).stat().st_size
+    with Image.open(clip.out) as picture:
+        assert picture.format == ending[1:].upper()
+        assert picture.size == (SIZE[0], SIZE[1] + HEIGHT)
+        assert picture.info["loop"] == 0
+
+
+def test_slower_shows_more_pictures_for_longer(film: Callable[..., Clip]) -> None:
+    usual, slow = film("usual.webp"), film("slow.webp", speed=0.5)
+    moving = usual.seconds - BEGIN_PAUSE - END_PAUSE
+    assert slow.seconds - BEGIN_PAUSE - END_PAUSE == pytest.approx(2 * moving, abs=0.05)
+    assert slow.frames == pytest.approx(2 * usual.frames, abs=2)
+
+
+def test_no_more_pictures_than_steps(film: Callable[..., Clip], moments: list[list[Moment]]) -> None:
+    clip = film("film.webp", fps=10_000.0)
+    assert clip.frames == moments[0][-1].step + 1
+
+
+def test_mp4_has_the_same_length(film: Callable[..., Clip]) -> None:
+    ffmpeg = pytest.importorskip("imageio_ffmpeg").get_ffmpeg_exe()
+    clip = film("film.mp4")
+    said = subprocess.run([ffmpeg, "-i", clip.out], capture_output=True, text=True, check=False).stderr
+    hours, minutes, seconds = said.partition("Duration: ")[2].partition(",")[0].split(":")
+    assert 3600 * int(hours) + 60 * int(minutes) + float(seconds) == pytest.approx(clip.seconds, abs=0.1)
+    assert f"{SIZE[0]}x{SIZE[1] + HEIGHT}" in said
+    assert "h264" in said
+
+
+def test_without_the_extra_mp4_names_it(film: Callable[..., Clip], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    with pytest.raises(InputError, match=r"pip install 'reachlab\[video\]', or name a file that ends in .webp or .gif"):
+        film("film.mp4")
+
+
+def test_what_ffmpeg_refuses_is_told_in_a_sentence(
+    film: Callable[..., Clip], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    pytest.importorskip("imageio_ffmpeg")
+    (tmp_path / "folder.mp4").mkdir()
+    with pytest.raises(InputError, match=r"the video cannot be written to '.*folder.mp4'") as refused:
+        film("folder.mp4")
+    assert "\n" not in str(refused.value)
+    monkeypatch.setattr(video, "_ffmpeg", lambda: str(tmp_path / "missing"))
+    with pytest.raises(InputError, match="cannot be written"):
+        film("film.mp4")
+
+
+@pytest.mark.parametrize("ending", ENCODERS)
+def test_where_no_file_can_be_nothing_is_filmed(film: Callable[..., Clip], ending: str) -> None:
+    with pytest.raises(InputError, match="cannot be written to"):
+        film(f"missing/film{ending}")
+
+
+# --- captions -------------------------------------------------------------------------------------
+
+
+def test_a_caption_leaves_the_picture_as_it_is() -> None:
+    picture = np.random.default_rng(0).integers(0, 256, (120, 640, 3), np.uint8)
+    image = np.asarray(captioned(picture, Caption("Episode 1 of 4", "tutorial", 0.123, 0.5)))
+    assert image.shape == (120 + HEIGHT, 640, 3)
+    assert np.array_equal(image[:120], picture)
+    assert image[120:].std() > 10
+
+
+@pytest.mark.parametrize("verdict", VERDICTS)
+def test_the_verdict_is_told_in_its_colour_at_the_end_only(verdict: str) -> None:
+    picture = np.zeros((10, 640, 3), np.uint8)
+    ended, under_way = (
+        np.asarray(captioned(picture, Caption("Episode 1 of 4", "tutorial task", 0.1, 0.5, said)))
+        for said in (verdict, "")
+    )
+    assert (ended == VERDICTS[verdict]).all(axis=-1).sum() > 500
+    assert not (under_way == VERDICTS[verdict]).all(axis=-1).any()
+
+
+@pytest.mark.parametrize(
+    ("metres", "text"), [(0.1234, "123 mm"), (0.01, "10 mm"), (0.0012, "1.2 mm"), (1.2, "1200 mm")]
+)
+def test_distances_are_in_millimetres(metres: float, text: str) -> None:
+    assert distance_text(metres) == text
