@@ -29,7 +29,17 @@ LAYERS = (
     {"iteration"},
     {"loop"},
     {"training"},
-    {"console", "bench", "bench_sims", "bench_soak", "bench_faults", "bench_hostile", "bench_trust"},
+    {
+        "console",
+        "bench",
+        "bench_sims",
+        "bench_soak",
+        "bench_faults",
+        "bench_hostile",
+        "bench_trust",
+        "bench_viewer",
+        "chromium",
+    },
     {"cli"},
     {"__main__", "__init__"},
 )

@@ -95,6 +95,17 @@ def test_an_end_is_taken_back_when_the_target_is_held_or_moved() -> None:
     assert not player.over
 
 
+def test_under_full_dynamics_the_arm_holds_millimetres_where_the_target_is_moved() -> None:
+    player = Player(Env(configure("precise"), 1), seed=0)
+    play(player)
+    assert player.over
+    player.move_target(np.array([0.5, 0.2, 0.4]))
+    assert (player.over, player.moment.reached) == (False, False)
+    play(player)
+    assert player.moment.reached
+    assert player.moment.distance < 0.01
+
+
 @pytest.mark.parametrize("agent", sorted(AGENTS.keys() - {"trained"}))
 def test_every_agent_plays(agent: str) -> None:
     player = player_in("kinematic")

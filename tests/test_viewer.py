@@ -2,27 +2,30 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import shutil
 import signal
-import socket
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
 
-from chromium import Page, browser, drawn, executable, wait_until
 from reachlab import cli, stage
+from reachlab.bench_viewer import free_port
 from reachlab.checkpoint import RunDirectory
-from reachlab.config import InputError, RunConfig, configure
+from reachlab.chromium import Page, browser, drawn, executable, wait_until
+from reachlab.config import TASKS, InputError, RunConfig, configure
 from reachlab.env import Env
 from reachlab.iteration import initial_state
-from reachlab.stage import start_server, stop_server
+from reachlab.stage import LOCAL, start_server, stop_server
 from reachlab.training import load_policy
-from reachlab.viewer import COMMANDS, LOCAL, Viewer, save_page
+from reachlab.viewer import COMMANDS, Viewer, save_page
 
 CHECKPOINTS = (0, 128)
 
@@ -44,9 +47,13 @@ def config() -> RunConfig:
 
 @pytest.fixture(scope="module")
 def run(config: RunConfig, tmp_path_factory: pytest.TempPathFactory) -> RunDirectory:
+    return untrained(config, tmp_path_factory.mktemp("viewer") / "run")
+
+
+def untrained(config: RunConfig, path: Path) -> RunDirectory:
     """A run with two checkpoints of policies that have learnt nothing, and not the same."""
-    env = Env(config, 8)
-    run = RunDirectory(tmp_path_factory.mktemp("viewer") / "run")
+    env = Env(config, config.ppo.lanes)
+    run = RunDirectory(path)
     run.create(config)
     begin = env.compile(lambda seed: initial_state(env, config, seed))
     for step in CHECKPOINTS:
@@ -72,19 +79,20 @@ def page(chromium: Page) -> Iterator[Page]:
     chromium.open("about:blank")
 
 
-@pytest.fixture
-def viewer(config: RunConfig, run: RunDirectory) -> Iterator[Viewer]:
+@contextlib.contextmanager
+def view(config: RunConfig, run: RunDirectory, agent: str = "ik") -> Iterator[Viewer]:
     env = Env(config, 1)
-    with Viewer(
-        env, run.checkpoint_steps(), lambda step: load_policy(run, config, env, step), "ik", LOCAL, free_port()
-    ) as viewer:
+    load = partial(load_policy, run, config, env)
+    with Viewer(env, run.checkpoint_steps(), load, agent, LOCAL, free_port()) as viewer:
         viewer.prepare(seed=1)
         yield viewer
+    env.close()
 
 
-def free_port() -> int:
-    with socket.create_server((LOCAL, 0)) as listening:
-        return int(listening.getsockname()[1])
+@pytest.fixture
+def viewer(config: RunConfig, run: RunDirectory) -> Iterator[Viewer]:
+    with view(config, run) as viewer:
+        yield viewer
 
 
 def playing(viewer: Viewer, happened: Callable[[], bool]) -> Callable[[], bool]:
@@ -115,23 +123,27 @@ def stays_here(requests: list[str]) -> bool:
 # --- in the browser -------------------------------------------------------------------------------
 
 
-def test_the_arm_follows_a_target_that_is_dragged_in_the_page(page: Page, viewer: Viewer) -> None:
-    page.open(viewer.url)
-    wait_until(lambda: drawn(page.picture()), "a picture")
-    wait_until(playing(viewer, lambda: viewer.player.moment.reached), "a success")
-    assert "to the target" in page.text()
+@pytest.mark.parametrize("task", TASKS)
+def test_the_arm_follows_a_target_that_is_dragged_in_the_page(page: Page, task: str, tmp_path: Path) -> None:
+    config = configure(task, lanes=8, hidden=(8,))
+    with view(config, untrained(config, tmp_path / "run")) as viewer:
+        page.open(viewer.url)
+        wait_until(lambda: drawn(page.picture()), "a picture")
+        wait_until(playing(viewer, lambda: viewer.player.moment.reached), "a success")
+        assert "to the target" in page.text()
 
-    viewer.new_target()
-    viewer.player.hold(True)
-    before = viewer.player.moment.target
-    height, width, _ = page.picture().shape
-    grip = before + np.array([stage.HANDLE_SIZE / 2, 0, 0])
-    away = np.array([0.08 if before[0] < 0.45 else -0.08, 0, 0])
-    page.drag(pixel(grip, width, height), pixel(grip + away, width, height))
-    wait_until(playing(viewer, lambda: not np.allclose(viewer.player.moment.target, before)), "a move of the target")
-    wait_until(playing(viewer, lambda: viewer.player.moment.reached), "the arm's arrival")
+        viewer.reset()
+        viewer.player.hold(True)
+        before = viewer.player.moment.target
+        height, width, _ = page.picture().shape
+        grip = before + np.array([stage.HANDLE_SIZE / 2, 0, 0])
+        away = np.array([0.08 if before[0] < 0.45 else -0.08, 0, 0])
+        page.drag(pixel(grip, width, height), pixel(grip + away, width, height))
+        wait_until(playing(viewer, lambda: not np.allclose(viewer.player.moment.target, before)), "a moved target")
+        wait_until(playing(viewer, lambda: viewer.player.moment.reached), "the arm's arrival")
 
-    np.testing.assert_allclose(viewer.player.moment.target, before + away, atol=0.02)
+        np.testing.assert_allclose(viewer.player.moment.target, before + away, atol=0.02)
+        np.testing.assert_allclose(viewer.player.moment.tool, before + away, atol=config.rules.success_distance + 0.02)
     assert stays_here(page.requests)
     assert any(url.startswith("http") for url in page.requests), "requests are seen"
 
@@ -162,7 +174,7 @@ def test_buttons_step_pause_and_draw_a_new_target(viewer: Viewer) -> None:
     assert (viewer.player.steps, viewer.paused) == (steps + 1, True)
     COMMANDS["Pause"](viewer)
     assert not viewer.paused
-    COMMANDS["New target"](viewer)
+    COMMANDS["Reset"](viewer)
     assert not np.allclose(viewer.player.moment.target, target)
     np.testing.assert_allclose(viewer.handle.position, viewer.player.moment.target)
 
@@ -207,7 +219,10 @@ def test_without_viser_its_install_command_is_said(monkeypatch: pytest.MonkeyPat
         (["--agent", "traind"], "Did you mean 'trained'"),
         (["--sim", "mujoko"], "Did you mean 'mujoco'"),
         (["--port", "0"], "port must be at least 1"),
-        (["--save", "no/such/folder/page.html", "--episodes", "1"], "cannot be written: No such file or directory"),
+        (
+            ["--save", "no/such/folder/page.html", "--episodes", "1"],
+            "cannot be written: there is no folder 'no/such/folder'",
+        ),
     ],
     ids=str,
 )
@@ -225,6 +240,38 @@ def test_every_checkpoint_can_be_chosen(run: RunDirectory, config: RunConfig) ->
     weights = [np.asarray(policy.parameters.actor[0][0]) for policy in (first, last, newest)]
     assert not np.array_equal(weights[0], weights[1])
     np.testing.assert_array_equal(weights[1], weights[2])
+
+
+def test_where_a_checkpoint_cannot_be_read_the_last_policy_goes_on(config: RunConfig, tmp_path: Path) -> None:
+    run = untrained(config, tmp_path / "run")
+    with view(config, run, "trained") as viewer:
+        shutil.rmtree(run.checkpoints / f"step_{CHECKPOINTS[0]:012d}")
+        viewer.panel.checkpoint = CHECKPOINTS[0]
+        viewer.step()
+        assert "is damaged" in viewer.panel.refusal
+        assert viewer.panel.checkpoint == CHECKPOINTS[1]
+
+
+def test_a_damaged_checkpoint_is_not_offered(
+    config: RunConfig, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    run = untrained(config, tmp_path / "run")
+    (run.checkpoints / f"step_{CHECKPOINTS[1]:012d}" / "state.safetensors").write_bytes(b"no arrays")
+    assert run.checkpoint_steps() == [CHECKPOINTS[0]]
+    assert "is left out" in caplog.text
+
+
+@pytest.mark.parametrize(("host", "local"), [("127.0.0.1", True), ("localhost", True), ("0.0.0.0", False)])
+def test_other_machines_are_let_in_with_a_warning_only(
+    run: RunDirectory,
+    host: str,
+    local: bool,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(Viewer, "run", lambda _: None)
+    assert cli.main(["view", str(run.path), "--agent", "zero", "--host", host, "--port", str(free_port())]) == cli.DONE
+    assert ("Warning:" in capsys.readouterr().err) is not local
 
 
 def test_ctrl_c_ends_it_quietly(run: RunDirectory) -> None:

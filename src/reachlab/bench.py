@@ -21,6 +21,7 @@ from jax import Array
 from reachlab.bench_sims import Row, row, simulators
 from reachlab.bench_soak import soak
 from reachlab.bench_trust import trust
+from reachlab.bench_viewer import viewer
 from reachlab.chain import Chain
 from reachlab.compilation import jit
 from reachlab.config import choose, configure
@@ -247,5 +248,6 @@ SUITES: dict[str, Callable[[], Iterator[Row]]] = {
     "simulators": simulators,
     "soak": soak,
     "trust": trust,
+    "viewer": viewer,
 }
 """Suites by name."""

@@ -113,7 +113,7 @@ class View(Checked):
     sim: str | None = None
     """Simulator; by default the run's own."""
     agent: str = "trained"
-    """Agent to begin with: trained, random, zero, ik."""
+    """Agent to begin with: trained, random, zero, ik, ik_open."""
     seed: Seed = 1
     """Seed of the targets."""
     host: str = "127.0.0.1"
@@ -143,7 +143,7 @@ class Bench(Checked):
     """Measure speed, accuracy and learning on this machine."""
 
     suite: str = "speed"
-    """Suite of measurements: speed, kinematics, learning, start, simulators, soak, trust."""
+    """Suite of measurements: speed, kinematics, learning, start, simulators, soak, trust, viewer."""
     json: bool = False
     """Print the measurements as a JSON list on standard output."""
 
@@ -289,8 +289,9 @@ def view(arguments: View) -> None:
     from reachlab.console import console
     from reachlab.env import Env
     from reachlab.sims import SIMULATORS
+    from reachlab.stage import is_local
     from reachlab.training import load_policy
-    from reachlab.viewer import LOCAL, Viewer, save_page
+    from reachlab.viewer import Viewer, save_page
 
     run = RunDirectory(arguments.run)
     trained = run.read_config()
@@ -301,6 +302,7 @@ def view(arguments: View) -> None:
         save_page(
             env, arguments.agent, load_policy(run, config, env), arguments.seed, arguments.episodes, arguments.save
         )
+        env.close()
         console.print(f"Written: {arguments.save}")
         return
     load = partial(load_policy, run, config, env)
@@ -309,12 +311,16 @@ def view(arguments: View) -> None:
         contextlib.suppress(KeyboardInterrupt),
     ):
         console.print(f"Viewer: {viewer.url}   Ctrl-C ends it.")
-        if arguments.host != LOCAL:
-            console.print(f"Whoever reaches {arguments.host} can watch and move the target.")
+        if not is_local(arguments.host):
+            console.print(
+                f"Warning: --host {arguments.host} lets other machines in, without a password: whoever reaches it can"
+                " watch and move the target."
+            )
         if arguments.open:
             webbrowser.open(viewer.url)
         viewer.prepare(arguments.seed)
         viewer.run()
+    env.close()
 
 
 def plot(arguments: Plot) -> None:

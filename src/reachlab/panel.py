@@ -20,10 +20,11 @@ class Panel:
 
     def __init__(self, gui: viser.GuiApi, agent: str, checkpoints: Sequence[int], buttons: Sequence[str]) -> None:
         """Panel for the agents of `AGENTS`, the run's checkpoints, oldest first, and buttons of these names."""
-        self._steps = {f"{steps:,} steps": steps for steps in checkpoints}
+        self._steps = {_label(steps): steps for steps in checkpoints}
         self.pressed: SimpleQueue[str] = SimpleQueue()
         gui.configure_theme(show_logo=False, show_share_button=False)
         self._text = gui.add_markdown("Compiling …")
+        self._refusal = gui.add_markdown("", visible=False)
         self._agent = gui.add_dropdown("Agent", tuple(AGENTS), initial_value=agent)
         self._checkpoint = gui.add_dropdown("Checkpoint", tuple(self._steps), initial_value=[*self._steps][-1])
         self._speed = gui.add_slider("Speed", SLOWEST, FASTEST, SPEED_STEP, 1.0, hint="Multiples of real time")
@@ -43,6 +44,10 @@ class Panel:
         """Steps of the chosen checkpoint."""
         return self._steps[self._checkpoint.value]
 
+    @checkpoint.setter
+    def checkpoint(self, steps: int) -> None:
+        self._checkpoint.value = _label(steps)
+
     @property
     def speed(self) -> float:
         """Multiple of real time."""
@@ -52,6 +57,10 @@ class Panel:
     def endless(self) -> bool:
         """Whether no episode ends."""
         return self._endless.value
+
+    @endless.setter
+    def endless(self, endless: bool) -> None:
+        self._endless.value = endless
 
     @property
     def axes(self) -> bool:
@@ -65,3 +74,16 @@ class Panel:
     def say(self, text: str) -> None:
         """Show a text, in Markdown, above the controls."""
         self._text.content = text
+
+    @property
+    def refusal(self) -> str:
+        """What `refuse` said."""
+        return self._refusal.content
+
+    def refuse(self, why: str) -> None:
+        """Show why something cannot be done, until the next call; nothing where `why` is empty."""
+        self._refusal.content, self._refusal.visible = why, bool(why)
+
+
+def _label(steps: int) -> str:
+    return f"{steps:,} steps"

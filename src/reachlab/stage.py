@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import ipaddress
 import socket
 from collections import deque
 from collections.abc import Sequence
@@ -20,6 +21,9 @@ from reachlab.solids import Solid, solids
 
 if TYPE_CHECKING:
     import viser
+
+LOCAL = "127.0.0.1"
+"""Address of this machine that no other reaches."""
 
 TITLE = "reachlab"
 """Title of the panel and the page."""
@@ -87,7 +91,7 @@ class Stage:
         self._target.visible, self._axes.visible = True, axes
         self._axes.position, self._axes.wxyz = moment.tool, moment.orientation
         self._ball.color = REACHED if moment.reached else WAITING
-        self._label.text = f"{1000 * moment.distance:.0f} mm"
+        self._label.text = f"{1000 * moment.distance:.1f} mm"
         self._lengthen(moment.tool)
 
     def clear_path(self) -> None:
@@ -165,6 +169,11 @@ def start_server(host: str, port: int) -> viser.ViserServer:
     # Any page open in the browser could ask for it: a websocket does not heed where a page is from.
     server.request_share_url = _share_nothing
     return server
+
+
+def is_local(host: str) -> bool:
+    """Whether no other machine reaches an address."""
+    return ipaddress.ip_address(socket.gethostbyname(host)).is_loopback
 
 
 def _share_nothing(verbose: bool = True) -> None:

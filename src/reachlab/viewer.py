@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -16,13 +17,10 @@ from reachlab.evaluation import AGENTS
 from reachlab.panel import Panel
 from reachlab.player import Player, target_box
 from reachlab.policy import Policy
-from reachlab.stage import TITLE, Stage, start_server, stop_server
+from reachlab.stage import LOCAL, TITLE, Stage, start_server, stop_server
 
 if TYPE_CHECKING:
     import viser
-
-LOCAL = "127.0.0.1"
-"""Address of this machine that no other reaches."""
 
 FRAME_RATE = 50.0
 """Pictures in a second [1/s]; viser sends at most 60."""
@@ -33,7 +31,7 @@ TEXT_RATE = 5.0
 PAUSE = 0.8
 """Time for which the end of an episode stays in view [s]."""
 
-MOST_BEHIND = 0.1
+MOST_BEHIND = 0.5
 """Time that is made up for where steps take longer than they should [s]; the rest is dropped."""
 
 TRAINED = "trained"
@@ -50,6 +48,7 @@ class Viewer:
         url: where the browser finds it.
         player, handle: the arm, and the handle by which its target is moved; there once `prepare` was called.
         paused: nothing moves.
+        panel: what a person has chosen.
     """
 
     player: Player
@@ -72,10 +71,11 @@ class Viewer:
         choose("agent", agent, AGENTS)
         self._env, self._load = env, load
         self._policies: dict[int, Policy] = {}
+        self._playing: int | None = None
         self._server = start_server(host, port)
         self._stage = Stage(self._server, env.reach.robot)
-        self._panel = Panel(self._server.gui, agent, checkpoints, tuple(COMMANDS))
-        self._panel.on_shadows(self._stage.cast_shadows)
+        self.panel = Panel(self._server.gui, agent, checkpoints, tuple(COMMANDS))
+        self.panel.on_shadows(self._stage.cast_shadows)
         self._pace = Pace()
         self._dragged = self.paused = False
         self._owed = self._rest = 0.0
@@ -102,12 +102,14 @@ class Viewer:
 
         self.handle.on_update(drag)
         self._put_handle()
+        self._policy()
         self._play(1)
 
-    def run(self) -> None:
-        """Play until interrupted."""
-        last = time.perf_counter()
-        while True:
+    def run(self, seconds: float = math.inf) -> None:
+        """Play for some time [s], or until interrupted."""
+        last = now = time.perf_counter()
+        end = now + seconds
+        while now < end:
             now = time.perf_counter()
             self.frame(now - last)
             last = now
@@ -115,16 +117,16 @@ class Viewer:
 
     def frame(self, elapsed: float) -> None:
         """Play the time since the last picture [s]. Nothing moves while no browser is there."""
-        while not self._panel.pressed.empty():
-            COMMANDS[self._panel.pressed.get()](self)
+        while not self.panel.pressed.empty():
+            COMMANDS[self.panel.pressed.get()](self)
         self._follow_hand()
         if self.paused or not self._server.get_clients():
             return
-        self.player.hold(self._dragged or self._panel.endless)
+        self.player.hold(self._dragged or self.panel.endless)
         if self.player.over:
             self._rest -= elapsed
             if self._rest <= 0:
-                self.new_target()
+                self.reset()
         else:
             self._play(self._due(elapsed))
 
@@ -137,12 +139,12 @@ class Viewer:
         """Take one control step and pause."""
         self.paused = True
         if self.player.over:
-            self.new_target()
+            self.reset()
         self._play(1)
         self._tell()
 
-    def new_target(self) -> None:
-        """Begin a new episode."""
+    def reset(self) -> None:
+        """Begin a new episode, with a new target."""
         self.player.new_episode()
         self._stage.clear_path()
         self._put_handle()
@@ -151,13 +153,13 @@ class Viewer:
     def _due(self, elapsed: float) -> int:
         """Control steps for which it is time."""
         period = self._env.config.physics.control_period
-        self._owed += min(elapsed, MOST_BEHIND) * self._panel.speed
+        self._owed += min(elapsed, MOST_BEHIND) * self.panel.speed
         steps = int(self._owed / period)
         self._owed -= steps * period
         return steps
 
     def _play(self, steps: int) -> None:
-        player, agent = self.player, self._panel.agent
+        player, agent = self.player, self.panel.agent
         policy = self._policy() if agent == TRAINED else None
         for _ in range(steps):
             if not player.over:
@@ -167,9 +169,24 @@ class Viewer:
             self._show()
 
     def _policy(self) -> Policy:
-        steps = self._panel.checkpoint
-        if steps not in self._policies:
-            self._policies[steps] = self._load(steps)
+        """Policy of the chosen checkpoint; the last one goes on where that one cannot be read, and the panel says why.
+
+        Raises:
+            InputError: it cannot be read, and there is no last one.
+        """
+        steps = self.panel.checkpoint
+        if steps != self._playing:
+            try:
+                if steps not in self._policies:
+                    self._policies[steps] = self._load(steps)
+            except InputError as error:
+                if self._playing is None:
+                    raise
+                self.panel.refuse(str(error))
+                self.panel.checkpoint = steps = self._playing
+            else:
+                self.panel.refuse("")
+                self._playing = steps
         return self._policies[steps]
 
     def _follow_hand(self) -> None:
@@ -188,14 +205,14 @@ class Viewer:
 
     def _show(self) -> None:
         with self._server.atomic():
-            self._stage.show(self.player.moment, axes=self._panel.axes)
+            self._stage.show(self.player.moment, axes=self.panel.axes)
         if self._pace.due(self.player.steps) or self.player.over:
             self._tell()
 
     def _tell(self) -> None:
         player, moment = self.player, self.player.moment
         rate = "paused" if self.paused else f"{self._pace.rate:.0f} steps/s"
-        self._panel.say(
+        self.panel.say(
             f"**{1000 * moment.distance:.1f} mm** to the target{', **reached**' if moment.reached else ''}\n\n"
             f"{player.successes} of {player.episodes} episodes reached · {rate}"
         )
@@ -204,7 +221,7 @@ class Viewer:
 COMMANDS: dict[str, Callable[[Viewer], None]] = {
     "Pause": Viewer.toggle_pause,
     "Step": Viewer.step,
-    "New target": Viewer.new_target,
+    "Reset": Viewer.reset,
 }
 """Buttons of the panel, and what they do."""
 
@@ -234,6 +251,8 @@ def save_page(env: Env, agent: str, policy: Policy | None, seed: int, episodes: 
         InputError: viser is not installed, there is no such agent, or the file cannot be written.
     """
     choose("agent", agent, AGENTS)
+    if not out.parent.is_dir():
+        raise InputError(f"page '{out}' cannot be written: there is no folder '{out.parent}'.")
     steps = max(1, round(1 / FRAME_RATE / env.config.physics.control_period))
     server = start_server(LOCAL, 0)
     try:
