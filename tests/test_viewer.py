@@ -23,6 +23,7 @@ from reachlab.chromium import Page, browser, drawn, executable, wait_until
 from reachlab.config import TASKS, InputError, RunConfig, configure
 from reachlab.env import Env
 from reachlab.iteration import initial_state
+from reachlab.robots import load_robot
 from reachlab.stage import LOCAL, start_server, stop_server
 from reachlab.training import load_policy
 from reachlab.viewer import COMMANDS, Viewer, save_page
@@ -159,6 +160,17 @@ def test_a_saved_page_plays_from_its_file_alone(page: Page, config: RunConfig, t
 
 
 # --- without ---------------------------------------------------------------------------------------
+
+
+def test_the_workspace_and_the_tools_path_are_drawn(viewer: Viewer) -> None:
+    for _ in range(50):
+        viewer.step()
+    low, high = load_robot("iiwa14").workspace
+    edges = viewer.stage.workspace.points
+    assert edges.shape == (12, 2, 3)
+    np.testing.assert_allclose([edges.min(axis=(0, 1)), edges.max(axis=(0, 1))], [low, high], atol=1e-6)
+    assert viewer.stage.path
+    np.testing.assert_allclose(viewer.stage.path.points[-1, 1], viewer.player.moment.tool, atol=2 * stage.PATH_STEP)
 
 
 def test_nothing_moves_while_nobody_looks(viewer: Viewer) -> None:

@@ -31,6 +31,9 @@ TITLE = "reachlab"
 WAITING, REACHED, PATH = (217, 31, 38), (34, 160, 84), (37, 99, 235)
 """Colours of the target before and when it is reached, and of the path."""
 
+EDGES, EDGE_WIDTH = (150, 155, 166), 0.002
+"""Colour of the workspace's edges, and their width [m]."""
+
 PATH_POINTS, PATH_STEP, PATH_WIDTH = 300, 0.004, 0.004
 """Corners of the path at most, their least distance [m], and its width [m]."""
 
@@ -58,7 +61,12 @@ SKY, GROUND, SKY_INTENSITY = (255, 255, 255), (150, 155, 165), 2.2
 
 
 class Stage:
-    """Draws a robot at work on a viser server."""
+    """Draws a robot at work on a viser server.
+
+    Attributes:
+        workspace: the edges of the robot's workspace.
+        path: the tool's way in this episode, once it has moved.
+    """
 
     def __init__(self, server: viser.ViserServer, robot: Robot) -> None:
         """Stage with the arm at home; the target shows with the first moment."""
@@ -67,10 +75,12 @@ class Stage:
         self._data = mujoco.MjData(self._model)
         self._joints = self._model.jnt_qposadr[list(robot.chain.joints)]
         self._path: deque[np.ndarray] = deque(maxlen=PATH_POINTS)
-        self._line: viser.LineSegmentsHandle | None = None
+        self.path: viser.LineSegmentsHandle | None = None
         self._set_view(server)
         self._frames = [self._scene.add_frame(self._name(body), show_axes=False) for body in range(self._model.nbody)]
         parts = [(solid.body, self._add(number, solid)) for number, solid in enumerate(solids(self._model))]
+        edges = np.array(robot.workspace_edges(), np.float32)
+        self.workspace = self._scene.add_line_segments("/workspace", edges, EDGES, thickness=EDGE_WIDTH)
         target = self._model.body("target").id
         self._target, self._ball = self._frames[target], next(mesh for body, mesh in parts if body == target)
         self._target.visible = False
@@ -143,10 +153,10 @@ class Stage:
         self._path.append(tool)
         corners = np.array([self._path[0], *self._path], np.float32)
         points = np.stack([corners[:-1], corners[1:]], axis=1)
-        if self._line is None:
-            self._line = self._scene.add_line_segments("/path", points, PATH, thickness=PATH_WIDTH)
+        if self.path is None:
+            self.path = self._scene.add_line_segments("/path", points, PATH, thickness=PATH_WIDTH)
         else:
-            self._line.points = points
+            self.path.points = points
 
 
 def start_server(host: str, port: int) -> viser.ViserServer:

@@ -48,7 +48,7 @@ class Viewer:
         url: where the browser finds it.
         player, handle: the arm, and the handle by which its target is moved; there once `prepare` was called.
         paused: nothing moves.
-        panel: what a person has chosen.
+        panel, stage: what a person has chosen, and what is drawn.
     """
 
     player: Player
@@ -73,9 +73,9 @@ class Viewer:
         self._policies: dict[int, Policy] = {}
         self._playing: int | None = None
         self._server = start_server(host, port)
-        self._stage = Stage(self._server, env.reach.robot)
+        self.stage = Stage(self._server, env.reach.robot)
         self.panel = Panel(self._server.gui, agent, checkpoints, tuple(COMMANDS))
-        self.panel.on_shadows(self._stage.cast_shadows)
+        self.panel.on_shadows(self.stage.cast_shadows)
         self._pace = Pace()
         self._dragged = self.paused = False
         self._owed = self._rest = 0.0
@@ -95,7 +95,7 @@ class Viewer:
         """Compile what playing takes and show the first held-out target of a seed."""
         self.player = Player(self._env, seed)
         self._box = target_box(self._env.reach)
-        self.handle = self._stage.add_handle((self._box[1] > self._box[0]).tolist())
+        self.handle = self.stage.add_handle((self._box[1] > self._box[0]).tolist())
 
         async def drag(event: viser.TransformControlsEvent) -> None:
             self._dragged = event.phase != "end"
@@ -146,7 +146,7 @@ class Viewer:
     def reset(self) -> None:
         """Begin a new episode, with a new target."""
         self.player.new_episode()
-        self._stage.clear_path()
+        self.stage.clear_path()
         self._put_handle()
         self._show()
 
@@ -205,7 +205,7 @@ class Viewer:
 
     def _show(self) -> None:
         with self._server.atomic():
-            self._stage.show(self.player.moment, axes=self.panel.axes)
+            self.stage.show(self.player.moment, axes=self.panel.axes)
         if self._pace.due(self.player.steps) or self.player.over:
             self._tell()
 
