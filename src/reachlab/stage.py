@@ -173,7 +173,8 @@ def start_server(host: str, port: int) -> viser.ViserServer:
         # Viser tries a thousand ports and waits forever on an address that has none.
         socket.create_server((host, 0)).close()
     except OSError as error:
-        raise InputError(f"host {host!r} is no address of this machine ({error.strerror}): leave it out.") from None
+        why = str(error.strerror).partition(" (")[0]
+        raise InputError(f"host {host!r} is no address of this machine ({why}): leave it out.") from None
     with contextlib.redirect_stdout(io.StringIO()):
         server = viser.ViserServer(host=host, port=port, label=TITLE, verbose=False)
     # Any page open in the browser could ask for it: a websocket does not heed where a page is from.
