@@ -32,6 +32,7 @@ LAYERS = (
     {
         "console",
         "bench",
+        "bench_precise",
         "bench_sims",
         "bench_soak",
         "bench_faults",

@@ -71,7 +71,7 @@ class Eval(Checked):
     seed: Seed = 1
     """Seed of the targets."""
     perturb: bool = False
-    """Give every episode an arm of its own and noisy measurements; see `randomise` of train."""
+    """Give every episode an arm of its own and noisy measurements; see `perturb` of train."""
     gui: bool = False
     """PyBullet: open its window."""
     slow: bool = False
@@ -143,9 +143,11 @@ class Bench(Checked):
     """Measure speed, accuracy and learning on this machine."""
 
     suite: str = "speed"
-    """Suite of measurements: speed, kinematics, learning, start, simulators, soak, trust, viewer."""
+    """Suite of measurements: speed, kinematics, learning, start, simulators, precise, soak, trust, viewer."""
     json: bool = False
     """Print the measurements as a JSON list on standard output."""
+    markdown: bool = False
+    """Print them as a Markdown table, with the machine and the versions."""
 
 
 @dataclass(frozen=True)
@@ -230,7 +232,7 @@ def evaluate(arguments: Eval) -> None:
         config = in_simulator(trained, choose("simulator", name, [*SIMULATORS, "all"]))
         if (arguments.gui or arguments.slow) and name != "pybullet":
             raise InputError(f"--gui and --slow are PyBullet's, and the simulator is {name!r}: add --sim pybullet.")
-        config = override(config, gui=arguments.gui, slow=arguments.slow, randomise=arguments.perturb)
+        config = override(config, gui=arguments.gui, slow=arguments.slow, perturb=arguments.perturb)
         env = Env(config, 1 if arguments.gui else min(arguments.episodes, EVALUATION_LANES.get(name, LANES)))
         policy = load_policy(run, config, env)
         for agent in arguments.agent:
@@ -338,12 +340,14 @@ def plot(arguments: Plot) -> None:
 def bench(arguments: Bench) -> None:
     """Run `reachlab bench`."""
     _prepare_jax()
-    from reachlab.bench import run_suite
+    from reachlab.bench import run_suite, to_markdown
     from reachlab.console import print_table
 
     rows = run_suite(arguments.suite)
     if arguments.json:
         print(jsonlib.dumps(rows))
+    elif arguments.markdown:
+        print(to_markdown(rows), end="")
     else:
         cells = [(row["name"], f"{row['value']:.4g}", row["unit"], str(row["config"])) for row in rows]
         print_table(f"suite {arguments.suite}", ("measurement", "value", "unit", "configuration"), cells)

@@ -11,7 +11,7 @@ from typing import Any
 import jax
 
 from reachlab.checkpoint import RunDirectory
-from reachlab.config import InputError, RunConfig
+from reachlab.config import InputError, RunConfig, override
 from reachlab.env import Env
 from reachlab.evaluation import Report, evaluate
 from reachlab.interrupts import Interrupts
@@ -95,7 +95,7 @@ def train(
     if resume:
         _check_unfinished(run, config)
     _choose_threads(run, config)
-    env = Env(config, config.ppo.lanes)
+    env = Env(override(config, perturb=True) if config.ppo.randomise else config, config.ppo.lanes)
     try:
         if not resume:
             run.create(config)
@@ -133,14 +133,7 @@ def _train(loop: Loop, *, resume: bool, tensorboard: bool) -> TrainResult:
     with Metrics(run.metrics_file, tensorboard=tensorboard) as metrics, Interrupts() as interrupts:
         state = loop.iterate(state, metrics, interrupts)
     trained = time.perf_counter()
-    report = evaluate(
-        loop.env,
-        "trained",
-        state.learner.policy,
-        seed=config.seed,
-        episodes=config.ppo.report_episodes,
-        runner=loop.runner,
-    )
+    report = _report(loop, state.learner.policy)
     result = TrainResult(
         report=report,
         policy=state.learner.policy,
@@ -155,3 +148,15 @@ def _train(loop: Loop, *, resume: bool, tensorboard: bool) -> TrainResult:
     except OSError as error:
         raise unwritable("report", run, error) from None
     return result
+
+
+def _report(loop: Loop, policy: Policy) -> Report:
+    """Report on held-out targets, on arms of the run's physics even where training had others."""
+    config, seed, episodes = loop.config, loop.config.seed, loop.config.ppo.report_episodes
+    if loop.env.config == config:
+        return evaluate(loop.env, "trained", policy, seed=seed, episodes=episodes, runner=loop.runner)
+    env = Env(config, loop.env.batch_size)
+    try:
+        return evaluate(env, "trained", policy, seed=seed, episodes=episodes)
+    finally:
+        env.close()
