@@ -21,15 +21,26 @@ LAYERS = (
     {"storage"},
     {"metrics", "lock", "manifest", "threads", "arrays"},
     {"robots", "task", "ppo"},
-    {"scene"},
+    {"scene", "solids"},
     {"sims"},
     {"env"},
     {"gym_env", "rollout", "checkpoint", "evaluation"},
-    {"curves", "plots", "caption", "video", "viewer", "export"},
+    {"curves", "plots", "caption", "video", "viewer", "player", "panel", "stage", "export"},
     {"iteration"},
     {"loop"},
     {"training"},
-    {"console", "bench", "bench_precise", "bench_sims", "bench_soak", "bench_faults", "bench_hostile", "bench_trust"},
+    {
+        "console",
+        "bench",
+        "bench_precise",
+        "bench_sims",
+        "bench_soak",
+        "bench_faults",
+        "bench_hostile",
+        "bench_trust",
+        "bench_viewer",
+        "chromium",
+    },
     {"cli"},
     {"__main__", "__init__"},
 )
@@ -52,13 +63,13 @@ LEAVES = {
 """What the leaves import of the package."""
 
 ONLY_FROM = {
-    "scene": {"sims"},
+    "scene": {"sims", "stage"},
     "console": {"cli"},
     "cli": {"__main__"},
 }
 """Modules that only these import."""
 
-HEAVY = ("jax", "mujoco", "optax", "matplotlib", "pybullet")
+HEAVY = ("jax", "mujoco", "optax", "matplotlib", "pybullet", "viser")
 
 
 @dataclass
@@ -186,7 +197,7 @@ def test_importing_the_package_loads_neither_jax_nor_a_simulator() -> None:
 
 
 def test_help_loads_neither_jax_nor_a_simulator() -> None:
-    words = [["--help"], *([verb, "--help"] for verb in ("train", "eval", "video", "plot", "bench", "list"))]
+    words = [["--help"], *([verb, "--help"] for verb in ("train", "eval", "video", "view", "plot", "bench", "list"))]
     statement = (
         "from reachlab.cli import main\n"
         f"for words in {words}:\n"

@@ -23,6 +23,7 @@ from reachlab.bench_precise import precise
 from reachlab.bench_sims import Row, row, simulators
 from reachlab.bench_soak import soak
 from reachlab.bench_trust import trust
+from reachlab.bench_viewer import viewer
 from reachlab.chain import Chain
 from reachlab.compilation import jit
 from reachlab.config import choose, configure
@@ -285,5 +286,6 @@ SUITES: dict[str, Callable[[], Iterator[Row]]] = {
     "precise": precise,
     "soak": soak,
     "trust": trust,
+    "viewer": viewer,
 }
 """Suites by name."""

@@ -10,8 +10,10 @@ import os
 import re
 import sys
 import time
+import webbrowser
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -23,6 +25,7 @@ from reachlab.config import (
     Count,
     InputError,
     Positive,
+    Range,
     RunConfig,
     Seed,
     choose,
@@ -102,6 +105,30 @@ class Video(Checked):
 
 
 @dataclass(frozen=True)
+class View(Checked):
+    """Watch a run in the browser and move its target by hand."""
+
+    run: Annotated[Path, tyro.conf.Positional]
+    """Run directory."""
+    sim: str | None = None
+    """Simulator; by default the run's own."""
+    agent: str = "trained"
+    """Agent to begin with: trained, random, zero, ik, ik_open."""
+    seed: Seed = 1
+    """Seed of the targets."""
+    host: str = "127.0.0.1"
+    """Address to listen on; by default no other machine reaches it."""
+    port: Annotated[int, Range(1, 65535)] = 8080
+    """Port to listen on; the next free one where it is taken."""
+    open: bool = False
+    """Open the page in the browser."""
+    save: Path | None = None
+    """Write recorded episodes as one page that needs no server and no network, and end."""
+    episodes: Count = 5
+    """Episodes of the saved page."""
+
+
+@dataclass(frozen=True)
 class Plot(Checked):
     """Draw learning curves, and of what was evaluated the errors and failures."""
 
@@ -116,7 +143,7 @@ class Bench(Checked):
     """Measure speed, accuracy and learning on this machine."""
 
     suite: str = "speed"
-    """Suite of measurements: speed, kinematics, learning, start, simulators, precise, soak, trust."""
+    """Suite of measurements: speed, kinematics, learning, start, simulators, precise, soak, trust, viewer."""
     json: bool = False
     """Print the measurements as a JSON list on standard output."""
     markdown: bool = False
@@ -257,6 +284,47 @@ def video(arguments: Video) -> None:
     )
 
 
+def view(arguments: View) -> None:
+    """Run `reachlab view`."""
+    _prepare_jax()
+    from reachlab.checkpoint import RunDirectory
+    from reachlab.console import console
+    from reachlab.env import Env
+    from reachlab.sims import SIMULATORS
+    from reachlab.stage import is_local
+    from reachlab.training import load_policy
+    from reachlab.viewer import Viewer, save_page
+
+    run = RunDirectory(arguments.run)
+    trained = run.read_config()
+    config = in_simulator(trained, choose("simulator", arguments.sim or trained.sim, SIMULATORS))
+    steps = run.checkpoint_steps()
+    env = Env(config, 1)
+    if arguments.save:
+        save_page(
+            env, arguments.agent, load_policy(run, config, env), arguments.seed, arguments.episodes, arguments.save
+        )
+        env.close()
+        console.print(f"Written: {arguments.save}")
+        return
+    load = partial(load_policy, run, config, env)
+    with (
+        Viewer(env, steps, load, arguments.agent, arguments.host, arguments.port) as viewer,
+        contextlib.suppress(KeyboardInterrupt),
+    ):
+        console.print(f"Viewer: {viewer.url}   Ctrl-C ends it.")
+        if not is_local(arguments.host):
+            console.print(
+                f"Warning: --host {arguments.host} lets other machines in, without a password: whoever reaches it can"
+                " watch and move the target."
+            )
+        if arguments.open:
+            webbrowser.open(viewer.url)
+        viewer.prepare(arguments.seed)
+        viewer.run()
+    env.close()
+
+
 def plot(arguments: Plot) -> None:
     """Run `reachlab plot`."""
     from reachlab.console import console
@@ -325,6 +393,7 @@ VERBS: dict[str, Verb] = {
     "train": Verb(Train, train),
     "eval": Verb(Eval, evaluate),
     "video": Verb(Video, video),
+    "view": Verb(View, view),
     "plot": Verb(Plot, plot),
     "bench": Verb(Bench, bench),
     "list": Verb(List, list_names),

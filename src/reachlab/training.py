@@ -52,14 +52,14 @@ class TrainResult:
         return self.report.to_json() | times
 
 
-def load_policy(run: RunDirectory, config: RunConfig, env: Env) -> Policy:
-    """Policy of a run's newest checkpoint.
+def load_policy(run: RunDirectory, config: RunConfig, env: Env, step: int | None = None) -> Policy:
+    """Policy of a run's newest checkpoint, or of the one after `step`.
 
     Raises:
         InputError: see `RunDirectory.read_checkpoint`.
     """
     template = jax.eval_shape(lambda key: make_initial_policy(config, env, key), jax.random.key(0))
-    return run.read_checkpoint("learner/policy", template)
+    return run.read_checkpoint("learner/policy", template, step)
 
 
 def train(
