@@ -9,7 +9,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -112,11 +112,11 @@ def _live(page: Page, run: RunDirectory, config: RunConfig) -> Iterator[Row]:
         page.open(shown.url)
         wait_until(lambda: drawn(page.picture()), "a picture")
         page.evaluate(COUNT_PICTURES)
-        shown.run(SETTLING)
+        shown.run(_after(SETTLING))
         pictures, steps = page.evaluate("pictures"), shown.player.steps
         page.arrivals.clear()
         started, used = time.perf_counter(), time.process_time()
-        shown.run(SECONDS)
+        shown.run(_after(SECONDS))
         elapsed, used = time.perf_counter() - started, time.process_time() - used
         steps, pictures = shown.player.steps - steps, page.evaluate("pictures") - pictures
         page.open("about:blank")
@@ -132,3 +132,9 @@ def free_port() -> int:
     """A port that nobody listens on."""
     with socket.create_server((LOCAL, 0)) as listening:
         return int(listening.getsockname()[1])
+
+
+def _after(seconds: float) -> Callable[[], bool]:
+    """Whether so much time has passed since now [s]."""
+    end = time.perf_counter() + seconds
+    return lambda: time.perf_counter() >= end

@@ -290,6 +290,7 @@ def view(arguments: View) -> None:
     from reachlab.checkpoint import RunDirectory
     from reachlab.console import console
     from reachlab.env import Env
+    from reachlab.interrupts import Interrupts
     from reachlab.sims import SIMULATORS
     from reachlab.stage import is_local
     from reachlab.training import load_policy
@@ -310,7 +311,7 @@ def view(arguments: View) -> None:
     load = partial(load_policy, run, config, env)
     with (
         Viewer(env, steps, load, arguments.agent, arguments.host, arguments.port) as viewer,
-        contextlib.suppress(KeyboardInterrupt),
+        Interrupts() as interrupts,
     ):
         console.print(f"Viewer: {viewer.url}   Ctrl-C ends it.")
         if not is_local(arguments.host):
@@ -321,7 +322,7 @@ def view(arguments: View) -> None:
         if arguments.open:
             webbrowser.open(viewer.url)
         viewer.prepare(arguments.seed)
-        viewer.run()
+        viewer.run(lambda: interrupts.received is not None)
     env.close()
 
 

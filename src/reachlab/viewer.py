@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -105,11 +104,10 @@ class Viewer:
         self._policy()
         self._play(1)
 
-    def run(self, seconds: float = math.inf) -> None:
-        """Play for some time [s], or until interrupted."""
-        last = now = time.perf_counter()
-        end = now + seconds
-        while now < end:
+    def run(self, ended: Callable[[], bool]) -> None:
+        """Play until it has ended."""
+        last = time.perf_counter()
+        while not ended():
             now = time.perf_counter()
             self.frame(now - last)
             last = now
