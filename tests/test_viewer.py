@@ -24,7 +24,7 @@ from reachlab.config import TASKS, InputError, RunConfig, configure
 from reachlab.env import Env
 from reachlab.iteration import initial_state
 from reachlab.robots import load_robot
-from reachlab.stage import LOCAL, start_server, stop_server
+from reachlab.stage import LOCAL, start_server
 from reachlab.training import load_policy
 from reachlab.viewer import COMMANDS, Viewer, save_page
 
@@ -211,7 +211,7 @@ def test_the_scene_is_never_shared_through_the_makers_server() -> None:
     try:
         assert server.request_share_url() is None
     finally:
-        stop_server(server)
+        server.stop()
 
 
 def test_a_host_that_is_not_this_machine_is_refused() -> None:
@@ -281,7 +281,7 @@ def test_other_machines_are_let_in_with_a_warning_only(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr(Viewer, "run", lambda _: None)
+    monkeypatch.setattr(Viewer, "run", lambda *_: None)
     assert cli.main(["view", str(run.path), "--agent", "zero", "--host", host, "--port", str(free_port())]) == cli.DONE
     assert ("Warning:" in capsys.readouterr().err) is not local
 

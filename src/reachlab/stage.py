@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 import ipaddress
 import socket
+import sys
 from collections import deque
 from collections.abc import Sequence
+from types import ModuleType
 from typing import TYPE_CHECKING
+from unittest import mock
 
 import mujoco
 import numpy as np
+import rich
 
 from reachlab.config import InputError
 from reachlab.player import Moment
@@ -175,7 +177,10 @@ def start_server(host: str, port: int) -> viser.ViserServer:
     except OSError as error:
         why = str(error.strerror).partition(" (")[0]
         raise InputError(f"host {host!r} is no address of this machine ({why}): leave it out.") from None
-    with contextlib.redirect_stdout(io.StringIO()):
+    # Its threads talk on standard output, and say goodbye there long after it has stopped.
+    silent = ModuleType("rich")
+    vars(silent).update(vars(rich), print=_say_nothing)
+    with mock.patch.dict(sys.modules, rich=silent):
         server = viser.ViserServer(host=host, port=port, label=TITLE, verbose=False)
     # Any page open in the browser could ask for it: a websocket does not heed where a page is from.
     server.request_share_url = _share_nothing
@@ -191,7 +196,5 @@ def _share_nothing(verbose: bool = True) -> None:
     del verbose
 
 
-def stop_server(server: viser.ViserServer) -> None:
-    """Stop a server, without its farewell."""
-    with contextlib.redirect_stdout(io.StringIO()):
-        server.stop()
+def _say_nothing(*words: object) -> None:
+    del words

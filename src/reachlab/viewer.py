@@ -16,7 +16,7 @@ from reachlab.evaluation import AGENTS
 from reachlab.panel import Panel
 from reachlab.player import Player, target_box
 from reachlab.policy import Policy
-from reachlab.stage import LOCAL, TITLE, Stage, start_server, stop_server
+from reachlab.stage import LOCAL, TITLE, Stage, start_server
 
 if TYPE_CHECKING:
     import viser
@@ -88,7 +88,7 @@ class Viewer:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """Stop the server."""
-        stop_server(self._server)
+        self._server.stop()
 
     def prepare(self, seed: int) -> None:
         """Compile what playing takes and show the first held-out target of a seed."""
@@ -269,7 +269,7 @@ def save_page(env: Env, agent: str, policy: Policy | None, seed: int, episodes: 
             stage.clear_path()
         page = recording.as_html()
     finally:
-        stop_server(server)
+        server.stop()
     try:
         out.write_text(page.replace("<title>Viser</title>", f"<title>{TITLE}</title>", 1), encoding="utf-8")
     except OSError as error:
