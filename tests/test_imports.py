@@ -17,11 +17,13 @@ SOURCE = Path(reachlab.__file__).parent
 
 LAYERS = (
     {"lanes", "compilation"},
-    {"config", "interrupts", "chain", "kinematics", "policy"},
+    {"config", "interrupts", "chain", "kinematics", "views", "encoder"},
+    {"policy"},
     {"storage"},
     {"metrics", "lock", "manifest", "threads", "arrays"},
     {"robots", "task", "ppo"},
     {"scene"},
+    {"camera"},
     {"sims"},
     {"env"},
     {"gym_env", "rollout", "checkpoint", "evaluation"},
@@ -41,7 +43,9 @@ LEAVES = {
     "config": set(),
     "chain": {"lanes"},
     "kinematics": {"lanes", "chain"},
-    "policy": set(),
+    "views": set(),
+    "encoder": set(),
+    "policy": {"encoder"},
     "interrupts": set(),
     "storage": {"config"},
     "metrics": {"config", "storage"},
@@ -52,7 +56,8 @@ LEAVES = {
 """What the leaves import of the package."""
 
 ONLY_FROM = {
-    "scene": {"sims"},
+    "scene": {"sims", "camera"},
+    "camera": {"sims"},
     "console": {"cli"},
     "cli": {"__main__"},
 }

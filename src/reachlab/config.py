@@ -187,6 +187,8 @@ class SimConfig(Checked):
     randomise: bool = False
     """Every episode has an arm of its own: servo gains within 15 %, joint damping within 30 %, a payload of 0 to 2 kg
     at the tool (MuJoCo); and its joints are measured with noise of 0.5 mrad and 0.01 rad/s."""
+    randomise_view: bool = False
+    """Every episode is seen in a view of its own: light, colours, and the camera's pose within 2 cm and 2 degrees."""
 
 
 @dataclass(frozen=True)

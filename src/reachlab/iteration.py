@@ -107,9 +107,9 @@ def compile_iteration(env: Env, config: RunConfig, shape: TrainState) -> Iterati
         learner, watched = learn(state.learner, rollout, lanes, for_update)
         return keep(watched.sound, TrainState(learner, lanes, key), TrainState(learner, state.env, state.key)), watched
 
-    if env.simulator.pure:
+    if env.pure:
         return jit(partial(iterate, collect, learn, _select), donate=(0,)).lower(shape).compile()
-    return partial(iterate, host_collector(env), jit(learn, donate=(0,)), lambda sound, new, old: new if sound else old)
+    return partial(iterate, host_collector(), jit(learn, donate=(0,)), lambda sound, new, old: new if sound else old)
 
 
 def _finite(rollout: Rollout, lanes: EnvState, metrics: dict[str, Array], learner: ppo.Learner) -> Finite:
@@ -126,7 +126,7 @@ def _finite(rollout: Rollout, lanes: EnvState, metrics: dict[str, Array], learne
 
 def _all_finite(tree: object) -> Array:
     floats = [leaf for leaf in jax.tree.leaves(tree) if jnp.issubdtype(leaf.dtype, jnp.floating)]
-    return jnp.stack([jnp.isfinite(leaf).all() for leaf in floats]).all()
+    return jnp.array([jnp.isfinite(leaf).all() for leaf in floats], bool).all()
 
 
 def _select(sound: Array, new: Tree, old: Tree) -> Tree:

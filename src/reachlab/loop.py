@@ -87,7 +87,7 @@ class Loop:
         """
         env, config = self.env, self.config
         resume = resume and self.run.newest_manifest() is not None
-        if not env.simulator.pure:
+        if not env.pure:
             state = initial_state(env, config, config.seed)
             self._step = compile_iteration(env, config, state)
             return self._saved_state(state) if resume else state

@@ -18,7 +18,7 @@ from PIL import Image
 from reachlab.caption import Caption, captioned
 from reachlab.config import InputError, choose
 from reachlab.env import Env, EnvState
-from reachlab.evaluation import AGENTS, REPORT_STREAM, episode_keys
+from reachlab.evaluation import REPORT_STREAM, compile_agent, episode_keys
 from reachlab.policy import Policy
 
 BEGIN_PAUSE, END_PAUSE = 0.4, 1.2
@@ -114,13 +114,12 @@ def write_video(
 
 def episode_player(env: Env, agent: str, policy: Policy | None, stride: int) -> Callable[[jax.Array], Iterator[Moment]]:
     """Function that gives the moments of the episode of a key `[1]`: its begin, every `stride`-th step, its end."""
-    act = AGENTS[choose("agent", agent, AGENTS)]
-    decide = env.traced(lambda policy, state, key: act(env, policy, state, key))
+    decide = compile_agent(env, agent)
 
     @env.compile
     def advance(policy: Policy | None, state: EnvState, key: jax.Array) -> tuple[EnvState, jax.Array, Any]:
         key, now = jax.random.split(key)
-        state, transition = env.step(state, decide(policy, state, now))
+        state, transition = env.step(state, decide(policy, state, now, None))
         return state, key, (transition.done, transition.terms["success"])
 
     begin = env.compile(env.init)
