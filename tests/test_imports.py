@@ -29,6 +29,8 @@ LAYERS = (
     {"gym_env", "rollout", "checkpoint", "evaluation"},
     {"curves", "plots", "caption", "video", "viewer", "export"},
     {"iteration"},
+    {"memory"},
+    {"distillation"},
     {"loop"},
     {"training"},
     {"console", "bench", "bench_sims", "bench_soak", "bench_faults", "bench_hostile", "bench_trust"},
@@ -191,7 +193,7 @@ def test_importing_the_package_loads_neither_jax_nor_a_simulator() -> None:
 
 
 def test_help_loads_neither_jax_nor_a_simulator() -> None:
-    words = [["--help"], *([verb, "--help"] for verb in ("train", "eval", "video", "plot", "bench", "list"))]
+    words = [["--help"], *([verb, "--help"] for verb in ("train", "distil", "eval", "video", "plot", "bench", "list"))]
     statement = (
         "from reachlab.cli import main\n"
         f"for words in {words}:\n"

@@ -17,7 +17,7 @@ import types
 import typing
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar, TypeVar
 
 from typeguard import TypeCheckError, check_type
 
@@ -96,7 +96,8 @@ class Checked:
 
 @functools.cache
 def _hints(cls: type) -> dict[str, Any]:
-    return typing.get_type_hints(cls, include_extras=True)
+    hints = typing.get_type_hints(cls, include_extras=True)
+    return {entry.name: hints[entry.name] for entry in dataclasses.fields(cls)}
 
 
 def _check(name: str, value: Any, hint: Any) -> None:
@@ -251,6 +252,9 @@ class PPOConfig(Checked):
 class RunConfig(Checked):
     """Everything that decides a training run."""
 
+    verb: ClassVar[str] = "train"
+    """Command that makes such a run."""
+
     task: str = "tutorial"
     """Task preset; it sets the other defaults."""
     robot: str = "iiwa14"
@@ -262,6 +266,66 @@ class RunConfig(Checked):
     rules: TaskConfig = field(default_factory=TaskConfig)
     physics: SimConfig = field(default_factory=SimConfig)
     ppo: PPOConfig = field(default_factory=PPOConfig)
+
+
+@dataclass(frozen=True)
+class DistilConfig(Checked):
+    """Learning to see from a teacher that knows the state."""
+
+    hold: Count = 4
+    """Steps from one picture to the next, over which the student's action is held; only while it learns."""
+    guided: NonNegativeInt = 8
+    """Iterations at the start in which the teacher acts, before the student does."""
+    noise: NonNegative = 0.2
+    """Noise of the actions taken, in halves of the action box, so that the student learns to come back."""
+    updates: Count = 48
+    """Gradient steps of an iteration."""
+    batch: Count = 256
+    """Pictures of a gradient step."""
+    capacity: Annotated[int, Range(1, 10**6)] = 60_000
+    """Pictures that are remembered, of 7 kB each."""
+    place_weight: NonNegative = 4.0
+    """Weight of learning where target and tool are, beside what to do."""
+
+
+@dataclass(frozen=True)
+class DistilRunConfig(RunConfig):
+    """Everything that decides a distillation; of `ppo` it uses the loop's settings and the networks'."""
+
+    verb: ClassVar[str] = "distil"
+
+    teacher: str = ""
+    """Run directory of the teacher."""
+    teacher_observation: str = "target+tool"
+    """What the teacher sees."""
+    distil: DistilConfig = field(default_factory=DistilConfig)
+
+
+DISTIL_DEFAULTS: dict[str, Any] = {
+    "total_steps": 40 * 4096,
+    "anneal_steps": 40 * 4096,
+    "stop_early": False,
+    "lanes": 128,
+    "rollout_steps": 32,
+    "report_episodes": 200,
+    "learning_rate": 3e-3,
+    "final_learning_rate": 1e-4,
+    "max_grad_norm": 1.0,
+}
+"""Settings of the loop with which a distillation starts."""
+
+
+def distillation(teacher: str, taught: RunConfig, **settings: Any) -> DistilRunConfig:
+    """Configuration of a student of the teacher in the run directory `teacher`, which was trained as `taught`.
+
+    Raises:
+        InputError: a name that is no setting, or a value that is not allowed.
+    """
+    parts = {entry.name: getattr(taught, entry.name) for entry in dataclasses.fields(RunConfig)}
+    defaults = {"observation": "image", **DISTIL_DEFAULTS}
+    return override(
+        DistilRunConfig(**parts, teacher=teacher, teacher_observation=taught.rules.observation), **(defaults | settings)
+    )
 
 
 TASKS: dict[str, RunConfig] = {
@@ -307,7 +371,10 @@ SIM_DEFAULTS: dict[str, dict[str, Any]] = {
 a PyBullet lane is a client of its own."""
 
 
-def in_simulator(config: RunConfig, sim: str) -> RunConfig:
+Config = TypeVar("Config", bound=RunConfig)
+
+
+def in_simulator(config: Config, sim: str) -> Config:
     """A configuration in another simulator, with that one's defaults."""
     if sim == config.sim:
         return config
@@ -330,7 +397,7 @@ def configure(task: str = "tutorial", **settings: Any) -> RunConfig:
     return override(preset(task, settings.get("sim")), **settings)
 
 
-def override(config: RunConfig, **settings: Any) -> RunConfig:
+def override(config: Config, **settings: Any) -> Config:
     """A configuration with the named settings changed.
 
     Raises:
@@ -362,7 +429,7 @@ def _sections(config: RunConfig) -> dict[str, str | None]:
 def difference(one: object, other: object) -> tuple[str, Any, Any] | None:
     """Name of the first setting in which two configurations differ, and both values; None if they are the same."""
     for entry in dataclasses.fields(typing.cast("Any", one)):
-        a, b = getattr(one, entry.name), getattr(other, entry.name)
+        a, b = getattr(one, entry.name), getattr(other, entry.name, None)
         if dataclasses.is_dataclass(a):
             if found := difference(a, b):
                 return found
@@ -382,7 +449,8 @@ def from_json(data: Any) -> RunConfig:
     Raises:
         InputError: a field is missing, unknown, of the wrong type or out of range.
     """
-    return _build(RunConfig, data, "the configuration")
+    kind = DistilRunConfig if isinstance(data, Mapping) and "distil" in data else RunConfig
+    return _build(kind, data, "the configuration")
 
 
 def _build(cls: type, data: Any, where: str) -> Any:

@@ -162,12 +162,17 @@ class Env:
         """
         if not self.pictured:
             return None
-        q, target, chances = (np.asarray(x) for x in (state.arm.q, state.target, self._chances(state.key)))
         if lanes is None:
-            return self.simulator.see(q, target, make_views(chances), np.arange(len(q)))
+            return self.draw(state.arm.q, state.target, state.key)
+        q, target, chances = (np.asarray(x) for x in (state.arm.q, state.target, self._chances(state.key)))
         chosen, pictures = np.flatnonzero(lanes), np.zeros((len(q), SIZE, SIZE), np.uint8)
         pictures[chosen] = self.simulator.see(q[chosen], target[chosen], make_views(chances[chosen]), chosen)
         return pictures
+
+    def draw(self, q: Array, target: Array, keys: Array) -> np.ndarray:
+        """Pictures `[m, SIZE, SIZE]` uint8 of joints `[m, n]`, targets `[m, 3]` and episodes with `keys [m]`."""
+        views = make_views(np.asarray(self._chances(keys)))
+        return self.simulator.see(np.asarray(q), np.asarray(target), views, np.arange(len(q)))
 
     def _chances(self, keys: Array) -> Array:
         """Chances `[B, CHANCES]` of the views of episodes; see `make_views`."""

@@ -42,9 +42,12 @@ class Learner:
     optimiser: optax.OptState
 
 
-def make_optimiser(config: PPOConfig) -> optax.GradientTransformation:
-    """Adam on gradients clipped by their global norm, the step size falling on a straight line."""
-    updates = config.epochs * config.minibatches
+def make_optimiser(config: PPOConfig, updates: int = 0) -> optax.GradientTransformation:
+    """Adam on gradients clipped by their global norm, the step size falling on a straight line.
+
+    An iteration takes so many `updates`; 0 stands for those of PPO.
+    """
+    updates = updates or config.epochs * config.minibatches
     iterations = -(-config.anneal_steps // (config.lanes * config.rollout_steps))
     schedule = optax.linear_schedule(config.learning_rate, config.final_learning_rate, updates * iterations)
     return optax.chain(

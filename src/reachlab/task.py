@@ -226,6 +226,12 @@ OBSERVATIONS: dict[str, Observation] = {
 """Observation designs by name."""
 
 
+def pictured_situation(picture: Array, tool_position: Array) -> Situation:
+    """Situation of which nothing is known but what an observation with a picture may hold."""
+    unknown = jnp.full((), jnp.nan)
+    return Situation(unknown, unknown, tool_position, unknown, unknown, unknown, picture)
+
+
 def observe(reach: Reach, now: Situation) -> Observed:
     """Observation `[B, k]` of a situation."""
     return OBSERVATIONS[reach.config.observation].observe(reach, now)
