@@ -33,7 +33,7 @@ LAYERS = (
     {"distillation"},
     {"loop"},
     {"training"},
-    {"console", "bench", "bench_sims", "bench_soak", "bench_faults", "bench_hostile", "bench_trust"},
+    {"console", "bench", "bench_sims", "bench_soak", "bench_faults", "bench_hostile", "bench_trust", "bench_camera"},
     {"cli"},
     {"__main__", "__init__"},
 )

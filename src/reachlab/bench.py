@@ -18,6 +18,7 @@ import mujoco
 import numpy as np
 from jax import Array
 
+from reachlab.bench_camera import camera, pixels
 from reachlab.bench_sims import Row, row, simulators
 from reachlab.bench_soak import soak
 from reachlab.bench_trust import trust
@@ -247,5 +248,7 @@ SUITES: dict[str, Callable[[], Iterator[Row]]] = {
     "simulators": simulators,
     "soak": soak,
     "trust": trust,
+    "camera": camera,
+    "pixels": pixels,
 }
 """Suites by name."""

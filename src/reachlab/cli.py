@@ -152,7 +152,7 @@ class Bench(Checked):
     """Measure speed, accuracy and learning on this machine."""
 
     suite: str = "speed"
-    """Suite of measurements: speed, kinematics, learning, start, simulators, soak, trust."""
+    """Suite of measurements: speed, kinematics, learning, start, simulators, soak, trust, camera, pixels."""
     json: bool = False
     """Print the measurements as a JSON list on standard output."""
 

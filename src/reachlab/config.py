@@ -303,7 +303,6 @@ class DistilRunConfig(RunConfig):
 
 DISTIL_DEFAULTS: dict[str, Any] = {
     "total_steps": 40 * 4096,
-    "anneal_steps": 40 * 4096,
     "stop_early": False,
     "lanes": 128,
     "rollout_steps": 32,
@@ -322,10 +321,9 @@ def distillation(teacher: str, taught: RunConfig, **settings: Any) -> DistilRunC
         InputError: a name that is no setting, or a value that is not allowed.
     """
     parts = {entry.name: getattr(taught, entry.name) for entry in dataclasses.fields(RunConfig)}
-    defaults = {"observation": "image", **DISTIL_DEFAULTS}
-    return override(
-        DistilRunConfig(**parts, teacher=teacher, teacher_observation=taught.rules.observation), **(defaults | settings)
-    )
+    settings = {"observation": "image", **DISTIL_DEFAULTS} | settings
+    settings.setdefault("anneal_steps", settings["total_steps"])
+    return override(DistilRunConfig(**parts, teacher=teacher, teacher_observation=taught.rules.observation), **settings)
 
 
 TASKS: dict[str, RunConfig] = {

@@ -19,7 +19,7 @@ from reachlab.policy import Observed
 from reachlab.robots import load_robot
 from reachlab.sims import SIMULATORS, ArmState, Lanes, make_simulator
 from reachlab.task import Reach, Situation, make_reach
-from reachlab.views import CHANCES, SIZE, make_views
+from reachlab.views import CHANCES, SIZE, develop, make_views
 
 VIEW_STREAM = 2**32 - 1
 """Number of an episode's random stream for its view; those below are for its steps."""
@@ -166,13 +166,16 @@ class Env:
             return self.draw(state.arm.q, state.target, state.key)
         q, target, chances = (np.asarray(x) for x in (state.arm.q, state.target, self._chances(state.key)))
         chosen, pictures = np.flatnonzero(lanes), np.zeros((len(q), SIZE, SIZE), np.uint8)
-        pictures[chosen] = self.simulator.see(q[chosen], target[chosen], make_views(chances[chosen]), chosen)
+        pictures[chosen] = self._drawn(q[chosen], target[chosen], chances[chosen], chosen)
         return pictures
 
     def draw(self, q: Array, target: Array, keys: Array) -> np.ndarray:
         """Pictures `[m, SIZE, SIZE]` uint8 of joints `[m, n]`, targets `[m, 3]` and episodes with `keys [m]`."""
-        views = make_views(np.asarray(self._chances(keys)))
-        return self.simulator.see(np.asarray(q), np.asarray(target), views, np.arange(len(q)))
+        return self._drawn(*(np.asarray(x) for x in (q, target, self._chances(keys), np.arange(len(q)))))
+
+    def _drawn(self, q: np.ndarray, target: np.ndarray, chances: np.ndarray, lanes: np.ndarray) -> np.ndarray:
+        views = make_views(chances)
+        return develop(self.simulator.see(q, target, views, lanes), views)
 
     def _chances(self, keys: Array) -> Array:
         """Chances `[B, CHANCES]` of the views of episodes; see `make_views`."""

@@ -41,7 +41,13 @@ DARKEST = 0.02
 ARM_GREYS = 24
 """Random greys of the arm's parts; with more parts they are used again."""
 
-CHANCES = 14 + ARM_GREYS
+SHADE = 0.3
+"""Random views: the picture's edges are brighter or darker than its middle by at most this share."""
+
+GRAIN = 8.0
+"""Random views: spread of the grain that lies on every surface, at most [of 255]. It stands for their textures."""
+
+CHANCES = 14 + ARM_GREYS + 5
 """Random numbers of a view."""
 
 
@@ -55,6 +61,9 @@ class Views(NamedTuple):
         lamp_direction: where the lamp shines `[B, 3]`.
         table, ground, target: greys `[B]` [share of white].
         arm: what is added to the greys of the arm's parts `[B, ARM_GREYS]`.
+        shade: how much brighter the picture is at its right and its lower edge than in the middle `[B, 2]` [share].
+        grain: spread of the grain `[B]` [of 255].
+        grain_corner: where it is cut from a larger pattern `[B, 2]` [pixels].
     """
 
     position: np.ndarray
@@ -66,6 +75,9 @@ class Views(NamedTuple):
     ground: np.ndarray
     target: np.ndarray
     arm: np.ndarray
+    shade: np.ndarray
+    grain: np.ndarray
+    grain_corner: np.ndarray
 
 
 def make_views(chance: np.ndarray) -> Views:
@@ -86,8 +98,26 @@ def make_views(chance: np.ndarray) -> Views:
         table=grey(TABLE, 11),
         ground=grey(GROUND, 12),
         target=grey(TARGET, 13),
-        arm=ARM_SPREAD * chance[:, 14:],
+        arm=ARM_SPREAD * chance[:, 14 : 14 + ARM_GREYS],
+        shade=SHADE * chance[:, -5:-3],
+        grain=GRAIN * np.abs(chance[:, -3]),
+        grain_corner=((chance[:, -2:] + 1) / 2 * SIZE).astype(int),
     )
+
+
+def develop(pictures: np.ndarray, views: Views) -> np.ndarray:
+    """Pictures `[B, SIZE, SIZE]` uint8 with the shade and the grain of their views."""
+    if not (views.shade.any() or views.grain.any()):
+        return pictures
+    across = np.linspace(-1, 1, SIZE, dtype=np.float32)
+    pattern = np.random.default_rng(0).standard_normal((2 * SIZE, 2 * SIZE), np.float32)
+    out = np.empty_like(pictures)
+    for i, (right, down) in enumerate(views.shade.astype(np.float32)):
+        row, column = views.grain_corner[i]
+        grain = np.float32(views.grain[i]) * pattern[row : row + SIZE, column : column + SIZE]
+        light = 1 + right * across + down * across[:, None]
+        out[i] = np.clip(pictures[i] * light + grain, 0, 255)
+    return out
 
 
 def _tutorial_pose() -> tuple[np.ndarray, np.ndarray]:
