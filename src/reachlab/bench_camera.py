@@ -171,10 +171,7 @@ class SpoiltEnv(Env):
 
 def spoilt(run: Path) -> Iterator[Row]:
     """Success with each kind of spoilt picture, and with none."""
-    env, policy = _seeing(run, "kinematic", VARIED_STEPS = 245_760
-"""Steps of a distillation in random views, half as many again as in the tutorial's."""
-
-SPOILT_EPISODES, SpoiltEnv, max_steps=SPOILT_STEPS)
+    env, policy = _seeing(run, "kinematic", SPOILT_EPISODES, SpoiltEnv, max_steps=SPOILT_STEPS)
     assert isinstance(env, SpoiltEnv)  # noqa: S101
     for name, spoil in {"none": None, **SPOILT}.items():
         env.lens = Lens(spoil, np.random.default_rng(0))

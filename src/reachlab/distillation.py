@@ -82,6 +82,11 @@ def check_distillation(config: RunConfig) -> DistilRunConfig:
         raise InputError(
             "a teacher has to know the state, and this one sees pictures: train one with another observation."
         )
+    loop, hold = config.ppo, config.distil.hold
+    if loop.rollout_steps % hold:
+        raise InputError(f"{loop.rollout_steps} rollout_steps cannot be divided into pictures {hold} steps apart.")
+    if config.distil.capacity < loop.lanes:
+        raise InputError(f"capacity must be at least the {loop.lanes} lanes, got {config.distil.capacity}.")
     return config
 
 
