@@ -13,7 +13,7 @@ from gymnasium.spaces import Box, Dict
 
 from reachlab import camera, evaluation
 from reachlab.camera import Camera
-from reachlab.config import InputError, configure
+from reachlab.config import PICTURED, InputError, configure
 from reachlab.env import Env, lane_keys
 from reachlab.evaluation import evaluate
 from reachlab.iteration import make_initial_policy
@@ -21,6 +21,7 @@ from reachlab.policy import Policy
 from reachlab.robots import load_robot
 from reachlab.rollout import host_collector
 from reachlab.sims import SIMULATORS, make_simulator
+from reachlab.task import OBSERVATIONS
 from reachlab.views import CHANCES, FIELD_OF_VIEW, SHIFT, SIZE, TURN, Views, make_views
 
 ROBOT = load_robot("iiwa14", "link_7")
@@ -48,6 +49,10 @@ def pixel(point: np.ndarray, views: Views) -> np.ndarray:
     right, up, back = views.rotation[0].T @ (point - views.position[0])
     scale = SIZE / 2 / np.tan(np.radians(FIELD_OF_VIEW / 2))
     return SIZE / 2 + scale * np.array([-up, right]) / -back
+
+
+def test_pictures_have_defaults_of_their_own() -> None:
+    assert {name for name, design in OBSERVATIONS.items() if design.pictured} == set(PICTURED)
 
 
 # --- where it stands ------------------------------------------------------------------------------
@@ -230,6 +235,8 @@ def test_lanes_of_a_batch_see_what_single_environments_see(mode: str) -> None:
     seen, _ = batch.reset(seed=3)
     alone, _ = single.reset(seed=4)
     assert np.array_equal(seen["image"][1], alone["image"])
+    info: dict[str, Any] = {}
+    truncated = np.zeros(2, bool)
     for _ in range(2):
         seen, _, _, truncated, info = batch.step(np.zeros((2, 3), np.float32))
         alone, *_ = single.step(np.zeros(3, np.float32))

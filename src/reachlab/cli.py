@@ -427,7 +427,7 @@ def _overview() -> str:
 
 
 def _parse(verb: str, flags: type, words: list[str]) -> Any:
-    """Flags of a verb; `--task` and `--sim` are read first and set the other defaults.
+    """Flags of a verb; `--task`, `--sim` and `--observation` are read first and set the other defaults.
 
     Raises:
         InputError: a flag or value that is not allowed, in one sentence.
@@ -453,7 +453,8 @@ def _defaults(words: Sequence[str]) -> RunConfig:
         from reachlab.checkpoint import RunDirectory
 
         return RunDirectory(Path(folder)).read_config()
-    return preset(_value_of("--task", words) or "tutorial", _value_of("--sim", words))
+    task, sim, observation = (_value_of(flag, words) for flag in ("--task", "--sim", "--observation"))
+    return preset(task or "tutorial", sim, observation)
 
 
 def _value_of(flag: str, words: Sequence[str]) -> str | None:

@@ -26,9 +26,9 @@ def make_encoder(key: Array, size: int) -> Layers:
     """Untrained encoder of pictures of `size` × `size` pixels; `size` is a multiple of `PATCH`."""
     squares = (size // PATCH) ** 2
     shapes = ((PATCH**2, CHANNELS), (squares * CHANNELS, WIDTH), (WIDTH, FEATURES))
-    gains = (math.sqrt(2), math.sqrt(2), 1.0)
+    gains = (math.sqrt(2), math.sqrt(2), 1.0)  # He et al., arXiv:1502.01852, for rectified layers
     return [
-        (jax.nn.initializers.orthogonal(gain)(one, shape), jnp.zeros(shape[1]))
+        (gain / math.sqrt(shape[0]) * jax.random.normal(one, shape), jnp.zeros(shape[1]))
         for one, gain, shape in zip(jax.random.split(key, len(shapes)), gains, shapes, strict=True)
     ]
 

@@ -24,7 +24,7 @@ ACTOR_OUTPUT_GAIN = 0.01
 """Scale of the actor's last layer at the start: first actions are near the centre of their box (Andrychowicz
 et al., "What matters in on-policy reinforcement learning?", 2021)."""
 
-Observed = Array | dict[str, Array]
+Observed = Any
 """An observation: a vector `[..., k]`, a picture `[..., SIZE, SIZE]` uint8, or a dict of them."""
 
 
