@@ -103,8 +103,10 @@ class _Painter:
     def paint(self, q: np.ndarray, target: np.ndarray, views: Views, out: np.ndarray) -> None:
         """Fill `out [m, SIZE, SIZE]` with the pictures of joints `q [m, n]` and targets `[m, 3]`."""
         model, data, scene = self._model, self._data, self._scene
+        if not len(q):
+            return
         self._context.make_current()
-        quaternions = Rotation.from_matrix(views.rotation).as_quat(scalar_first=True) if len(q) else None
+        quaternions = Rotation.from_matrix(views.rotation).as_quat(scalar_first=True)
         arm = self._arm_greys(views.arm)
         viewport, pixels = mujoco.MjrRect(0, 0, SIZE, SIZE), np.empty((SIZE, SIZE, 3), np.uint8)
         for i, picture in enumerate(out):

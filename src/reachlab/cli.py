@@ -105,6 +105,8 @@ class Eval(Checked):
     """Seed of the targets."""
     perturb: bool = False
     """Give every episode an arm of its own and noisy measurements; see `randomise` of train."""
+    perturb_view: bool = False
+    """Show every episode in a view of its own, to a policy that sees; see `randomise_view` of train."""
     gui: bool = False
     """PyBullet: open its window."""
     slow: bool = False
@@ -269,13 +271,14 @@ def evaluate(arguments: Eval) -> None:
         if (arguments.gui or arguments.slow) and name != "pybullet":
             raise InputError(f"--gui and --slow are PyBullet's, and the simulator is {name!r}: add --sim pybullet.")
         config = override(config, gui=arguments.gui, slow=arguments.slow, randomise=arguments.perturb)
+        config = override(config, randomise_view=arguments.perturb_view)
         env = Env(config, 1 if arguments.gui else min(arguments.episodes, EVALUATION_LANES.get(name, LANES)))
         policy = load_policy(run, config, env)
         for agent in arguments.agent:
             result, played = examine(env, agent, policy, seed=arguments.seed, episodes=arguments.episodes)
             report = result.to_json()
             rows = {"target": played.target, "distance": played.distance, "success": played.success}
-            kind = "-perturbed" if arguments.perturb else ""
+            kind = "-perturbed" * arguments.perturb + "-views" * arguments.perturb_view
             run.write_report(f"{name}-{agent}-{arguments.seed}{kind}", report, rows)
             reports.append(report)
         env.close()

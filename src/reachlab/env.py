@@ -68,7 +68,7 @@ class Transition:
         terms: `distance` [m], the `error` that counts at the end [m], `success` and each term of the reward, `[B]`.
     """
 
-    observation: Observed | None
+    observation: Observed
     reward: Array
     terminated: Array
     truncated: Array

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -115,12 +115,12 @@ def draw(policy: Policy, observation: Observed, key: Array) -> Choice:
     return Choice(observation, output, policy.action(output), head.log_prob(output))
 
 
-def _row(choice: Choice, state: EnvState, transition: Transition, seen: Observed | None) -> Rollout:
+def _row(choice: Choice, state: EnvState, transition: Transition, seen: Observed) -> Rollout:
     return Rollout(
         observation=choice.observation,
         output=choice.output,
         log_prob=choice.log_prob,
-        next_observation=cast("Observed", seen),
+        next_observation=seen,
         reward=transition.reward,
         terminated=transition.terminated,
         truncated=transition.truncated,

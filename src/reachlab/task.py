@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -34,7 +34,7 @@ LOWEST_TARGET = -0.05
 """Bottom of the observed box [m]: the settled target lies just below the workspace."""
 
 Bounds = tuple[np.ndarray, np.ndarray]
-ObservationBounds = Bounds | tuple[dict[str, np.ndarray], dict[str, np.ndarray]]
+ObservationBounds = tuple[Any, Any]
 """Lower and upper bounds of an observation, in its form."""
 
 
