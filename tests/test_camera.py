@@ -176,9 +176,9 @@ def test_an_evaluation_draws_each_episode_while_it_lasts(
 ) -> None:
     ended = evaluation._count
 
-    def sooner(episodes: Any, state: Any, transition: Any, period: float) -> Any:
+    def sooner(episodes: Any, state: Any, transition: Any, **settings: float) -> Any:
         early = transition.done | (state.clock == 2) & (np.arange(3) == 1)
-        return ended(episodes, state, transition.__class__(**{**vars(transition), "done": early}), period)
+        return ended(episodes, state, transition.__class__(**{**vars(transition), "done": early}), **settings)
 
     monkeypatch.setattr(evaluation, "_count", sooner)
     report = evaluate(env, "trained", untrained(env), seed=0, episodes=3)

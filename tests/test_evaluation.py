@@ -225,6 +225,7 @@ def test_a_report_sums_up_its_episodes(env: Env) -> None:
         "success": np.array([True, False, True, True]),
         "distance": np.array([0.02, 0.4, 0.04, 0.06], np.float32),
         "steps": np.array([120, 1000, 240, 360]),
+        "arrival": np.array([100, 1001, 240, 320]),
         "returns": np.array([1.0, -0.1, 1.0, 1.0], np.float32),
         "max_speed": speeds,
         "squared_jerk": np.array([120.0, 2000.0, 720.0, 360.0], np.float32),
@@ -238,7 +239,7 @@ def test_a_report_sums_up_its_episodes(env: Env) -> None:
     assert report.final_error_mm["max"] == pytest.approx(400)
     assert report.final_error_mm["p95"] == pytest.approx(400)
     assert report.steps_mean == 430
-    assert report.time_to_reach_s == pytest.approx(240 / 240)
+    assert report.time_to_reach_s == pytest.approx(220 / 240)
     assert report.max_joint_speed == [0, 0, 3, 0, 0, 0, 0]
     assert report.return_mean == pytest.approx(0.725)
     assert report.jerk == pytest.approx((1 + 2 + 3 + 1) / 4)

@@ -22,18 +22,30 @@ LAYERS = (
     {"storage"},
     {"metrics", "lock", "manifest", "threads", "arrays"},
     {"robots", "task", "ppo"},
-    {"scene"},
+    {"scene", "solids"},
     {"camera"},
     {"sims"},
     {"env"},
     {"gym_env", "rollout", "checkpoint", "evaluation"},
-    {"curves", "plots", "caption", "video", "viewer", "export"},
+    {"curves", "plots", "caption", "video", "viewer", "player", "panel", "stage", "export"},
     {"iteration"},
     {"memory"},
     {"distillation"},
     {"loop"},
     {"training"},
-    {"console", "bench", "bench_sims", "bench_soak", "bench_faults", "bench_hostile", "bench_trust", "bench_camera"},
+    {
+        "console",
+        "bench",
+        "bench_camera",
+        "bench_precise",
+        "bench_sims",
+        "bench_soak",
+        "bench_faults",
+        "bench_hostile",
+        "bench_trust",
+        "bench_viewer",
+        "chromium",
+    },
     {"cli"},
     {"__main__", "__init__"},
 )
@@ -58,14 +70,14 @@ LEAVES = {
 """What the leaves import of the package."""
 
 ONLY_FROM = {
-    "scene": {"sims", "camera"},
+    "scene": {"sims", "stage", "camera"},
     "camera": {"sims"},
     "console": {"cli"},
     "cli": {"__main__"},
 }
 """Modules that only these import."""
 
-HEAVY = ("jax", "mujoco", "optax", "matplotlib", "pybullet")
+HEAVY = ("jax", "mujoco", "optax", "matplotlib", "pybullet", "viser")
 
 
 @dataclass
@@ -193,7 +205,8 @@ def test_importing_the_package_loads_neither_jax_nor_a_simulator() -> None:
 
 
 def test_help_loads_neither_jax_nor_a_simulator() -> None:
-    words = [["--help"], *([verb, "--help"] for verb in ("train", "distil", "eval", "video", "plot", "bench", "list"))]
+    verbs = ("train", "distil", "eval", "video", "view", "plot", "bench", "list")
+    words = [["--help"], *([verb, "--help"] for verb in verbs)]
     statement = (
         "from reachlab.cli import main\n"
         f"for words in {words}:\n"

@@ -265,6 +265,18 @@ def test_learning_rate_falls_on_a_line_from_its_first_to_its_final_value():
     np.testing.assert_allclose(rates[updates:], 2e-3, rtol=1e-3)
 
 
+def test_noise_follows_its_schedule_or_what_is_learnt(policy, rollout):
+    scheduled = replace(CONFIG, initial_std=0.4, final_std=0.1, anneal_steps=2 * T * B)
+    fresh = replace(policy, normaliser=replace(policy.normaliser, count=jnp.zeros(())))
+    learner = ppo.make_learner(scheduled, fresh)
+    for wanted in (0.2, 0.1, 0.1):
+        learner, watched = updater(scheduled)(learner, rollout, jax.random.key(6))
+        np.testing.assert_allclose(watched["std"], wanted, rtol=1e-5)
+    _, learnt = updater(CONFIG)(ppo.make_learner(CONFIG, fresh), rollout, jax.random.key(6))
+    assert 0.39 < learnt["std"] < 0.41
+    assert learnt["std"] != np.float32(0.4)
+
+
 # --- minibatches -------------------------------------------------------------------------------------
 
 

@@ -8,12 +8,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax import Array
 
+from reachlab import bench_precise
+from reachlab.bench import to_markdown
+from reachlab.checkpoint import RunDirectory
+from reachlab.compilation import jit
 from reachlab.config import configure
 from reachlab.env import Env, EnvState, lane_keys
-from reachlab.evaluation import Report, evaluate
-from reachlab.kinematics import forward_kinematics
+from reachlab.evaluation import AGENTS, Report, evaluate
+from reachlab.kinematics import forward_kinematics, ik_point_step
+from reachlab.policy import Policy
 from reachlab.task import Situation, judge, nothing_held, remember
+from reachlab.training import train
 
 LANES = 40
 HOLD = 10
@@ -64,6 +71,25 @@ def test_starts_lie_about_home_and_targets_in_the_box_independently(env):
     assert np.abs(np.corrcoef(spread.T, target.T)[:7, 7:]).max() < 0.6
 
 
+def test_every_target_of_the_box_can_be_reached(env):
+    rules, chain = env.config.rules, env.reach.robot.chain
+    axes = [np.linspace(low, high, 7) for low, high in zip(rules.target_low, rules.target_high, strict=True)]
+    targets = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 1, 3).astype(np.float32)
+    lower, upper = jnp.array(chain.lower), jnp.array(chain.upper)
+    starts = np.random.default_rng(0).uniform(lower, upper, (len(targets), 12, chain.n)).astype(np.float32)
+    wanted = jnp.asarray(targets)
+
+    def solve(q: Array) -> Array:
+        def closer(_: int, q: Array) -> Array:
+            way = wanted - forward_kinematics(chain, q).position
+            return jnp.clip(q + ik_point_step(chain, q, way), lower, upper)
+
+        q = jax.lax.fori_loop(0, 60, closer, q)
+        return jnp.linalg.norm(targets - forward_kinematics(chain, q).position, axis=-1)
+
+    assert np.asarray(jit(solve)(starts)).min(axis=1).max() < 1e-4
+
+
 def test_an_episode_lasts_two_seconds_whatever_happens(env):
     state = env.init(lane_keys(0, LANES))
     still = np.zeros((LANES, 7), np.float32)
@@ -89,12 +115,28 @@ def test_no_joint_goes_faster_than_it_may(env, reports):
     assert (np.array(reports["ik"].max_joint_speed) <= np.array(env.reach.robot.speed)).all()
 
 
+def test_an_arm_that_comes_and_goes_has_reached_only_when_it_stays(env):
+    waypoints = np.zeros((100, LANES, 7), np.float32)
+    waypoints[40:50] = 1.0  # away from the target again, once it was there
+
+    def wander(env: Env, policy: Policy | None, state: EnvState, key: Array, picture: None) -> Array:
+        wanted = AGENTS["ik"](env, policy, state, key, picture)
+        return jnp.where(jnp.asarray(waypoints)[state.clock[0]] > 0, 1.0, wanted)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(AGENTS, "wander", wander)
+        report = evaluate(env, "wander", seed=3, episodes=LANES)
+    assert report.success_rate > 0.8
+    assert report.time_to_reach_s is not None
+    assert 50 * 0.02 < report.time_to_reach_s < 90 * 0.02
+
+
 # --- arms that differ -----------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
 def perturbed() -> Env:
-    return Env(configure("precise", randomise=True), LANES)
+    return Env(configure("precise", perturb=True), LANES)
 
 
 def settled(env: Env, state: EnvState) -> EnvState:
@@ -127,3 +169,34 @@ def test_measurements_are_noisy_and_the_score_is_not(perturbed):
     state, transition = perturbed.step(state, np.zeros((LANES, 7), np.float32))
     true = np.linalg.norm(np.asarray(state.arm.tool_position) - np.asarray(state.target), axis=1)
     assert np.allclose(transition.terms["distance"], true, atol=1e-6)
+
+
+def test_training_on_perturbed_arms_is_reported_on_nominal_ones(tmp_path):
+    settings = {"lanes": 8, "rollout_steps": 20, "total_steps": 160, "hidden": (8,), "report_episodes": 8}
+    result = train(configure("precise", minibatches=2, **settings), tmp_path / "run")
+    assert not result.report.perturb
+    assert result.report.success_within is not None
+    assert RunDirectory(tmp_path / "run").read_config().ppo.randomise
+
+
+def test_the_suite_compares_all_agents_on_nominal_and_perturbed_arms(monkeypatch):
+    tiny = configure(
+        "precise", lanes=8, rollout_steps=20, total_steps=160, hidden=(8,), minibatches=2, report_episodes=8
+    )
+    monkeypatch.setattr(bench_precise, "configure", {"precise": tiny}.__getitem__)
+    monkeypatch.setattr(bench_precise, "SEEDS", range(2))
+    monkeypatch.setattr(bench_precise, "HELD_OUT", 20)
+    monkeypatch.setattr(bench_precise, "LANES", 20)
+    rows = list(bench_precise.precise())
+    values = {row["name"]: row["value"] for row in rows}
+    assert values["held within 2 mm/ik"] > 0.8 > values["held within 2 mm/ik_open"]
+    assert values["held within 2 mm/trained"] == 0.0
+    assert {name.partition("/")[2] for name in values} == {
+        agent + kind for agent in ("trained", "ik", "ik_open") for kind in ("", ", perturbed")
+    }
+    table = to_markdown(rows)
+    heading, _, *lines = table.splitlines()
+    assert heading.split(" | ")[1:3] == ["trained", "ik"]
+    assert any(line.startswith("| held within 2 mm | 0.00 % (0.00) |") for line in lines)
+    assert "jax" in lines[-1]
+    assert "lowest seed" in lines[-1]

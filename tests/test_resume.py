@@ -45,7 +45,7 @@ SIMS: dict[str, dict[str, Any]] = {
     "pybullet": {"lanes": 2, "rollout_steps": 128, "max_steps": 100},
 }
 RUNS = {sim: {"sim": sim, **settings} for sim, settings in SIMS.items()}
-RUNS["precise"] = {"task": "precise", "sim": "mujoco", "randomise": True}
+RUNS["precise"] = {"task": "precise", "sim": "mujoco"}
 
 
 def at(iteration: int, act: Callable[[], object]) -> Callable[[Progress], None]:

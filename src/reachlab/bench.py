@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 import os
+import platform
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +20,11 @@ import numpy as np
 from jax import Array
 
 from reachlab.bench_camera import camera, pixels
+from reachlab.bench_precise import precise
 from reachlab.bench_sims import Row, row, simulators
 from reachlab.bench_soak import soak
 from reachlab.bench_trust import trust
+from reachlab.bench_viewer import viewer
 from reachlab.chain import Chain
 from reachlab.compilation import jit
 from reachlab.config import choose, configure
@@ -53,6 +56,9 @@ SEEDS = range(5)
 HELD_OUT = 2000
 """Seeds and held-out episodes of the learning suite."""
 
+THOUSAND = 1000
+"""From here on tables show numbers without decimals."""
+
 HELD_OUT_SEED = 1000
 """The learning suite evaluates seed s on the targets of seed 1000 + s."""
 
@@ -64,6 +70,30 @@ def run_suite(name: str) -> list[Row]:
         InputError: there is no such suite.
     """
     return list(SUITES[choose("suite", name, SUITES)]())
+
+
+def to_markdown(rows: Sequence[Row]) -> str:
+    """Table of measurements: what is called `a/b` stands in line `a` and column `b`; with the machine and versions."""
+    cells: dict[tuple[str, str], dict[str, str]] = {}
+    for one in rows:
+        line, _, column = one["name"].partition("/")
+        cells.setdefault((line, one["unit"]), {})[column] = _cell(one)
+    columns = list(dict.fromkeys(column for line in cells.values() for column in line))
+    lines = [["", *columns], ["---", *["---:"] * len(columns)]]
+    for (line, unit), values in cells.items():
+        name = line if unit == "rate" else f"{line} [{unit}]"
+        lines.append([name, *[values.get(column, "–") for column in columns]])
+    table = "\n".join(f"| {' | '.join(line)} |" for line in lines)
+    brackets = " In brackets: the lowest seed." if any("lowest_seed" in one["config"] for one in rows) else ""
+    made = ", ".join(f"{name} {number}" for name, number in versions().items() if name != "machine")
+    return f"{table}\n\nOn {_machine()}; {made}.{brackets}\n"
+
+
+def _cell(one: Row) -> str:
+    if one["unit"] != "rate":
+        return f"{one['value']:.3g}" if abs(one["value"]) < THOUSAND else f"{one['value']:,.0f}"
+    lowest = one["config"].get("lowest_seed")
+    return f"{100 * one['value']:.2f} %" + (f" ({100 * lowest:.2f})" if lowest is not None else "")
 
 
 def _best(call: Callable[[], object], repeats: int = REPEATS) -> float:
@@ -237,7 +267,15 @@ def _timed(*words: str) -> float:
 
 
 def _machine() -> str:
-    return f"{os.cpu_count()} cores, {versions()['machine']}, jax {versions()['jax']}"
+    return f"{os.cpu_count()} cores of {_processor()}, {versions()['machine']}"
+
+
+def _processor() -> str:
+    """Name of the processor, or its architecture where the system does not tell."""
+    information = Path("/proc/cpuinfo")
+    lines = information.read_text(encoding="utf-8").splitlines() if information.is_file() else []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return next(iter(names), platform.machine())
 
 
 SUITES: dict[str, Callable[[], Iterator[Row]]] = {
@@ -246,9 +284,11 @@ SUITES: dict[str, Callable[[], Iterator[Row]]] = {
     "learning": learning,
     "start": start,
     "simulators": simulators,
+    "precise": precise,
     "soak": soak,
     "trust": trust,
     "camera": camera,
     "pixels": pixels,
+    "viewer": viewer,
 }
 """Suites by name."""

@@ -7,7 +7,7 @@ import hashlib
 import logging
 import os
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, TypeVar
@@ -114,7 +114,7 @@ class RunDirectory:
         Raises:
             OSError, InputError: it cannot be written; what was there is as it was.
         """
-        final = self.checkpoints / f"step_{step:012d}"
+        final = self._checkpoint(step)
         temporary = self.checkpoints / f".{final.name}.tmp"
         try:
             self.checkpoints.mkdir(exist_ok=True)
@@ -128,14 +128,36 @@ class RunDirectory:
         with contextlib.suppress(OSError):
             self._prune(keep)
 
-    def read_checkpoint(self, part: str, template: Tree) -> Tree:
-        """The newest usable checkpoint's part with that name, in the shape of `template`.
+    def checkpoint_steps(self) -> list[int]:
+        """Steps of the checkpoints that are whole, oldest first; others are named in a warning.
+
+        Raises:
+            InputError: no checkpoint, or none that is whole.
+        """
+        steps, failures = [], []
+        for folder in self._found():
+            try:
+                self._verify(folder)
+            except InputError as error:
+                failures.append(error)
+            else:
+                steps.append(int(folder.name.removeprefix("step_")))
+        if not steps:
+            raise self._none(failures)
+        for failure in failures:
+            log.warning("reachlab: %s It is left out.", failure)
+        return steps[::-1]
+
+    def read_checkpoint(self, part: str, template: Tree, step: int | None = None) -> Tree:
+        """A checkpoint's part with that name, in the shape of `template`: after `step`, or of the newest usable one.
 
         A newer one that is damaged is named in a warning.
 
         Raises:
             InputError: no checkpoint, none that is whole, or one of another shape.
         """
+        if step is not None:
+            return self._load(self._checkpoint(step), part, template)
         return self._newest(lambda folder: self._load(folder, part, template))
 
     def read_state(self, template: Tree) -> tuple[Counters, Tree]:
@@ -159,6 +181,9 @@ class RunDirectory:
         for left in self.checkpoints.glob(".step_*"):
             remove(left)
 
+    def _checkpoint(self, step: int) -> Path:
+        return self.checkpoints / f"step_{step:012d}"
+
     def _found(self) -> list[Path]:
         """Checkpoints, the newest first."""
         return sorted(
@@ -176,12 +201,30 @@ class RunDirectory:
             for failure in failures:
                 log.warning("reachlab: %s Used instead: '%s'.", failure, folder)
             return loaded
-        raise next(
-            iter(failures),
-            InputError(f"run directory '{self.path}' holds no checkpoint: its training did not get so far."),
-        )
+        raise self._none(failures)
+
+    def _none(self, failures: Sequence[InputError]) -> InputError:
+        """Why no checkpoint can be used."""
+        missing = InputError(f"run directory '{self.path}' holds no checkpoint: its training did not get so far.")
+        return next(iter(failures), missing)
 
     def _load(self, folder: Path, part: str, template: Tree) -> Tree:
+        from reachlab import arrays
+
+        self._verify(folder)
+        try:
+            return arrays.load(folder / ARRAYS, part, template)
+        except InputError as error:
+            raise InputError(f"checkpoint '{folder}' {error}.") from None
+        except arrays.UNREADABLE:
+            raise InputError(f"checkpoint '{folder}' is damaged: it cannot be read.") from None
+
+    def _verify(self, folder: Path) -> None:
+        """Make sure that a checkpoint is whole and of this run.
+
+        Raises:
+            InputError: it is not.
+        """
         from reachlab import arrays
 
         manifest, file = read_manifest(folder), folder / ARRAYS
@@ -195,12 +238,6 @@ class RunDirectory:
                 raise InputError("its checksum does not fit")
         except InputError as error:
             raise InputError(f"checkpoint '{folder}' is damaged: {error}.") from None
-        except arrays.UNREADABLE:
-            raise InputError(f"checkpoint '{folder}' is damaged: it cannot be read.") from None
-        try:
-            return arrays.load(file, part, template)
-        except InputError as error:
-            raise InputError(f"checkpoint '{folder}' {error}.") from None
         except arrays.UNREADABLE:
             raise InputError(f"checkpoint '{folder}' is damaged: it cannot be read.") from None
 

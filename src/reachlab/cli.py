@@ -10,8 +10,10 @@ import os
 import re
 import sys
 import time
+import webbrowser
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -26,6 +28,7 @@ from reachlab.config import (
     DistilRunConfig,
     InputError,
     Positive,
+    Range,
     RunConfig,
     Seed,
     Steps,
@@ -104,7 +107,7 @@ class Eval(Checked):
     seed: Seed = 1
     """Seed of the targets."""
     perturb: bool = False
-    """Give every episode an arm of its own and noisy measurements; see `randomise` of train."""
+    """Give every episode an arm of its own and noisy measurements; see `perturb` of train."""
     perturb_view: bool = False
     """Show every episode in a view of its own, to a policy that sees; see `randomise_view` of train."""
     gui: bool = False
@@ -140,6 +143,30 @@ class Video(Checked):
 
 
 @dataclass(frozen=True)
+class View(Checked):
+    """Watch a run in the browser and move its target by hand."""
+
+    run: Annotated[Path, tyro.conf.Positional]
+    """Run directory."""
+    sim: str | None = None
+    """Simulator; by default the run's own."""
+    agent: str = "trained"
+    """Agent to begin with: trained, random, zero, ik, ik_open."""
+    seed: Seed = 1
+    """Seed of the targets."""
+    host: str = "127.0.0.1"
+    """Address to listen on; by default no other machine reaches it."""
+    port: Annotated[int, Range(1, 65535)] = 8080
+    """Port to listen on; the next free one where it is taken."""
+    open: bool = False
+    """Open the page in the browser."""
+    save: Path | None = None
+    """Write recorded episodes as one page that needs no server and no network, and end."""
+    episodes: Count = 5
+    """Episodes of the saved page."""
+
+
+@dataclass(frozen=True)
 class Plot(Checked):
     """Draw learning curves, and of what was evaluated the errors and failures."""
 
@@ -154,9 +181,11 @@ class Bench(Checked):
     """Measure speed, accuracy and learning on this machine."""
 
     suite: str = "speed"
-    """Suite of measurements: speed, kinematics, learning, start, simulators, soak, trust, camera, pixels."""
+    """Suite: speed, kinematics, learning, start, simulators, precise, soak, trust, viewer, camera, pixels."""
     json: bool = False
     """Print the measurements as a JSON list on standard output."""
+    markdown: bool = False
+    """Print them as a Markdown table, with the machine and the versions."""
 
 
 @dataclass(frozen=True)
@@ -270,7 +299,7 @@ def evaluate(arguments: Eval) -> None:
         config = in_simulator(trained, choose("simulator", name, [*SIMULATORS, "all"]))
         if (arguments.gui or arguments.slow) and name != "pybullet":
             raise InputError(f"--gui and --slow are PyBullet's, and the simulator is {name!r}: add --sim pybullet.")
-        config = override(config, gui=arguments.gui, slow=arguments.slow, randomise=arguments.perturb)
+        config = override(config, gui=arguments.gui, slow=arguments.slow, perturb=arguments.perturb)
         config = override(config, randomise_view=arguments.perturb_view)
         env = Env(config, 1 if arguments.gui else min(arguments.episodes, EVALUATION_LANES.get(name, LANES)))
         policy = load_policy(run, config, env)
@@ -323,6 +352,48 @@ def video(arguments: Video) -> None:
     )
 
 
+def view(arguments: View) -> None:
+    """Run `reachlab view`."""
+    _prepare_jax()
+    from reachlab.checkpoint import RunDirectory
+    from reachlab.console import console
+    from reachlab.env import Env
+    from reachlab.interrupts import Interrupts
+    from reachlab.sims import SIMULATORS
+    from reachlab.stage import is_local
+    from reachlab.training import load_policy
+    from reachlab.viewer import Viewer, save_page
+
+    run = RunDirectory(arguments.run)
+    trained = run.read_config()
+    config = in_simulator(trained, choose("simulator", arguments.sim or trained.sim, SIMULATORS))
+    steps = run.checkpoint_steps()
+    env = Env(config, 1)
+    if arguments.save:
+        save_page(
+            env, arguments.agent, load_policy(run, config, env), arguments.seed, arguments.episodes, arguments.save
+        )
+        env.close()
+        console.print(f"Written: {arguments.save}")
+        return
+    load = partial(load_policy, run, config, env)
+    with (
+        Viewer(env, steps, load, arguments.agent, arguments.host, arguments.port) as viewer,
+        Interrupts() as interrupts,
+    ):
+        console.print(f"Viewer: {viewer.url}   Ctrl-C ends it.")
+        if not is_local(arguments.host):
+            console.print(
+                f"Warning: --host {arguments.host} lets other machines in, without a password: whoever reaches it can"
+                " watch and move the target."
+            )
+        if arguments.open:
+            webbrowser.open(viewer.url)
+        viewer.prepare(arguments.seed)
+        viewer.run(lambda: interrupts.received is not None)
+    env.close()
+
+
 def plot(arguments: Plot) -> None:
     """Run `reachlab plot`."""
     from reachlab.console import console
@@ -338,12 +409,14 @@ def plot(arguments: Plot) -> None:
 def bench(arguments: Bench) -> None:
     """Run `reachlab bench`."""
     _prepare_jax()
-    from reachlab.bench import run_suite
+    from reachlab.bench import run_suite, to_markdown
     from reachlab.console import print_table
 
     rows = run_suite(arguments.suite)
     if arguments.json:
         print(jsonlib.dumps(rows))
+    elif arguments.markdown:
+        print(to_markdown(rows), end="")
     else:
         cells = [(row["name"], f"{row['value']:.4g}", row["unit"], str(row["config"])) for row in rows]
         print_table(f"suite {arguments.suite}", ("measurement", "value", "unit", "configuration"), cells)
@@ -390,6 +463,7 @@ VERBS: dict[str, Verb] = {
     "distil": Verb(Distil, distil),
     "eval": Verb(Eval, evaluate),
     "video": Verb(Video, video),
+    "view": Verb(View, view),
     "plot": Verb(Plot, plot),
     "bench": Verb(Bench, bench),
     "list": Verb(List, list_names),

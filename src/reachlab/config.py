@@ -185,7 +185,7 @@ class SimConfig(Checked):
     """PyBullet: open its window, on the first lane."""
     slow: bool = False
     """PyBullet: slow down to be followed by eye."""
-    randomise: bool = False
+    perturb: bool = False
     """Every episode has an arm of its own: servo gains within 15 %, joint damping within 30 %, a payload of 0 to 2 kg
     at the tool (MuJoCo); and its joints are measured with noise of 0.5 mrad and 0.01 rad/s."""
     randomise_view: bool = False
@@ -240,10 +240,14 @@ class PPOConfig(Checked):
     """Widths of the hidden layers of actor and critic."""
     initial_std: Positive = 0.4
     """Standard deviation of the first policy, in halves of the action box."""
+    final_std: Positive | None = None
+    """Standard deviation after `anneal_steps`, its logarithm on a straight line until then; without, it is learnt."""
     checkpoint_interval: NonNegative = 20.0
     """Time from one checkpoint to the next [s]; longer if saving took more than 2 % of it, and 0 saves always."""
     keep_checkpoints: Count = 3
     """Newest checkpoints that are kept; the best one is kept too."""
+    randomise: bool = False
+    """Train on perturbed arms, see `perturb`; the report is on arms as they are."""
     deterministic: bool = False
     """Compute on one thread: the same weights on any number of cores."""
 
@@ -336,6 +340,8 @@ TASKS: dict[str, RunConfig] = {
             observation="state",
             action="joint_delta",
             reward="precise",
+            approach_weight=15.0,
+            effort_weight=0.1,
             success_distance=0.01,
             max_steps=100,
             targets="box",
@@ -344,7 +350,7 @@ TASKS: dict[str, RunConfig] = {
         ),
         physics=SimConfig(control_period=0.02),
         ppo=PPOConfig(
-            total_steps=2_500_000,
+            total_steps=4_500_000,
             stop_early=False,
             report_episodes=2000,
             lanes=256,
@@ -353,8 +359,10 @@ TASKS: dict[str, RunConfig] = {
             minibatches=4,
             gamma=0.97,
             hidden=(128, 128),
+            final_std=0.1,
+            randomise=True,
             final_learning_rate=1e-5,
-            anneal_steps=2_500_000,
+            anneal_steps=4_500_000,
         ),
     ),
 }

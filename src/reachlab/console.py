@@ -56,9 +56,10 @@ class TrainDisplay:
     def __call__(self, progress: TrainProgress) -> None:
         """Show where training stands."""
         now = progress.metrics
-        left = (progress.total_steps - progress.steps) / max(now["steps_per_second"], 1.0)
+        left = max(progress.total_steps - progress.steps, 0) / max(now["steps_per_second"], 1.0)
         status = (
             f"{progress.steps / 1e6:.2f}M steps  success {100 * now['success_rate']:5.1f} %"
+            f"  {1000 * now['final_distance']:.1f} mm off"
             f"  {now['steps_per_second'] / 1e3:.0f}k steps/s  at most {left:.0f} s left"
         )
         if "validation_success" in now:
@@ -75,11 +76,15 @@ class TrainDisplay:
 def print_reports(reports: Sequence[dict[str, Any]]) -> None:
     """One table with a row for each report."""
     first = reports[0]
-    title = f"{first['task']} task, {first['robot']}: {first['episodes']:,} held-out targets of seed {first['seed']}"
+    perturbed = ", perturbed" if first["perturb"] else ""
+    what = f"{first['task']} task, {first['robot']}{perturbed}"
+    title = f"{what}: {first['episodes']:,} held-out targets of seed {first['seed']}"
+    held = first["success_within"] is not None
     table = Table(title=title, title_justify="left")
     for heading in ("agent", "simulator"):
         table.add_column(heading)
-    for heading in ("success", "95 % interval", "error median", "p99", "steps"):
+    last = ("≤ 2 mm", "≤ 1 mm", "time") if held else ("steps",)
+    for heading in ("success", "95 % interval", "median", "p99", *last):
         table.add_column(heading, justify="right")
     for report in reports:
         low, high = report["success_interval"]
@@ -88,12 +93,17 @@ def print_reports(reports: Sequence[dict[str, Any]]) -> None:
             report["agent"],
             report["sim"],
             f"{100 * report['success_rate']:.2f} %",
-            f"{100 * low:.2f} to {100 * high:.2f}",
+            f"{100 * low:.1f} to {100 * high:.1f}",
             _millimetres(error["median"]),
             _millimetres(error["p99"]),
-            f"{report['steps_mean']:.0f}",
+            *(_precision(report) if held else [f"{report['steps_mean']:.0f}"]),
         )
     console.print(table)
+
+
+def _precision(report: dict[str, Any]) -> list[str]:
+    shares, time = report["success_within"], report["time_to_reach_s"]
+    return [*(f"{100 * shares[limit]:.2f} %" for limit in ("2", "1")), "" if time is None else f"{time:.2f} s"]
 
 
 def _millimetres(error: float | None) -> str:

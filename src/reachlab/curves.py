@@ -45,14 +45,18 @@ class Band:
     high: np.ndarray | None
 
 
+PERTURBED = " (perturbed)"
+"""What the name of an agent ends in where every episode had an arm of its own."""
+
+
 @dataclass(frozen=True)
 class Evaluation:
     """Held-out episodes of a group's runs, by one agent in one simulator.
 
     Attributes:
-        sim, agent: names.
+        sim, agent: names; that of an agent on perturbed arms says so.
         target: `[N, 3]` [m].
-        error: tool to target at the end `[N]` [mm].
+        error: tool to target at the end `[N]` [mm], infinite where it had to be held and was not.
         success: `[N]`.
     """
 
@@ -158,7 +162,8 @@ def read_evaluations(group: Group) -> list[Evaluation]:
     for run in group.runs:
         for file in sorted((run / "reports").glob("*.safetensors")):
             report = _read_json(file.with_suffix(".json"))
-            parts.setdefault((report["sim"], report["agent"]), []).append(_read_episodes(file))
+            agent = report["agent"] + PERTURBED * bool(report.get("perturb"))
+            parts.setdefault((report["sim"], agent), []).append(_read_episodes(file))
     order = sorted(parts, key=lambda names: (names[1] != "trained", names[0] != own, names))
     return [_join(sim, agent, parts[sim, agent]) for sim, agent in order]
 

@@ -59,11 +59,6 @@ def dagger(teacher: Policy | None) -> Method:
     return Method(initial_state, lambda env, config, _: _Lessons(env, check_distillation(config)).iterate)
 
 
-def teacher_config(config: DistilRunConfig) -> RunConfig:
-    """The configuration in which the teacher sees what it was trained on."""
-    return override(config, observation=config.teacher_observation)
-
-
 def check_distillation(config: RunConfig) -> DistilRunConfig:
     """The configuration, if it is one that can be learnt with.
 
@@ -94,7 +89,7 @@ def _initial_state(env: Env, config: DistilRunConfig, seed: int | Array, teacher
     key, for_policy = jax.random.split(jax.random.fold_in(jax.random.key(seed), TRAINING_STREAM))
     policy = jit(lambda key: make_initial_policy(config, env, key))(for_policy)
     if teacher is None:
-        knowing = Env(teacher_config(config), 1)
+        knowing = Env(override(config, observation=config.teacher_observation), 1)
         teacher = make_initial_policy(knowing.config, knowing, for_policy)
     state = env.init(episode_keys(seed, TRAINING_STREAM, 0, config.ppo.lanes))
     optimiser = _optimiser(config).init(policy.parameters)
@@ -110,7 +105,7 @@ class _Lessons:
 
     def __init__(self, env: Env, config: DistilRunConfig) -> None:
         self._env, self._config = env, config
-        self._knowing = Env(teacher_config(config), env.batch_size)
+        self._knowing = Env(override(env.config, observation=config.teacher_observation), env.batch_size)
         self._album = Album(env, config.distil.capacity)
         self._begin_anew, self._advance = map(self._knowing.compile, (self._knowing.reset, self._knowing.step))
         self._decide, self._remember, self._learn = jit(self._decision), jit(remember), jit(self._update)

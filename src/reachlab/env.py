@@ -25,7 +25,7 @@ VIEW_STREAM = 2**32 - 1
 """Number of an episode's random stream for its view; those below are for its steps."""
 
 POSITION_NOISE, SPEED_NOISE = 0.0005, 0.01
-"""Standard deviations of the joint measurements where the physics is randomised [rad, rad/s]."""
+"""Standard deviations of the joint measurements where arms are perturbed [rad, rad/s]."""
 
 
 @jax.tree_util.register_dataclass
@@ -195,7 +195,7 @@ class Env:
         return Situation(arm.q, arm.qd, arm.tool_position, state.target, target_q, cast("Array", action))
 
     def _measured(self, now: Situation, keys: Array, clock: Array) -> Situation:
-        if not self.config.physics.randomise:
+        if not self.config.physics.perturb:
             return now
         noise = jax.vmap(lambda key, step: jax.random.normal(jax.random.fold_in(key, step), (2, now.q.shape[-1])))(
             keys, clock
@@ -220,8 +220,8 @@ class Env:
         self.simulator.close()
 
     def _draw(self, keys: Array) -> tuple[Array, Array, Array, Array | None]:
-        """Next keys, starts, targets and, where the physics is randomised, the chances of the arms."""
-        chances = 2 * self.reach.robot.chain.n + 1 if self.config.physics.randomise else 0
+        """Next keys, starts, targets and, where they are perturbed, the chances of the arms."""
+        chances = 2 * self.reach.robot.chain.n + 1 if self.config.physics.perturb else 0
 
         def one(key: Array) -> tuple[Array, Array, Array, Array | None]:
             key, for_target, for_start = jax.random.split(key, 3)

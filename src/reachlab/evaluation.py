@@ -111,6 +111,7 @@ class Episodes:
         success: it ended in success `[B]`.
         distance: error at its end `[B]` [m]: from tool to target, held where the task says so.
         steps: its length `[B]`.
+        arrival: step from which on the tool stays within the distance of success `[B]`.
         returns: sum of its rewards `[B]`.
         max_speed: largest joint speeds in it `[B, n]` [rad/s].
         squared_jerk: sum over its steps of the squared jerk, mean of the joints `[B]` [rad²/s⁶].
@@ -122,6 +123,7 @@ class Episodes:
     success: Array
     distance: Array
     steps: Array
+    arrival: Array
     returns: Array
     max_speed: Array
     squared_jerk: Array
@@ -134,7 +136,7 @@ class Report:
 
     Attributes:
         task, robot, sim, agent, seed, episodes: what was evaluated, on which seed's held-out targets.
-        perturb: whether every episode had a perturbed arm of its own, see `SimConfig.randomise`.
+        perturb: whether every episode had a perturbed arm of its own, see `SimConfig.perturb`.
         success_rate: share of episodes that ended in success.
         success_interval: its 95 % Wilson interval.
         success_within: share within so many millimetres at the end; None where success ends the episode.
@@ -142,7 +144,7 @@ class Report:
             one, None if infinite.
         return_mean: mean sum of rewards.
         steps_mean: mean length, to success or the end.
-        time_to_reach_s: mean time of the successes [s]; None without any.
+        time_to_reach_s: mean time of the successes until the tool is there for good [s]; None without any.
         max_joint_speed: largest speed of each joint [rad/s].
         jerk: mean squared joint jerk [rad²/s⁶].
         wall_s: time that the evaluation took [s].
@@ -198,7 +200,7 @@ class Runner:
 
 def make_runner(env: Env, agent: str) -> Runner:
     """Runner for an agent of `AGENTS`."""
-    period = env.config.physics.control_period
+    period, within = env.config.physics.control_period, env.config.rules.success_distance
 
     def begin(keys: Array) -> tuple[EnvState, Episodes, Array]:
         state = env.init(keys)
@@ -209,6 +211,7 @@ def make_runner(env: Env, agent: str) -> Runner:
             success=jnp.zeros(lanes, bool),
             distance=state.distance,
             steps=jnp.zeros(lanes, jnp.int32),
+            arrival=(state.distance >= within).astype(jnp.int32),
             returns=jnp.zeros(lanes),
             max_speed=still,
             squared_jerk=jnp.zeros(lanes),
@@ -217,7 +220,7 @@ def make_runner(env: Env, agent: str) -> Runner:
         return state, episodes, jax.random.fold_in(keys[0], lanes)
 
     decide = compile_agent(env, agent)
-    count = env.traced(partial(_count, period=period))
+    count = env.traced(partial(_count, period=period, within=within))
 
     def advance(policy: Policy | None, carry: tuple[EnvState, Episodes, Array]) -> tuple[EnvState, Episodes, Array]:
         state, episodes, key = carry
@@ -242,7 +245,7 @@ def make_runner(env: Env, agent: str) -> Runner:
     return Runner(run_on_host, env.batch_size)
 
 
-def _count(episodes: Episodes, state: EnvState, transition: Transition, period: float) -> Episodes:
+def _count(episodes: Episodes, state: EnvState, transition: Transition, period: float, within: float) -> Episodes:
     q, moved, change = episodes.motion
     moved_now = state.arm.q - q
     change_now = moved_now - moved
@@ -253,6 +256,7 @@ def _count(episodes: Episodes, state: EnvState, transition: Transition, period: 
         success=transition.terms["success"],
         distance=transition.terms["error"],
         steps=episodes.steps + 1,
+        arrival=jnp.where(transition.terms["distance"] < within, episodes.arrival, episodes.steps + 2),
         returns=episodes.returns + transition.reward,
         max_speed=jnp.maximum(episodes.max_speed, jnp.abs(state.arm.qd)),
         squared_jerk=episodes.squared_jerk + jerk,
@@ -325,7 +329,7 @@ def summarise(env: Env, agent: str, result: Episodes, seed: int, wall_s: float) 
     count, successes = len(result.done), int(result.success.sum())
     error = np.asarray(result.distance, np.float64) * 1000
     period = env.config.physics.control_period
-    reached = result.steps[np.asarray(result.success)]
+    reached = result.arrival[np.asarray(result.success)]
     return Report(
         task=env.config.task,
         robot=env.reach.robot.name,
@@ -333,7 +337,7 @@ def summarise(env: Env, agent: str, result: Episodes, seed: int, wall_s: float) 
         agent=agent,
         seed=seed,
         episodes=count,
-        perturb=env.config.physics.randomise,
+        perturb=env.config.physics.perturb,
         success_rate=successes / count,
         success_interval=wilson_interval(successes, count),
         success_within=_shares_within(error) if env.config.rules.hold_steps else None,

@@ -53,9 +53,9 @@ STYLE: dict[str, Any] = {
 }
 
 LEARNING = (
-    ("Success in training", "steps", "success_rate", 100.0, 1.0),
+    ("Success in training, with noise", "steps", "success_rate", 100.0, 1.0),
     ("The same against time", "wall_s", "success_rate", 100.0, 1.0),
-    ("Distance at the end", "steps", "final_distance", 1000.0, math.inf),
+    ("Distance at the end, with noise", "steps", "final_distance", 1000.0, math.inf),
 )
 """Panels of learning: title, metric on either axis, what the second is multiplied by, and how large it can be."""
 
@@ -86,6 +86,12 @@ ABOVE, FRONT = (1, 0), (1, 2)
 
 VIEWS = {"Workspace from above": ABOVE, "Workspace from the front": FRONT}
 """Maps of a single group."""
+
+STEEP = 20
+"""Distances that fall by more than this ratio are drawn on a logarithmic axis."""
+
+WIDE = 300
+"""An axis over more than this ratio shows powers of ten alone."""
 
 LEAST_ERROR = 1e-2
 """Errors below are drawn here on the logarithmic axis [mm]."""
@@ -138,7 +144,14 @@ def _draw_learning(row: SubFigure, groups: Sequence[Group]) -> None:
                 axes.plot(*dots, ".", color=colour, ms=6, mec="white", mew=0.5)
     for axes, (title, x, y, scale, most) in zip(panels, LEARNING, strict=True):
         axes.set(title=title, xlabel=AXES_LABELS[x], ylabel=AXES_LABELS[y])
-        axes.set_ylim(0, None if math.isinf(most) else HEADROOM * most * scale)
+        drawn = np.concatenate([np.asarray(line.get_ydata(), float) for line in axes.lines])
+        if math.isinf(most) and drawn.max(initial=0.0) > STEEP * drawn.min(initial=math.inf):
+            axes.set_yscale("log")
+            axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+            axes.yaxis.set_minor_locator(NullLocator())
+        else:
+            axes.set_ylim(0, None if math.isinf(most) else HEADROOM * most * scale)
         if x == "steps":
             axes.xaxis.set_major_locator(MaxNLocator(TICKS, steps=[1, 2, 5, 10]))
             axes.xaxis.set_major_formatter(EngFormatter(sep=""))
@@ -170,12 +183,13 @@ def _draw_errors(axes: Axes, evaluated: Sequence[tuple[Group, list[Evaluation]]]
         axes.annotate(" success", (1000 * limit, 0.02), color="gray", fontsize=8)
     axes.set(title="Error on held-out targets", xlabel="tool to target at the end [mm]", ylabel="episodes within [%]")
     axes.set_xscale("log")
-    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    low, high = axes.get_xlim()
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < WIDE * low else (1.0,)))
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.xaxis.set_minor_locator(NullLocator())
     axes.yaxis.set_major_formatter(PercentFormatter(1.0, symbol=""))
     if len(evaluated) == 1:
-        axes.legend(loc="best")
+        axes.legend(loc="best", frameon=True, framealpha=0.8, edgecolor="none", fontsize=8)
 
 
 # --- maps -----------------------------------------------------------------------------------------

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import jax
@@ -62,9 +62,9 @@ class Normaliser:
         Merging of moments: Chan, Golub, LeVeque, "Updating formulae and a pairwise algorithm for computing
         sample variances", 1979.
         """
-        _, observations = parts(observed)
+        picture, observations = parts(observed)
         if observations is None:
-            return self
+            return replace(self, count=self.count + len(picture))
         n = observations.shape[0]
         mean, variance = observations.mean(0), observations.var(0)
         count = self.count + n

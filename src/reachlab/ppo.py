@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple, cast
 
@@ -133,8 +134,17 @@ def update(learner: Learner, rollout: Rollout, key: Array, config: PPOConfig) ->
     (parameters, state), watched = jax.lax.scan(epoch, carry, jax.random.split(key, config.epochs))
     flat = jax.tree.map(lambda x: x.reshape(size, *x.shape[2:]), rollout.observation)
     normaliser = policy.normaliser.update(flat)
+    parameters = replace(parameters, log_std=_log_std(parameters.log_std, normaliser.count, config))
     watched = {name: x.mean() for name, x in watched.items()} | {"std": jnp.exp(parameters.log_std).mean()}
     return Learner(replace(policy, parameters=parameters, normaliser=normaliser), state), watched
+
+
+def _log_std(learnt: Array, steps: Array, config: PPOConfig) -> Array:
+    """Log standard deviation `[a]` after so many steps: the learnt one, unless it has to follow a schedule."""
+    if config.final_std is None:
+        return learnt
+    begin, end = math.log(config.initial_std), math.log(config.final_std)
+    return jnp.full_like(learnt, begin + (end - begin) * jnp.minimum(steps / config.anneal_steps, 1.0))
 
 
 def _shuffle(key: Array, steps: int, lanes: int) -> Array:

@@ -11,7 +11,7 @@ from typing import Any
 import jax
 
 from reachlab.checkpoint import RunDirectory
-from reachlab.config import DistilRunConfig, InputError, RunConfig
+from reachlab.config import DistilRunConfig, InputError, RunConfig, override
 from reachlab.distillation import check_distillation, dagger
 from reachlab.env import Env
 from reachlab.evaluation import Report, evaluate
@@ -53,14 +53,14 @@ class TrainResult:
         return self.report.to_json() | times
 
 
-def load_policy(run: RunDirectory, config: RunConfig, env: Env) -> Policy:
-    """Policy of a run's newest checkpoint.
+def load_policy(run: RunDirectory, config: RunConfig, env: Env, step: int | None = None) -> Policy:
+    """Policy of a run's newest checkpoint, or of the one after `step`.
 
     Raises:
         InputError: see `RunDirectory.read_checkpoint`.
     """
     template = jax.eval_shape(lambda key: make_initial_policy(config, env, key), jax.random.key(0))
-    return run.read_checkpoint("learner/policy", template)
+    return run.read_checkpoint("learner/policy", template, step)
 
 
 def train(
@@ -137,7 +137,7 @@ def run_method(
     if resume:
         _check_unfinished(run, config)
     _choose_threads(run, config)
-    env = Env(config, config.ppo.lanes)
+    env = Env(override(config, perturb=True) if config.ppo.randomise else config, config.ppo.lanes)
     try:
         if not resume:
             run.create(config)
@@ -175,14 +175,7 @@ def _train(loop: Loop, *, resume: bool, tensorboard: bool) -> TrainResult:
     with Metrics(run.metrics_file, tensorboard=tensorboard) as metrics, Interrupts() as interrupts:
         state = loop.iterate(state, metrics, interrupts)
     trained = time.perf_counter()
-    report = evaluate(
-        loop.env,
-        "trained",
-        state.learner.policy,
-        seed=config.seed,
-        episodes=config.ppo.report_episodes,
-        runner=loop.runner,
-    )
+    report = _report(loop, state.learner.policy)
     result = TrainResult(
         report=report,
         policy=state.learner.policy,
@@ -197,3 +190,15 @@ def _train(loop: Loop, *, resume: bool, tensorboard: bool) -> TrainResult:
     except OSError as error:
         raise unwritable("report", run, error, config.verb) from None
     return result
+
+
+def _report(loop: Loop, policy: Policy) -> Report:
+    """Report on held-out targets, on arms of the run's physics even where training had others."""
+    config, seed, episodes = loop.config, loop.config.seed, loop.config.ppo.report_episodes
+    if loop.env.config == config:
+        return evaluate(loop.env, "trained", policy, seed=seed, episodes=episodes, runner=loop.runner)
+    env = Env(config, loop.env.batch_size)
+    try:
+        return evaluate(env, "trained", policy, seed=seed, episodes=episodes)
+    finally:
+        env.close()

@@ -52,7 +52,7 @@ class Simulator(Protocol):
     ) -> ArmState:
         """State with the lanes of `mask [B]` at rest at `q [B, n]`, their target drawn at `target [B, 3]`.
 
-        Without a state (the first time) every lane is set. Where the physics is randomised, `chance [B, 2 n + 1]`,
+        Without a state (the first time) every lane is set. Where arms are perturbed, `chance [B, 2 n + 1]`,
         drawn in -1 to 1, decides which arm a lane gets.
         """
         ...

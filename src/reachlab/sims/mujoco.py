@@ -23,7 +23,7 @@ SERVO_STIFFNESS, SERVO_DAMPING = 2000.0, 200.0
 
 
 GAIN_SPREAD, DAMPING_SPREAD, LARGEST_PAYLOAD = 0.15, 0.3, 2.0
-"""Where the physics is randomised: relative spread of each joint's servo gains and of its damping, payload [kg]."""
+"""Where arms are perturbed: relative spread of each joint's servo gains and of its damping, payload [kg]."""
 
 PAYLOAD_RADIUS = 0.05
 """The payload is a ball of this radius about the tool point [m]."""
@@ -47,7 +47,7 @@ class MujocoSimulator:
         joints = list(robot.chain.joints)
         self._positions, self._speeds = self._model.jnt_qposadr[joints], self._model.jnt_dofadr[joints]
         self._servos = _servos(self._model, robot)
-        self._arms = _Arms(self._batch, self._servos, self._speeds) if config.randomise else None
+        self._arms = _Arms(self._batch, self._servos, self._speeds) if config.perturb else None
         self._begin = self._batch.state[0].copy()
         self._pose = jit(lambda q: forward_kinematics(robot.chain, q))
         self._camera, self._eye = LazyCamera(robot), Camera(robot)
@@ -173,7 +173,7 @@ def physics_model(robot: Robot, config: SimConfig) -> mujoco.MjModel:
     if config.gravity_compensation:
         for body in spec.bodies:
             body.gravcomp = 1.0
-    if config.randomise:
+    if config.perturb:
         _add_payload(spec, robot.tool)
     if not spec.actuators:
         names = [spec.joints[joint].name for joint in robot.chain.joints]

@@ -1,0 +1,84 @@
+"""Precision under full dynamics: trained policies beside inverse kinematics, on nominal and on perturbed arms."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from reachlab.bench_sims import Row, row
+from reachlab.config import RunConfig, configure, override
+from reachlab.env import Env
+from reachlab.evaluation import LANES, Episodes, Report, examine, make_runner, summarise
+from reachlab.policy import Policy
+from reachlab.robots import load_robot
+from reachlab.training import TrainResult, train
+
+SEEDS, HELD_OUT = range(5), 2000
+"""Trainings, and held-out targets of each."""
+
+HELD_OUT_SEED = 1000
+"""Seed s is evaluated on the targets of seed 1000 + s."""
+
+AGENTS = ("trained", "ik", "ik_open")
+"""What is compared on the same targets."""
+
+PERTURBED = ", perturbed"
+"""What the name of a column ends in where every episode has an arm of its own."""
+
+
+def precise() -> Iterator[Row]:
+    """The rows of suite `precise`: measurement/agent, over all seeds, with the lowest or highest seed beside it."""
+    config = configure("precise")
+    with tempfile.TemporaryDirectory() as folder:
+        trained = [train(override(config, seed=seed), Path(folder) / str(seed)) for seed in SEEDS]
+    yield from _training(trained)
+    for perturb in (False, True):
+        for agent in AGENTS:
+            column = agent + PERTURBED * perturb
+            yield from _accuracy(column, _reports(override(config, perturb=perturb), agent, trained))
+
+
+def _training(trained: list[TrainResult]) -> Iterator[Row]:
+    walls, speeds = [one.train_wall_s for one in trained], [one.steps_per_second for one in trained]
+    yield row("training time, longest of the seeds/trained", max(walls), "s", by_seed=walls, steps=trained[0].steps)
+    yield row("training speed, slowest of the seeds/trained", min(speeds), "1/s", by_seed=speeds)
+
+
+def _reports(config: RunConfig, agent: str, trained: list[TrainResult]) -> tuple[Report, list[Report]]:
+    """Report of an agent on the targets of all seeds together, and the reports of the seeds."""
+    env = Env(config, LANES)
+    runner = make_runner(env, agent)
+    policies: list[Policy | None] = [one.policy if agent == "trained" else None for one in trained]
+    results = [
+        examine(env, agent, policy, seed=HELD_OUT_SEED + seed, episodes=HELD_OUT, runner=runner)
+        for seed, policy in zip(SEEDS, policies, strict=True)
+    ]
+    env.close()
+    together: Episodes = jax.tree.map(lambda *x: np.concatenate(x), *(episodes for _, episodes in results))
+    wall = sum(report.wall_s for report, _ in results)
+    return summarise(env, agent, together, HELD_OUT_SEED, wall), [report for report, _ in results]
+
+
+def _accuracy(column: str, reports: tuple[Report, list[Report]]) -> Iterator[Row]:
+    together, seeds = reports
+    limits = np.array(load_robot(together.robot).speed)
+    for limit, share in _within(together).items():
+        # Baselines have no seeds of their own.
+        lowest = {"lowest_seed": min(_within(report)[limit] for report in seeds)} if together.agent == "trained" else {}
+        yield row(f"held within {limit} mm/{column}", share, "rate", episodes=together.episodes, **lowest)
+    for name, error in together.final_error_mm.items():
+        if error is not None:
+            yield row(f"held error, {name}/{column}", error, "mm")
+    if together.time_to_reach_s is not None:
+        yield row(f"time to reach 10 mm for good/{column}", together.time_to_reach_s, "s")
+    share = float((np.array(together.max_joint_speed) / limits).max())
+    yield row(f"peak joint speed, share of its limit/{column}", share, "rate", joints=together.max_joint_speed)
+    yield row(f"mean squared joint jerk/{column}", together.jerk, "rad²/s⁶")
+
+
+def _within(report: Report) -> Mapping[str, float]:
+    return report.success_within or {}

@@ -1,0 +1,197 @@
+"""The scene in the browser: arm, table, target and the tool's path, drawn by viser."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import ipaddress
+import socket
+from collections import deque
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+
+from reachlab.config import InputError
+from reachlab.player import Moment
+from reachlab.robots import Robot
+from reachlab.scene import TABLE_CENTRE, TABLE_SIZE, scene_spec
+from reachlab.solids import Solid, solids
+
+if TYPE_CHECKING:
+    import viser
+
+LOCAL = "127.0.0.1"
+"""Address of this machine that no other reaches."""
+
+TITLE = "reachlab"
+"""Title of the panel and the page."""
+
+WAITING, REACHED, PATH = (217, 31, 38), (34, 160, 84), (37, 99, 235)
+"""Colours of the target before and when it is reached, and of the path."""
+
+EDGES, EDGE_WIDTH = (150, 155, 166), 0.002
+"""Colour of the workspace's edges, and their width [m]."""
+
+PATH_POINTS, PATH_STEP, PATH_WIDTH = 300, 0.004, 0.004
+"""Corners of the path at most, their least distance [m], and its width [m]."""
+
+AXES_LENGTH, AXES_RADIUS = 0.12, 0.004
+"""Size of the tool's drawn axes [m]."""
+
+HANDLE_SIZE = 0.16
+"""Size of the arrows by which the target is moved [m]."""
+
+LABEL_BELOW = (0.0, 0.0, -0.05)
+"""Where the label hangs under the target [m]."""
+
+GRID_CELL, GRID_FADE = 0.1, 6.0
+"""The ground's cells, and how far it is seen [m]."""
+
+VIEW_FROM, VIEW_TO = (1.5, -1.1, 0.95), (0.3, -0.02, 0.26)
+"""Where the first camera stands, and where it looks [m]."""
+
+FIELD_OF_VIEW = 0.8
+"""Vertical field of view of the first camera [rad]."""
+
+
+SKY, GROUND, SKY_INTENSITY = (255, 255, 255), (150, 155, 165), 2.2
+"""Light from above and below, and its strength."""
+
+
+class Stage:
+    """Draws a robot at work on a viser server.
+
+    Attributes:
+        workspace: the edges of the robot's workspace.
+        path: the tool's way in this episode, once it has moved.
+    """
+
+    def __init__(self, server: viser.ViserServer, robot: Robot) -> None:
+        """Stage with the arm at home; the target shows with the first moment."""
+        self._scene = server.scene
+        self._model = scene_spec(robot).compile()
+        self._data = mujoco.MjData(self._model)
+        self._joints = self._model.jnt_qposadr[list(robot.chain.joints)]
+        self._path: deque[np.ndarray] = deque(maxlen=PATH_POINTS)
+        self.path: viser.LineSegmentsHandle | None = None
+        self._set_view(server)
+        self._frames = [self._scene.add_frame(self._name(body), show_axes=False) for body in range(self._model.nbody)]
+        parts = [(solid.body, self._add(number, solid)) for number, solid in enumerate(solids(self._model))]
+        edges = np.array(robot.workspace_edges(), np.float32)
+        self.workspace = self._scene.add_line_segments("/workspace", edges, EDGES, thickness=EDGE_WIDTH)
+        target = self._model.body("target").id
+        self._target, self._ball = self._frames[target], next(mesh for body, mesh in parts if body == target)
+        self._target.visible = False
+        self._label = self._scene.add_label(f"{self._target.name}/label", "", position=LABEL_BELOW, anchor="top-center")
+        self._axes = self._scene.add_frame("/tool", axes_length=AXES_LENGTH, axes_radius=AXES_RADIUS, visible=False)
+        self._place(np.array(robot.home), None)
+
+    def add_handle(self, free: Sequence[bool]) -> viser.TransformControlsHandle:
+        """Handle by which a person moves the target, along the axes x, y, z that are free."""
+        x, y, z = free
+        return self._scene.add_transform_controls(
+            "/handle", scale=HANDLE_SIZE, active_axes=(x, y, z), disable_rotations=True, depth_test=False
+        )
+
+    def show(self, moment: Moment, *, axes: bool = False) -> None:
+        """Show a moment."""
+        self._place(moment.q, moment.target)
+        self._target.visible, self._axes.visible = True, axes
+        self._axes.position, self._axes.wxyz = moment.tool, moment.orientation
+        self._ball.color = REACHED if moment.reached else WAITING
+        self._label.text = f"{1000 * moment.distance:.1f} mm"
+        self._lengthen(moment.tool)
+
+    def clear_path(self) -> None:
+        """Begin the path anew."""
+        self._path.clear()
+
+    def cast_shadows(self, cast: bool) -> None:
+        """Draw shadows, or not."""
+        self._scene.configure_default_lights(cast_shadow=cast)
+
+    def _set_view(self, server: viser.ViserServer) -> None:
+        camera = server.initial_camera
+        camera.position, camera.look_at, camera.fov = VIEW_FROM, VIEW_TO, FIELD_OF_VIEW
+        self._scene.world_axes.visible = False
+        # Without a graphics card an environment map or shadows take longer to draw than all the rest.
+        self._scene.configure_environment_map(None)
+        self.cast_shadows(False)
+        self._scene.add_light_hemisphere("/sky", sky_color=SKY, ground_color=GROUND, intensity=SKY_INTENSITY)
+        ground = (0.0, 0.0, TABLE_CENTRE[2] - TABLE_SIZE[2])
+        self._scene.add_grid(
+            "/ground", infinite_grid=True, cell_size=GRID_CELL, fade_distance=GRID_FADE, position=ground
+        )
+
+    def _name(self, body: int) -> str:
+        return f"/{self._model.body(body).name or body}"
+
+    def _add(self, number: int, solid: Solid) -> viser.MeshHandle:
+        red, green, blue, opacity = solid.colour
+        return self._scene.add_mesh_simple(
+            f"{self._name(solid.body)}/{number}",
+            solid.vertices,
+            solid.faces,
+            color=(red, green, blue),
+            opacity=opacity if opacity < 1 else None,
+            cast_shadow=opacity == 1,
+        )
+
+    def _place(self, q: np.ndarray, target: np.ndarray | None) -> None:
+        self._data.qpos[self._joints] = q
+        if target is not None:
+            self._data.mocap_pos[0] = target
+        mujoco.mj_kinematics(self._model, self._data)
+        for frame, position, quaternion in zip(self._frames, self._data.xpos, self._data.xquat, strict=True):
+            frame.position, frame.wxyz = position, quaternion
+
+    def _lengthen(self, tool: np.ndarray) -> None:
+        if self._path and np.linalg.norm(self._path[-1] - tool) < PATH_STEP:
+            return
+        self._path.append(tool)
+        corners = np.array([self._path[0], *self._path], np.float32)
+        points = np.stack([corners[:-1], corners[1:]], axis=1)
+        if self.path is None:
+            self.path = self._scene.add_line_segments("/path", points, PATH, thickness=PATH_WIDTH)
+        else:
+            self.path.points = points
+
+
+def start_server(host: str, port: int) -> viser.ViserServer:
+    """Viser's server, without its banner and without its way to share a scene through a server of its makers.
+
+    Raises:
+        InputError: viser is not installed, or the address is not this machine's.
+    """
+    try:
+        import viser
+    except ImportError:
+        raise InputError("viewing needs viser: pip install 'reachlab[viewer]'.") from None
+    try:
+        # Viser tries a thousand ports and waits forever on an address that has none.
+        socket.create_server((host, 0)).close()
+    except OSError as error:
+        why = str(error.strerror).partition(" (")[0]
+        raise InputError(f"host {host!r} is no address of this machine ({why}): leave it out.") from None
+    with contextlib.redirect_stdout(io.StringIO()):
+        server = viser.ViserServer(host=host, port=port, label=TITLE, verbose=False)
+    # Any page open in the browser could ask for it: a websocket does not heed where a page is from.
+    server.request_share_url = _share_nothing
+    return server
+
+
+def is_local(host: str) -> bool:
+    """Whether no other machine reaches an address."""
+    return ipaddress.ip_address(socket.gethostbyname(host)).is_loopback
+
+
+def _share_nothing(verbose: bool = True) -> None:
+    del verbose
+
+
+def stop_server(server: viser.ViserServer) -> None:
+    """Stop a server, without its farewell."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        server.stop()

@@ -1,0 +1,120 @@
+"""Episodes in real time, with a target that a person moves."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from reachlab.config import configure
+from reachlab.env import Env
+from reachlab.evaluation import AGENTS
+from reachlab.player import Player, target_box
+
+FAR, NEAR = np.array([0.6, 0.2, -0.0083]), np.array([0.4, -0.2, -0.0083])
+
+
+def player_in(sim: str) -> Player:
+    return Player(Env(configure(sim=sim), 1), seed=0)
+
+
+@pytest.fixture(params=["kinematic", "mujoco"])
+def player(request: pytest.FixtureRequest) -> Player:
+    return player_in(request.param)
+
+
+def play(player: Player, steps: int = 1000) -> None:
+    for _ in range(steps):
+        if not player.over:
+            player.step("ik", None)
+
+
+def test_an_episode_is_played_to_its_success(player: Player) -> None:
+    play(player)
+    assert (player.over, player.moment.reached) == (True, True)
+    assert (player.episodes, player.successes) == (1, 1)
+    assert player.moment.distance == pytest.approx(np.linalg.norm(player.moment.tool - player.moment.target), abs=1e-6)
+
+
+def test_a_new_episode_has_a_new_target_and_begins_at_home(player: Player) -> None:
+    before = player.moment
+    play(player)
+    player.new_episode()
+    assert not np.allclose(before.target, player.moment.target)
+    np.testing.assert_allclose(player.moment.q, before.q)
+    assert (player.over, player.moment.reached) == (False, False)
+
+
+def test_the_arm_follows_a_target_that_is_moved(player: Player) -> None:
+    player.hold(True)
+    for target in (FAR, NEAR):
+        player.move_target(target)
+        play(player, 500)
+        np.testing.assert_allclose(player.moment.target, target, atol=1e-6)
+        assert np.linalg.norm(player.moment.tool - target) < 0.1
+
+
+def test_no_episode_ends_while_the_target_is_held() -> None:
+    player = player_in("kinematic")
+    player.hold(True)
+    play(player, 1200)
+    assert player.steps == 1200
+    assert (player.over, player.moment.reached, player.episodes) == (False, True, 0)
+
+
+def test_a_target_that_is_let_go_has_all_the_time_of_an_episode() -> None:
+    player = player_in("kinematic")
+    for _ in range(900):
+        player.step("zero", None)
+    player.move_target(FAR)
+    for _ in range(999):
+        player.step("zero", None)
+    assert not player.over
+    player.step("zero", None)
+    assert player.over
+
+
+def test_an_episode_whose_target_was_moved_does_not_count() -> None:
+    player = player_in("kinematic")
+    player.move_target(FAR)
+    play(player)
+    assert player.over
+    assert (player.episodes, player.successes) == (0, 0)
+    player.new_episode()
+    play(player)
+    assert (player.episodes, player.successes) == (1, 1)
+
+
+def test_an_end_is_taken_back_when_the_target_is_held_or_moved() -> None:
+    player = player_in("kinematic")
+    play(player)
+    player.hold(True)
+    assert not player.over
+    player.hold(False)
+    play(player)
+    player.move_target(FAR)
+    assert not player.over
+
+
+def test_under_full_dynamics_the_arm_holds_millimetres_where_the_target_is_moved() -> None:
+    player = Player(Env(configure("precise"), 1), seed=0)
+    play(player)
+    assert player.over
+    player.move_target(np.array([0.5, 0.2, 0.4]))
+    assert (player.over, player.moment.reached) == (False, False)
+    play(player)
+    assert player.moment.reached
+    assert player.moment.distance < 0.01
+
+
+@pytest.mark.parametrize("agent", sorted(AGENTS.keys() - {"trained"}))
+def test_every_agent_plays(agent: str) -> None:
+    player = player_in("kinematic")
+    player.step(agent, None)
+    assert player.steps == 1
+
+
+def test_the_box_of_targets_is_flat_in_the_tutorial() -> None:
+    reach = Env(configure(), 1).reach
+    low, high = target_box(reach)
+    np.testing.assert_allclose([low[:2], high[:2]], np.array(reach.robot.workspace)[:, :2], atol=0.02)
+    assert low[2] == high[2] == np.float32(reach.config.target_height)

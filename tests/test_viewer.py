@@ -1,0 +1,296 @@
+"""The viewer, as a person meets it in a browser."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import numpy as np
+import pytest
+
+from reachlab import cli, stage
+from reachlab.bench_viewer import free_port
+from reachlab.checkpoint import RunDirectory
+from reachlab.chromium import Page, browser, drawn, executable, wait_until
+from reachlab.config import TASKS, InputError, RunConfig, configure
+from reachlab.env import Env
+from reachlab.iteration import initial_state
+from reachlab.robots import load_robot
+from reachlab.stage import LOCAL, start_server, stop_server
+from reachlab.training import load_policy
+from reachlab.viewer import COMMANDS, Viewer, save_page
+
+CHECKPOINTS = (0, 128)
+
+WIDTH, HEIGHT = 800, 480
+
+FRAME = 0.02
+"""Time between two pictures [s]."""
+
+EPISODES = 8
+"""Episodes of a saved page: it has to last, for beginning anew takes its time without a graphics card."""
+
+HERE_SCHEMES = {"data", "blob", "file", "about"}
+
+
+@pytest.fixture(scope="module")
+def config() -> RunConfig:
+    return configure(lanes=8, hidden=(8,))
+
+
+@pytest.fixture(scope="module")
+def run(config: RunConfig, tmp_path_factory: pytest.TempPathFactory) -> RunDirectory:
+    return untrained(config, tmp_path_factory.mktemp("viewer") / "run")
+
+
+def untrained(config: RunConfig, path: Path) -> RunDirectory:
+    """A run with two checkpoints of policies that have learnt nothing, and not the same."""
+    env = Env(config, config.ppo.lanes)
+    run = RunDirectory(path)
+    run.create(config)
+    begin = env.compile(lambda seed: initial_state(env, config, seed))
+    for step in CHECKPOINTS:
+        run.write_checkpoint(step, begin(np.uint32(step)))
+    return run
+
+
+@pytest.fixture(scope="module")
+def chromium(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
+    if executable() is None:
+        if "CI" in os.environ:
+            pytest.fail("there is no Chromium here; CI needs one")
+        pytest.skip("needs Chromium: apt install chromium")
+    with browser(tmp_path_factory.mktemp("profile"), WIDTH, HEIGHT) as page:
+        yield page
+
+
+@pytest.fixture
+def page(chromium: Page) -> Iterator[Page]:
+    """An empty page, emptied again at the end: drawing without a graphics card takes the time of all others."""
+    chromium.requests.clear()
+    yield chromium
+    chromium.open("about:blank")
+
+
+@contextlib.contextmanager
+def view(config: RunConfig, run: RunDirectory, agent: str = "ik") -> Iterator[Viewer]:
+    env = Env(config, 1)
+    load = partial(load_policy, run, config, env)
+    with Viewer(env, run.checkpoint_steps(), load, agent, LOCAL, free_port()) as viewer:
+        viewer.prepare(seed=1)
+        yield viewer
+    env.close()
+
+
+@pytest.fixture
+def viewer(config: RunConfig, run: RunDirectory) -> Iterator[Viewer]:
+    with view(config, run) as viewer:
+        yield viewer
+
+
+def playing(viewer: Viewer, happened: Callable[[], bool]) -> Callable[[], bool]:
+    """Plays a little, then asks."""
+
+    def ask() -> bool:
+        viewer.frame(FRAME)
+        return happened()
+
+    return ask
+
+
+def pixel(point: np.ndarray, width: float, height: float) -> tuple[float, float]:
+    """Where the first camera sees a point `[3]` [m]."""
+    position, look_at = np.array(stage.VIEW_FROM), np.array(stage.VIEW_TO)
+    forward = (look_at - position) / np.linalg.norm(look_at - position)
+    right = np.cross(forward, [0, 0, 1]) / np.linalg.norm(np.cross(forward, [0, 0, 1]))
+    depth = (point - position) @ forward
+    focus = height / 2 / np.tan(stage.FIELD_OF_VIEW / 2) / depth
+    x, y = (point - position) @ right, (point - position) @ np.cross(right, forward)
+    return width / 2 + focus * x, height / 2 - focus * y
+
+
+def stays_here(requests: list[str]) -> bool:
+    return all(urlsplit(url).scheme in HERE_SCHEMES or urlsplit(url).hostname == LOCAL for url in requests)
+
+
+# --- in the browser -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_the_arm_follows_a_target_that_is_dragged_in_the_page(page: Page, task: str, tmp_path: Path) -> None:
+    config = configure(task, lanes=8, hidden=(8,))
+    with view(config, untrained(config, tmp_path / "run")) as viewer:
+        page.open(viewer.url)
+        wait_until(lambda: drawn(page.picture()), "a picture")
+        wait_until(playing(viewer, lambda: viewer.player.moment.reached), "a success")
+        assert "to the target" in page.text()
+
+        viewer.reset()
+        viewer.player.hold(True)
+        before = viewer.player.moment.target
+        height, width, _ = page.picture().shape
+        grip = before + np.array([stage.HANDLE_SIZE / 2, 0, 0])
+        away = np.array([0.08 if before[0] < 0.45 else -0.08, 0, 0])
+        page.drag(pixel(grip, width, height), pixel(grip + away, width, height))
+        wait_until(playing(viewer, lambda: not np.allclose(viewer.player.moment.target, before)), "a moved target")
+        wait_until(playing(viewer, lambda: viewer.player.moment.reached), "the arm's arrival")
+
+        np.testing.assert_allclose(viewer.player.moment.target, before + away, atol=0.02)
+        np.testing.assert_allclose(viewer.player.moment.tool, before + away, atol=config.rules.success_distance + 0.02)
+    assert stays_here(page.requests)
+    assert any(url.startswith("http") for url in page.requests), "requests are seen"
+
+
+def test_a_saved_page_plays_from_its_file_alone(page: Page, config: RunConfig, tmp_path: Path) -> None:
+    out = tmp_path / "page.html"
+    save_page(Env(config, 1), "ik", None, seed=1, episodes=EPISODES, out=out)
+    page.open(out.as_uri())
+    wait_until(lambda: drawn(page.picture()), "a picture")
+    first = page.picture()
+    wait_until(lambda: not np.array_equal(page.picture(), first), "a movement")
+    assert {urlsplit(url).scheme for url in page.requests} <= HERE_SCHEMES
+
+
+# --- without ---------------------------------------------------------------------------------------
+
+
+def test_the_workspace_and_the_tools_path_are_drawn(viewer: Viewer) -> None:
+    for _ in range(50):
+        viewer.step()
+    low, high = load_robot("iiwa14").workspace
+    edges = viewer.stage.workspace.points
+    assert edges.shape == (12, 2, 3)
+    np.testing.assert_allclose([edges.min(axis=(0, 1)), edges.max(axis=(0, 1))], [low, high], atol=1e-6)
+    assert viewer.stage.path
+    np.testing.assert_allclose(viewer.stage.path.points[-1, 1], viewer.player.moment.tool, atol=2 * stage.PATH_STEP)
+
+
+def test_nothing_moves_while_nobody_looks(viewer: Viewer) -> None:
+    steps = viewer.player.steps
+    for _ in range(10):
+        viewer.frame(1.0)
+    assert viewer.player.steps == steps
+
+
+def test_buttons_step_pause_and_draw_a_new_target(viewer: Viewer) -> None:
+    steps, target = viewer.player.steps, viewer.player.moment.target
+    COMMANDS["Step"](viewer)
+    assert (viewer.player.steps, viewer.paused) == (steps + 1, True)
+    COMMANDS["Pause"](viewer)
+    assert not viewer.paused
+    COMMANDS["Reset"](viewer)
+    assert not np.allclose(viewer.player.moment.target, target)
+    np.testing.assert_allclose(viewer.handle.position, viewer.player.moment.target)
+
+
+def test_the_target_is_where_its_handle_is_put(viewer: Viewer) -> None:
+    height = viewer.player.moment.target[2]
+    for x, y in ((0.25, -0.25), (0.65, 0.25)):
+        viewer.handle.position = (x, y, height)
+        viewer.frame(0.0)
+        np.testing.assert_allclose(viewer.player.moment.target, [x, y, height], atol=1e-6)
+
+
+def test_a_handle_outside_comes_back_to_where_targets_lie(viewer: Viewer) -> None:
+    viewer.handle.position = (5.0, -5.0, 5.0)
+    viewer.frame(0.0)
+    viewer.frame(0.0)
+    np.testing.assert_allclose(viewer.handle.position, [0.7, -0.3, -0.0083], atol=1e-3)
+
+
+def test_the_scene_is_never_shared_through_the_makers_server() -> None:
+    server = start_server(LOCAL, free_port())
+    try:
+        assert server.request_share_url() is None
+    finally:
+        stop_server(server)
+
+
+def test_a_host_that_is_not_this_machine_is_refused() -> None:
+    with pytest.raises(InputError, match=r"host '192.0.2.1' is no address of this machine \(.+\): leave it out"):
+        start_server("192.0.2.1", 8080)
+
+
+def test_without_viser_its_install_command_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "viser", None)
+    with pytest.raises(InputError, match=r"pip install 'reachlab\[viewer\]'"):
+        start_server(LOCAL, 8080)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--agent", "traind"], "Did you mean 'trained'"),
+        (["--sim", "mujoko"], "Did you mean 'mujoco'"),
+        (["--port", "0"], "port must be at least 1"),
+        (
+            ["--save", "no/such/folder/page.html", "--episodes", "1"],
+            "cannot be written: there is no folder 'no/such/folder'",
+        ),
+    ],
+    ids=str,
+)
+def test_wrong_words_are_refused_in_a_sentence(
+    run: RunDirectory, words: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["view", str(run.path), *words]) == cli.WRONG_INPUT
+    assert said in capsys.readouterr().err
+
+
+def test_every_checkpoint_can_be_chosen(run: RunDirectory, config: RunConfig) -> None:
+    env = Env(config, 1)
+    first, last = (load_policy(run, config, env, step) for step in run.checkpoint_steps())
+    newest = load_policy(run, config, env)
+    weights = [np.asarray(policy.parameters.actor[0][0]) for policy in (first, last, newest)]
+    assert not np.array_equal(weights[0], weights[1])
+    np.testing.assert_array_equal(weights[1], weights[2])
+
+
+def test_where_a_checkpoint_cannot_be_read_the_last_policy_goes_on(config: RunConfig, tmp_path: Path) -> None:
+    run = untrained(config, tmp_path / "run")
+    with view(config, run, "trained") as viewer:
+        shutil.rmtree(run.checkpoints / f"step_{CHECKPOINTS[0]:012d}")
+        viewer.panel.checkpoint = CHECKPOINTS[0]
+        viewer.step()
+        assert "is damaged" in viewer.panel.refusal
+        assert viewer.panel.checkpoint == CHECKPOINTS[1]
+
+
+def test_a_damaged_checkpoint_is_not_offered(
+    config: RunConfig, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    run = untrained(config, tmp_path / "run")
+    (run.checkpoints / f"step_{CHECKPOINTS[1]:012d}" / "state.safetensors").write_bytes(b"no arrays")
+    assert run.checkpoint_steps() == [CHECKPOINTS[0]]
+    assert "is left out" in caplog.text
+
+
+@pytest.mark.parametrize(("host", "local"), [("127.0.0.1", True), ("localhost", True), ("0.0.0.0", False)])
+def test_other_machines_are_let_in_with_a_warning_only(
+    run: RunDirectory,
+    host: str,
+    local: bool,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(Viewer, "run", lambda _: None)
+    assert cli.main(["view", str(run.path), "--agent", "zero", "--host", host, "--port", str(free_port())]) == cli.DONE
+    assert ("Warning:" in capsys.readouterr().err) is not local
+
+
+def test_ctrl_c_ends_it_quietly(run: RunDirectory) -> None:
+    words = [sys.executable, "-m", "reachlab", "view", str(run.path), "--port", str(free_port())]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr
+        assert process.stderr.readline().startswith("Viewer: http://127.0.0.1:")
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=30)
+    assert (process.returncode, out, err) == (0, "", "")
