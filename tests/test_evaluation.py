@@ -248,8 +248,8 @@ def test_a_report_sums_up_its_episodes(env: Env) -> None:
 def test_speed_and_jerk_are_those_of_a_known_motion(monkeypatch: pytest.MonkeyPatch) -> None:
     """One joint sets off at full speed from rest: its displacement jumps once and stays."""
 
-    def turn(env: Env, policy: Policy | None, state: EnvState, key: jax.Array) -> jax.Array:
-        del env, policy, key
+    def turn(env: Env, policy: Policy | None, state: EnvState, key: jax.Array, picture: None) -> jax.Array:
+        del env, policy, key, picture
         return jnp.zeros_like(state.last_action).at[:, 0].set(1.0)
 
     monkeypatch.setitem(AGENTS, "turn", turn)

@@ -17,21 +17,26 @@ SOURCE = Path(reachlab.__file__).parent
 
 LAYERS = (
     {"lanes", "compilation"},
-    {"config", "interrupts", "chain", "kinematics", "policy"},
+    {"config", "interrupts", "chain", "kinematics", "views", "encoder"},
+    {"policy"},
     {"storage"},
     {"metrics", "lock", "manifest", "threads", "arrays"},
     {"robots", "task", "ppo"},
     {"scene", "solids"},
+    {"camera"},
     {"sims"},
     {"env"},
     {"gym_env", "rollout", "checkpoint", "evaluation"},
     {"curves", "plots", "caption", "video", "viewer", "player", "panel", "stage", "export"},
     {"iteration"},
+    {"memory"},
+    {"distillation"},
     {"loop"},
     {"training"},
     {
         "console",
         "bench",
+        "bench_camera",
         "bench_precise",
         "bench_sims",
         "bench_soak",
@@ -52,7 +57,9 @@ LEAVES = {
     "config": set(),
     "chain": {"lanes"},
     "kinematics": {"lanes", "chain"},
-    "policy": set(),
+    "views": set(),
+    "encoder": set(),
+    "policy": {"encoder"},
     "interrupts": set(),
     "storage": {"config"},
     "metrics": {"config", "storage"},
@@ -63,7 +70,8 @@ LEAVES = {
 """What the leaves import of the package."""
 
 ONLY_FROM = {
-    "scene": {"sims", "stage"},
+    "scene": {"sims", "stage", "camera"},
+    "camera": {"sims"},
     "console": {"cli"},
     "cli": {"__main__"},
 }
@@ -197,7 +205,8 @@ def test_importing_the_package_loads_neither_jax_nor_a_simulator() -> None:
 
 
 def test_help_loads_neither_jax_nor_a_simulator() -> None:
-    words = [["--help"], *([verb, "--help"] for verb in ("train", "eval", "video", "view", "plot", "bench", "list"))]
+    verbs = ("train", "distil", "eval", "video", "view", "plot", "bench", "list")
+    words = [["--help"], *([verb, "--help"] for verb in verbs)]
     statement = (
         "from reachlab.cli import main\n"
         f"for words in {words}:\n"

@@ -119,8 +119,8 @@ def test_an_arm_that_comes_and_goes_has_reached_only_when_it_stays(env):
     waypoints = np.zeros((100, LANES, 7), np.float32)
     waypoints[40:50] = 1.0  # away from the target again, once it was there
 
-    def wander(env: Env, policy: Policy | None, state: EnvState, key: Array) -> Array:
-        wanted = AGENTS["ik"](env, policy, state, key)
+    def wander(env: Env, policy: Policy | None, state: EnvState, key: Array, picture: None) -> Array:
+        wanted = AGENTS["ik"](env, policy, state, key, picture)
         return jnp.where(jnp.asarray(waypoints)[state.clock[0]] > 0, 1.0, wanted)
 
     with pytest.MonkeyPatch.context() as patch:

@@ -19,6 +19,7 @@ import mujoco
 import numpy as np
 from jax import Array
 
+from reachlab.bench_camera import camera, pixels
 from reachlab.bench_precise import precise
 from reachlab.bench_sims import Row, row, simulators
 from reachlab.bench_soak import soak
@@ -286,6 +287,8 @@ SUITES: dict[str, Callable[[], Iterator[Row]]] = {
     "precise": precise,
     "soak": soak,
     "trust": trust,
+    "camera": camera,
+    "pixels": pixels,
     "viewer": viewer,
 }
 """Suites by name."""

@@ -20,15 +20,20 @@ from typing import Annotated, Any
 import tyro
 
 from reachlab.config import (
+    DISTIL_DEFAULTS,
     TASKS,
     Checked,
     Count,
+    DistilConfig,
+    DistilRunConfig,
     InputError,
     Positive,
     Range,
     RunConfig,
     Seed,
+    Steps,
     choose,
+    distillation,
     in_simulator,
     override,
     preset,
@@ -57,6 +62,37 @@ class Train(Checked):
 
 
 @dataclass(frozen=True)
+class Distil(Checked):
+    """Teach a policy that sees pictures, by one that knows the state."""
+
+    teacher: Annotated[Path | None, tyro.conf.Positional] = None
+    """Run directory of the teacher."""
+    observation: str = "image"
+    """What the student sees: image, image+tool."""
+    sim: str | None = None
+    """Simulator, kinematic or mujoco; by default the teacher's."""
+    seed: Seed = 0
+    """Seed of everything random."""
+    out: Path | None = None
+    """Run directory to make; by default a new one below runs/."""
+    resume: Path | None = None
+    """Run directory to go on in, from its newest checkpoint and with its own settings."""
+    randomise_view: bool = False
+    """Every episode is seen in a view of its own: light, colours, and the camera's pose within 2 cm and 2 degrees."""
+    total_steps: Steps = DISTIL_DEFAULTS["total_steps"]
+    """Environment steps after which it ends; 4,096 an iteration."""
+    report_episodes: Count = DISTIL_DEFAULTS["report_episodes"]
+    """Held-out episodes of the report at the end."""
+    deterministic: bool = False
+    """Compute on one thread: the same weights on any number of cores."""
+    settings: DistilConfig = field(default_factory=DistilConfig)
+    tensorboard: bool = False
+    """Write TensorBoard's event file into the run directory too; needs the extra `tensorboard`."""
+    json: bool = False
+    """Print the result as one JSON object on standard output."""
+
+
+@dataclass(frozen=True)
 class Eval(Checked):
     """Evaluate a run beside its baselines, on held-out targets."""
 
@@ -72,6 +108,8 @@ class Eval(Checked):
     """Seed of the targets."""
     perturb: bool = False
     """Give every episode an arm of its own and noisy measurements; see `perturb` of train."""
+    perturb_view: bool = False
+    """Show every episode in a view of its own, to a policy that sees; see `randomise_view` of train."""
     gui: bool = False
     """PyBullet: open its window."""
     slow: bool = False
@@ -143,7 +181,7 @@ class Bench(Checked):
     """Measure speed, accuracy and learning on this machine."""
 
     suite: str = "speed"
-    """Suite of measurements: speed, kinematics, learning, start, simulators, precise, soak, trust, viewer."""
+    """Suite: speed, kinematics, learning, start, simulators, precise, soak, trust, viewer, camera, pixels."""
     json: bool = False
     """Print the measurements as a JSON list on standard output."""
     markdown: bool = False
@@ -160,22 +198,51 @@ class List(Checked):
 
 def train(arguments: Train) -> None:
     """Run `reachlab train`."""
+    _learn(arguments, arguments.run, "train")
+
+
+def distil(arguments: Distil) -> None:
+    """Run `reachlab distil`."""
+    _learn(arguments, _distillation(arguments), "distil")
+
+
+def _distillation(arguments: Distil) -> RunConfig:
+    """Settings of a distillation: those of the run to go on with, or of the teacher with what the flags say."""
+    from reachlab.checkpoint import RunDirectory
+
+    if arguments.resume:
+        return RunDirectory(arguments.resume).read_config()
+    if arguments.teacher is None:
+        raise InputError("distil needs a teacher: name the run directory of one, as `reachlab train` makes it.")
+    taught = RunDirectory(arguments.teacher).read_config()
+    config = in_simulator(taught, arguments.sim or taught.sim)
+    same = ("observation", "seed", "randomise_view", "total_steps", "report_episodes", "deterministic")
+    chosen = {name: getattr(arguments, name) for name in same} | vars(arguments.settings)
+    return distillation(str(arguments.teacher), config, **chosen)
+
+
+def _learn(arguments: Train | Distil, config: RunConfig, verb: str) -> None:
+    """Train or distil, and show what came of it."""
     from reachlab.interrupts import raise_on_termination
 
     raise_on_termination()
-    if arguments.resume and _told_that_finished(arguments, arguments.resume):
+    if config.verb != verb:
+        raise InputError(f"run '{arguments.resume}' goes on with `reachlab {config.verb} --resume {arguments.resume}`.")
+    if arguments.resume and _told_that_finished(arguments, config, arguments.resume):
         return
     _prepare_jax()
     from reachlab.console import TrainDisplay, console, print_reports
     from reachlab.plots import plot as draw
+    from reachlab.training import distil as run_distillation
     from reachlab.training import train as run_training
 
-    config = arguments.run
     out = arguments.resume or arguments.out or Path("runs") / f"{time.strftime('%Y%m%d-%H%M%S')}-{config.task}"
+    settings = {"resume": arguments.resume is not None, "tensorboard": arguments.tensorboard}
     with TrainDisplay() as display:
-        result = run_training(
-            config, out, display, resume=arguments.resume is not None, tensorboard=arguments.tensorboard
-        )
+        if isinstance(config, DistilRunConfig):
+            result = run_distillation(config, out, display, **settings)
+        else:
+            result = run_training(config, out, display, **settings)
     draw([out], out / "curve.png")
     if arguments.json:
         print(jsonlib.dumps(result.to_json()))
@@ -191,7 +258,7 @@ def train(arguments: Train) -> None:
     console.print(f"Next: reachlab eval {out} --agent trained random ik")
 
 
-def _told_that_finished(arguments: Train, folder: Path) -> bool:
+def _told_that_finished(arguments: Train | Distil, config: RunConfig, folder: Path) -> bool:
     """Whether the run to go on with is finished, and this was said.
 
     Raises:
@@ -203,7 +270,7 @@ def _told_that_finished(arguments: Train, folder: Path) -> bool:
     if arguments.out:
         raise InputError("--resume names the run directory: leave --out out.")
     run = RunDirectory(folder)
-    run.read_unfinished(arguments.run)
+    run.read_unfinished(config)
     if not run.finished:
         return False
     if arguments.json:
@@ -233,13 +300,14 @@ def evaluate(arguments: Eval) -> None:
         if (arguments.gui or arguments.slow) and name != "pybullet":
             raise InputError(f"--gui and --slow are PyBullet's, and the simulator is {name!r}: add --sim pybullet.")
         config = override(config, gui=arguments.gui, slow=arguments.slow, perturb=arguments.perturb)
+        config = override(config, randomise_view=arguments.perturb_view)
         env = Env(config, 1 if arguments.gui else min(arguments.episodes, EVALUATION_LANES.get(name, LANES)))
         policy = load_policy(run, config, env)
         for agent in arguments.agent:
             result, played = examine(env, agent, policy, seed=arguments.seed, episodes=arguments.episodes)
             report = result.to_json()
             rows = {"target": played.target, "distance": played.distance, "success": played.success}
-            kind = "-perturbed" if arguments.perturb else ""
+            kind = "-perturbed" * arguments.perturb + "-views" * arguments.perturb_view
             run.write_report(f"{name}-{agent}-{arguments.seed}{kind}", report, rows)
             reports.append(report)
         env.close()
@@ -392,6 +460,7 @@ class Verb:
 
 VERBS: dict[str, Verb] = {
     "train": Verb(Train, train),
+    "distil": Verb(Distil, distil),
     "eval": Verb(Eval, evaluate),
     "video": Verb(Video, video),
     "view": Verb(View, view),
@@ -435,7 +504,7 @@ def _overview() -> str:
 
 
 def _parse(verb: str, flags: type, words: list[str]) -> Any:
-    """Flags of a verb; `--task` and `--sim` are read first and set the other defaults.
+    """Flags of a verb; `--task`, `--sim` and `--observation` are read first and set the other defaults.
 
     Raises:
         InputError: a flag or value that is not allowed, in one sentence.
@@ -461,7 +530,8 @@ def _defaults(words: Sequence[str]) -> RunConfig:
         from reachlab.checkpoint import RunDirectory
 
         return RunDirectory(Path(folder)).read_config()
-    return preset(_value_of("--task", words) or "tutorial", _value_of("--sim", words))
+    task, sim, observation = (_value_of(flag, words) for flag in ("--task", "--sim", "--observation"))
+    return preset(task or "tutorial", sim, observation)
 
 
 def _value_of(flag: str, words: Sequence[str]) -> str | None:

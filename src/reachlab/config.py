@@ -17,7 +17,7 @@ import types
 import typing
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar, TypeVar
 
 from typeguard import TypeCheckError, check_type
 
@@ -96,7 +96,8 @@ class Checked:
 
 @functools.cache
 def _hints(cls: type) -> dict[str, Any]:
-    return typing.get_type_hints(cls, include_extras=True)
+    hints = typing.get_type_hints(cls, include_extras=True)
+    return {entry.name: hints[entry.name] for entry in dataclasses.fields(cls)}
 
 
 def _check(name: str, value: Any, hint: Any) -> None:
@@ -187,6 +188,8 @@ class SimConfig(Checked):
     perturb: bool = False
     """Every episode has an arm of its own: servo gains within 15 %, joint damping within 30 %, a payload of 0 to 2 kg
     at the tool (MuJoCo); and its joints are measured with noise of 0.5 mrad and 0.01 rad/s."""
+    randomise_view: bool = False
+    """Every episode is seen in a view of its own: light, colours, and the camera's pose within 2 cm and 2 degrees."""
 
 
 @dataclass(frozen=True)
@@ -253,6 +256,9 @@ class PPOConfig(Checked):
 class RunConfig(Checked):
     """Everything that decides a training run."""
 
+    verb: ClassVar[str] = "train"
+    """Command that makes such a run."""
+
     task: str = "tutorial"
     """Task preset; it sets the other defaults."""
     robot: str = "iiwa14"
@@ -264,6 +270,64 @@ class RunConfig(Checked):
     rules: TaskConfig = field(default_factory=TaskConfig)
     physics: SimConfig = field(default_factory=SimConfig)
     ppo: PPOConfig = field(default_factory=PPOConfig)
+
+
+@dataclass(frozen=True)
+class DistilConfig(Checked):
+    """Learning to see from a teacher that knows the state."""
+
+    hold: Count = 4
+    """Steps from one picture to the next, over which the student's action is held; only while it learns."""
+    guided: NonNegativeInt = 8
+    """Iterations at the start in which the teacher acts, before the student does."""
+    noise: NonNegative = 0.2
+    """Noise of the actions taken, in halves of the action box, so that the student learns to come back."""
+    updates: Count = 48
+    """Gradient steps of an iteration."""
+    batch: Count = 256
+    """Pictures of a gradient step."""
+    capacity: Annotated[int, Range(1, 10**6)] = 60_000
+    """Pictures that are remembered, of 7 kB each."""
+    place_weight: NonNegative = 4.0
+    """Weight of learning where target and tool are, beside what to do."""
+
+
+@dataclass(frozen=True)
+class DistilRunConfig(RunConfig):
+    """Everything that decides a distillation; of `ppo` it uses the loop's settings and the networks'."""
+
+    verb: ClassVar[str] = "distil"
+
+    teacher: str = ""
+    """Run directory of the teacher."""
+    teacher_observation: str = "target+tool"
+    """What the teacher sees."""
+    distil: DistilConfig = field(default_factory=DistilConfig)
+
+
+DISTIL_DEFAULTS: dict[str, Any] = {
+    "total_steps": 40 * 4096,
+    "stop_early": False,
+    "lanes": 128,
+    "rollout_steps": 32,
+    "report_episodes": 200,
+    "learning_rate": 3e-3,
+    "final_learning_rate": 1e-4,
+    "max_grad_norm": 1.0,
+}
+"""Settings of the loop with which a distillation starts."""
+
+
+def distillation(teacher: str, taught: RunConfig, **settings: Any) -> DistilRunConfig:
+    """Configuration of a student of the teacher in the run directory `teacher`, which was trained as `taught`.
+
+    Raises:
+        InputError: a name that is no setting, or a value that is not allowed.
+    """
+    parts = {entry.name: getattr(taught, entry.name) for entry in dataclasses.fields(RunConfig)}
+    settings = {"observation": "image", **DISTIL_DEFAULTS} | settings
+    settings.setdefault("anneal_steps", settings["total_steps"])
+    return override(DistilRunConfig(**parts, teacher=teacher, teacher_observation=taught.rules.observation), **settings)
 
 
 TASKS: dict[str, RunConfig] = {
@@ -313,7 +377,28 @@ SIM_DEFAULTS: dict[str, dict[str, Any]] = {
 a PyBullet lane is a client of its own."""
 
 
-def in_simulator(config: RunConfig, sim: str) -> RunConfig:
+Config = TypeVar("Config", bound=RunConfig)
+
+
+PICTURE_DEFAULTS: dict[str, Any] = {
+    "lanes": 64,
+    "epochs": 4,
+    "minibatches": 8,
+    "learning_rate": 7e-4,
+    "anneal_steps": 1_000_000,
+    "total_steps": 1_500_000,
+    "stop_success": 0.95,
+    "stop_streak": 1,
+    "validation_episodes": 100,
+    "report_episodes": 200,
+}
+"""Settings that pictures change in every preset: each costs a hundred times a step without one."""
+
+PICTURED = ("image", "image+tool")
+"""Observations with a picture in them."""
+
+
+def in_simulator(config: Config, sim: str) -> Config:
     """A configuration in another simulator, with that one's defaults."""
     if sim == config.sim:
         return config
@@ -321,10 +406,11 @@ def in_simulator(config: RunConfig, sim: str) -> RunConfig:
     return override(config, sim=sim, **defaults)
 
 
-def preset(task: str = "tutorial", sim: str | None = None) -> RunConfig:
-    """The preset of that name, with the defaults of a simulator that is not its own."""
+def preset(task: str = "tutorial", sim: str | None = None, observation: str | None = None) -> RunConfig:
+    """The preset of that name, with the defaults of a simulator that is not its own, and of pictures."""
     config = TASKS[choose("task", task, TASKS)]
-    return config if sim is None else in_simulator(config, sim)
+    config = config if sim is None else in_simulator(config, sim)
+    return override(config, **PICTURE_DEFAULTS) if observation in PICTURED else config
 
 
 def configure(task: str = "tutorial", **settings: Any) -> RunConfig:
@@ -333,10 +419,10 @@ def configure(task: str = "tutorial", **settings: Any) -> RunConfig:
     Raises:
         InputError: a name that is no setting, or a value that is not allowed.
     """
-    return override(preset(task, settings.get("sim")), **settings)
+    return override(preset(task, settings.get("sim"), settings.get("observation")), **settings)
 
 
-def override(config: RunConfig, **settings: Any) -> RunConfig:
+def override(config: Config, **settings: Any) -> Config:
     """A configuration with the named settings changed.
 
     Raises:
@@ -368,7 +454,7 @@ def _sections(config: RunConfig) -> dict[str, str | None]:
 def difference(one: object, other: object) -> tuple[str, Any, Any] | None:
     """Name of the first setting in which two configurations differ, and both values; None if they are the same."""
     for entry in dataclasses.fields(typing.cast("Any", one)):
-        a, b = getattr(one, entry.name), getattr(other, entry.name)
+        a, b = getattr(one, entry.name), getattr(other, entry.name, None)
         if dataclasses.is_dataclass(a):
             if found := difference(a, b):
                 return found
@@ -388,7 +474,8 @@ def from_json(data: Any) -> RunConfig:
     Raises:
         InputError: a field is missing, unknown, of the wrong type or out of range.
     """
-    return _build(RunConfig, data, "the configuration")
+    kind = DistilRunConfig if isinstance(data, Mapping) and "distil" in data else RunConfig
+    return _build(kind, data, "the configuration")
 
 
 def _build(cls: type, data: Any, where: str) -> Any:

@@ -15,9 +15,14 @@ from reachlab import task
 from reachlab.compilation import dispatch_inline, jit
 from reachlab.config import RunConfig
 from reachlab.kinematics import forward_kinematics
+from reachlab.policy import Observed
 from reachlab.robots import load_robot
 from reachlab.sims import SIMULATORS, ArmState, Lanes, make_simulator
 from reachlab.task import Reach, Situation, make_reach
+from reachlab.views import CHANCES, SIZE, develop, make_views
+
+VIEW_STREAM = 2**32 - 1
+"""Number of an episode's random stream for its view; those below are for its steps."""
 
 POSITION_NOISE, SPEED_NOISE = 0.0005, 0.01
 """Standard deviations of the joint measurements where arms are perturbed [rad, rad/s]."""
@@ -55,7 +60,7 @@ class Transition:
     """What a step gave, before any reset.
 
     Attributes:
-        observation: `[B, k]`, the final one where the episode ended.
+        observation: `[B, k]`, the final one where the episode ended; None where it holds a picture, see `Env.look`.
         reward: `[B]`.
         terminated: the task ended the episode `[B]`.
         truncated: the clock did `[B]`.
@@ -63,7 +68,7 @@ class Transition:
         terms: `distance` [m], the `error` that counts at the end [m], `success` and each term of the reward, `[B]`.
     """
 
-    observation: Array
+    observation: Observed
     reward: Array
     terminated: Array
     truncated: Array
@@ -74,6 +79,11 @@ class Transition:
 def lane_keys(seed: int, batch_size: int) -> Array:
     """Random keys `[B]`: lane i of seed s has the key of lane 0 of seed s + i."""
     return jax.vmap(jax.random.key)(np.arange(batch_size, dtype=np.uint32) + np.uint32(seed))
+
+
+def merge(mask: np.ndarray, new: Observed, old: Observed) -> Observed:
+    """Observations with those of `new` in the lanes of `mask [B]`."""
+    return jax.tree.map(lambda a, b: np.where(mask.reshape(-1, *[1] * (np.ndim(a) - 1)), a, b), new, old)
 
 
 class Env:
@@ -95,28 +105,35 @@ class Env:
         self.reach: Reach = make_reach(config.rules, load_robot(config.robot, config.rules.tool))
         self.simulator = make_simulator(config.sim, self.reach.robot, config.physics, batch_size)
         self._real_time = SIMULATORS[config.sim].real_time
-        self.observation_bounds = task.OBSERVATIONS[config.rules.observation].bounds(self.reach)
+        design = task.OBSERVATIONS[config.rules.observation]
+        self.observation_bounds = design.bounds(self.reach)
         self.action_bounds = task.ACTIONS[config.rules.action].bounds(self.reach)
-        if not self.simulator.pure:
+        self.pictured = design.pictured
+        self.pure = self.simulator.pure and not self.pictured
+        self._sim_step, self._sim_reset = self.simulator.step, self.simulator.reset
+        self._look, self._chances = jit(self.observe), jit(self._chances)
+        if not self.pure:
             self._draw, self._command, self._judge, self._begin, self._merge = map(
                 jit, (self._draw, self._command, self._judge, self._begin, self._merge)
             )
+            if self.simulator.pure:
+                self._sim_step, self._sim_reset = jit(self._sim_step), jit(self._sim_reset)
 
     def init(self, keys: Array) -> EnvState:
         """State in which every lane begins an episode; `keys [B]`, see `lane_keys`."""
         key, q, target, chance = self._draw(keys)
-        return self._begin(self.simulator.reset(None, q, target, None, chance), target, key)
+        return self._begin(self._sim_reset(None, q, target, None, chance), target, key)
 
     def reset(self, state: EnvState, mask: Array | np.ndarray) -> EnvState:
         """State in which the lanes of `mask [B]` begin a new episode."""
         key, q, target, chance = self._draw(state.key)
-        arm = self.simulator.reset(state.arm, q, target, mask, chance)
+        arm = self._sim_reset(state.arm, q, target, mask, chance)
         return self._merge(jnp.asarray(mask), replace(self._begin(arm, target, key), arm=arm), replace(state, arm=arm))
 
     def step(self, state: EnvState, action: Lanes) -> tuple[EnvState, Transition]:
         """State and transition after `action [B, a]`."""
         target_q = self._command(state.target_q, action)
-        arm = self.simulator.step(state.arm, target_q)
+        arm = self._sim_step(state.arm, target_q)
         last = (state.distance, state.recent, state.clock)
         (distance, recent, clock), transition = self._judge(self._true(state, arm, target_q, action), last, state.key)
         state = replace(
@@ -130,9 +147,43 @@ class Env:
         )
         return state, transition
 
-    def observe(self, state: EnvState) -> Array:
-        """Observation `[B, k]` of a state."""
-        return task.observe(self.reach, self.situation(state))
+    def observe(self, state: EnvState, picture: Lanes | None = None) -> Observed:
+        """Observation `[B, k]` of a state; one that holds a picture takes it from `see`."""
+        return task.observe(self.reach, self.situation(state)._replace(picture=cast("Array | None", picture)))
+
+    def look(self, state: EnvState, lanes: np.ndarray | None = None) -> Observed:
+        """Observation of a state, outside any trace; its pictures are those of the lanes of `lanes [B]` alone."""
+        return self._look(state, self.see(state, lanes))
+
+    def see(self, state: EnvState, lanes: np.ndarray | None = None) -> np.ndarray | None:
+        """Pictures `[B, SIZE, SIZE]` uint8 of the lanes of `lanes [B]`, black for the others.
+
+        None where the observation holds no picture.
+        """
+        if not self.pictured:
+            return None
+        if lanes is None:
+            return self.draw(state.arm.q, state.target, state.key)
+        q, target, chances = (np.asarray(x) for x in (state.arm.q, state.target, self._chances(state.key)))
+        chosen, pictures = np.flatnonzero(lanes), np.zeros((len(q), SIZE, SIZE), np.uint8)
+        pictures[chosen] = self._drawn(q[chosen], target[chosen], chances[chosen], chosen)
+        return pictures
+
+    def draw(self, q: Array, target: Array, keys: Array) -> np.ndarray:
+        """Pictures `[m, SIZE, SIZE]` uint8 of joints `[m, n]`, targets `[m, 3]` and episodes with `keys [m]`."""
+        return self._drawn(*(np.asarray(x) for x in (q, target, self._chances(keys), np.arange(len(q)))))
+
+    def _drawn(self, q: np.ndarray, target: np.ndarray, chances: np.ndarray, lanes: np.ndarray) -> np.ndarray:
+        views = make_views(chances)
+        return develop(self.simulator.see(q, target, views, lanes), views)
+
+    def _chances(self, keys: Array) -> Array:
+        """Chances `[B, CHANCES]` of the views of episodes; see `make_views`."""
+        if not self.config.physics.randomise_view:
+            return jnp.zeros((len(keys), CHANCES))
+        return jax.vmap(lambda key: jax.random.uniform(jax.random.fold_in(key, VIEW_STREAM), (CHANCES,), minval=-1.0))(
+            keys
+        )
 
     def situation(self, state: EnvState) -> Situation:
         """What observations and baselines may look at: as measured, with noise where the physics has it."""
@@ -154,11 +205,11 @@ class Env:
 
     def traced(self, function: Callable[..., Any]) -> Callable[..., Any]:
         """A function beside the simulator: itself where a caller traces everything, compiled where none can."""
-        return function if self.simulator.pure else jit(function)
+        return function if self.pure else jit(function)
 
     def compile(self, function: Callable[..., Any]) -> Callable[..., Any]:
         """A function that uses this environment, compiled as a whole if the simulator can be traced."""
-        return jit(function) if self.simulator.pure else function
+        return jit(function) if self.pure else function
 
     def render(self, state: EnvState, lane: int = 0) -> np.ndarray:
         """Picture of a lane, `[height, width, 3]` uint8."""
@@ -217,7 +268,7 @@ class Env:
         terms = task.REWARDS[rules.reward](rules, outcome)
         terminated = outcome.outside | (outcome.success if recent is None else jnp.zeros_like(outcome.success))
         transition = Transition(
-            observation=task.observe(self.reach, self._measured(now, keys, clock)),
+            observation=None if self.pictured else task.observe(self.reach, self._measured(now, keys, clock)),
             reward=sum(terms.values(), jnp.zeros_like(outcome.distance)),
             terminated=terminated,
             truncated=outcome.timeout,

@@ -38,40 +38,40 @@ WITHIN = (100, 50, 20, 10, 5, 2, 1)
 LANES = 1000
 """Episodes evaluated together where the simulator is pure; one size, so one compiled program."""
 
-Agent = Callable[[Env, Policy | None, EnvState, Array], Array]
-"""Gives actions `[B, a]` for a state; the key is for agents that draw them."""
+Agent = Callable[[Env, Policy | None, EnvState, Array, Array | None], Array]
+"""Gives actions `[B, a]` for a state; the key is for agents that draw them, the picture for those that see."""
 
 
-def _trained(env: Env, policy: Policy | None, state: EnvState, key: Array) -> Array:
+def _trained(env: Env, policy: Policy | None, state: EnvState, key: Array, picture: Array | None) -> Array:
     """The trained policy, without noise."""
     del key
     if policy is None:
         raise InputError("agent 'trained' needs a run: name its directory.")
-    return policy.act(env.observe(state))
+    return policy.act(env.observe(state, picture))
 
 
-def _random(env: Env, policy: Policy | None, state: EnvState, key: Array) -> Array:
+def _random(env: Env, policy: Policy | None, state: EnvState, key: Array, picture: Array | None) -> Array:
     """Actions drawn uniformly from their box."""
-    del policy
+    del policy, picture
     low, high = env.action_bounds
     return jax.random.uniform(key, state.last_action.shape, minval=low, maxval=high)
 
 
-def _zero(env: Env, policy: Policy | None, state: EnvState, key: Array) -> Array:
+def _zero(env: Env, policy: Policy | None, state: EnvState, key: Array, picture: Array | None) -> Array:
     """Actions of zero."""
-    del env, policy, key
+    del env, policy, key, picture
     return jnp.zeros_like(state.last_action)
 
 
-def _ik(env: Env, policy: Policy | None, state: EnvState, key: Array) -> Array:
+def _ik(env: Env, policy: Policy | None, state: EnvState, key: Array, picture: Array | None) -> Array:
     """Inverse kinematics in a closed loop: to the target from where the tool is measured, at every step."""
-    del policy, key
+    del policy, key, picture
     return task.ACTIONS[env.reach.config.action].towards(env.reach, env.situation(state))
 
 
-def _ik_open(env: Env, policy: Policy | None, state: EnvState, key: Array) -> Array:
+def _ik_open(env: Env, policy: Policy | None, state: EnvState, key: Array, picture: Array | None) -> Array:
     """Inverse kinematics solved once: to the target from where the tool was commanded, whatever is measured."""
-    del policy, key
+    del policy, key, picture
     now = env.situation(state)
     commanded = forward_kinematics(env.reach.robot.chain, now.target_q).position
     blind = now._replace(q=now.target_q, tool_position=commanded)
@@ -80,6 +80,24 @@ def _ik_open(env: Env, policy: Policy | None, state: EnvState, key: Array) -> Ar
 
 AGENTS: dict[str, Agent] = {"trained": _trained, "random": _random, "zero": _zero, "ik": _ik, "ik_open": _ik_open}
 """Agents by name: the trained policy, and what it has to beat."""
+
+
+def compile_agent(env: Env, agent: str) -> Callable[..., Array]:
+    """Function that gives an agent's actions for policy, state, key and the lanes to look at; all of them with None.
+
+    Pictures are drawn for the one agent that looks at them.
+    """
+    act = AGENTS[choose("agent", agent, AGENTS)]
+    decide = env.traced(lambda policy, state, key, picture: act(env, policy, state, key, picture))
+    if not env.pictured:
+        return lambda policy, state, key, _: decide(policy, state, key, None)
+    looks = act is _trained
+
+    def decide_seeing(policy: Policy | None, state: EnvState, key: Array, lanes: Array | None) -> Array:
+        seen = None if lanes is None else np.asarray(lanes)
+        return decide(policy, state, key, env.see(state, seen) if looks else None)
+
+    return decide_seeing
 
 
 @jax.tree_util.register_dataclass
@@ -182,7 +200,6 @@ class Runner:
 
 def make_runner(env: Env, agent: str) -> Runner:
     """Runner for an agent of `AGENTS`."""
-    act = AGENTS[choose("agent", agent, AGENTS)]
     period, within = env.config.physics.control_period, env.config.rules.success_distance
 
     def begin(keys: Array) -> tuple[EnvState, Episodes, Array]:
@@ -202,16 +219,16 @@ def make_runner(env: Env, agent: str) -> Runner:
         )
         return state, episodes, jax.random.fold_in(keys[0], lanes)
 
-    decide = env.traced(lambda policy, state, key: act(env, policy, state, key))
+    decide = compile_agent(env, agent)
     count = env.traced(partial(_count, period=period, within=within))
 
     def advance(policy: Policy | None, carry: tuple[EnvState, Episodes, Array]) -> tuple[EnvState, Episodes, Array]:
         state, episodes, key = carry
         key, now = jax.random.split(key)
-        state, transition = env.step(state, decide(policy, state, now))
+        state, transition = env.step(state, decide(policy, state, now, ~episodes.done))
         return state, count(episodes, state, transition), key
 
-    if env.simulator.pure:
+    if env.pure:
 
         def run(policy: Policy | None, keys: Array) -> Episodes:
             carry = begin(keys)

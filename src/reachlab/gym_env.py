@@ -10,13 +10,13 @@ import gymnasium
 import jax
 import jax.numpy as jnp
 import numpy as np
-from gymnasium.spaces import Box
+from gymnasium.spaces import Box, Dict, Space
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike
 
 from reachlab.config import InputError, RunConfig, choose, configure
-from reachlab.env import Env, EnvState, Transition
+from reachlab.env import Env, EnvState, Transition, merge
 
 LARGEST_SEED = 2**32
 """Seeds are taken modulo this."""
@@ -24,7 +24,7 @@ LARGEST_SEED = 2**32
 RENDER_MODES = ("rgb_array",)
 
 
-class ReachEnv(gymnasium.Env[np.ndarray, np.ndarray]):
+class ReachEnv(gymnasium.Env[Any, np.ndarray]):
     """One arm that has to reach a target.
 
     `info` holds `is_success` and `distance` [m].
@@ -43,17 +43,14 @@ class ReachEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self.observation_space = _space(self._lanes.env.observation_bounds)
         self.action_space = _space(self._lanes.env.action_bounds)
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[np.ndarray, dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """First observation of a new episode, and info; equal seeds give equal episodes from there on."""
         del options
         super().reset(seed=seed)
         self._lanes.reset([seed], None, self.np_random)
-        observation, distance = self._lanes.look()
-        return observation[0], {"is_success": False, "distance": float(distance[0])}
+        return _lane(self._lanes.look(), 0), {"is_success": False, "distance": float(self._lanes.distance[0])}
 
-    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+    def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """What an action led to: observation, reward, terminated, truncated, info.
 
         Raises:
@@ -61,7 +58,7 @@ class ReachEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         """
         done = self._lanes.step([action])
         info = {"is_success": bool(done.terms["success"][0]), "distance": float(done.terms["distance"][0])}
-        observation = np.array(done.observation[0])
+        observation = _lane(self._lanes.look_after(done, np.zeros(1, bool)), 0)
         return observation, float(done.reward[0]), bool(done.terminated[0]), bool(done.truncated[0]), info
 
     def render(self) -> np.ndarray | None:
@@ -82,7 +79,7 @@ class ReachEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self._lanes.env.close()
 
 
-class ReachVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
+class ReachVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
     """A batch of arms, stepped together; lane i of seed s is `ReachEnv` with seed s + i."""
 
     def __init__(
@@ -113,7 +110,7 @@ class ReachVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[np.ndarray, dict[str, Any]]:
+    ) -> tuple[Any, dict[str, Any]]:
         """Observations `[B, k]` and info; `options["reset_mask"] [B]` picks the lanes that begin anew."""
         super().reset(seed=seed if isinstance(seed, int) else None)
         seeds = (
@@ -124,10 +121,10 @@ class ReachVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         mask = self._checked_mask(options)
         self._lanes.reset(seeds, mask, self.np_random)
         self._ended = self._ended & ~mask
-        observation, distance = self._lanes.look()
-        return observation, _batch_info({"is_success": np.zeros(self.num_envs, bool), "distance": distance}, mask)
+        info = {"is_success": np.zeros(self.num_envs, bool), "distance": self._lanes.distance}
+        return self._lanes.look(), _batch_info(info, mask)
 
-    def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+    def step(self, actions: np.ndarray) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """What the actions `[B, a]` led to.
 
         Raises:
@@ -143,17 +140,16 @@ class ReachVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             self._lanes.restart(begin)
         terminated, truncated = (np.asarray(end) & ~begin for end in (done.terminated, done.truncated))
         self._ended = terminated | truncated
-        info = _infos(done)
-        observation = np.array(done.observation)
+        info, observation = _infos(done), self._lanes.look_after(done, begin)
         if self._mode is AutoresetMode.SAME_STEP and self._ended.any():
             final = {"final_obs": _objects(observation, self._ended), "final_info": _batch_info(info, self._ended)}
             self._lanes.restart(self._ended)
             begin = self._ended
+            observation = self._lanes.look_anew(begin, observation)
         else:
             final = {}
         if begin.any():
-            observation, distance = self._lanes.look()
-            info = {"is_success": info["is_success"] & ~begin, "distance": distance}
+            info = {"is_success": info["is_success"] & ~begin, "distance": self._lanes.distance}
         everyone = np.ones(self.num_envs, bool)
         infos = _batch_info(info, everyone) | _batch_info(final, self._ended)
         reward = np.where(begin & (self._mode is AutoresetMode.NEXT_STEP), 0.0, np.asarray(done.reward, np.float64))
@@ -190,7 +186,6 @@ class _Lanes:
         self._state: EnvState | None = None
         compiled = self.env.compile
         self._init, self._step, self._reset = map(compiled, (self.env.init, self.env.step, self.env.reset))
-        self._look = compiled(lambda state: (self.env.observe(state), state.distance))
 
     def reset(self, seeds: Sequence[int | None], mask: np.ndarray | None, random: np.random.Generator) -> None:
         """New episodes in the lanes of `mask`: seeded, or the next of the lane's own stream."""
@@ -214,10 +209,22 @@ class _Lanes:
         self._state, done = self._step(state, _checked_actions(actions, state.last_action.shape))
         return done
 
-    def look(self) -> tuple[np.ndarray, np.ndarray]:
-        """Observations `[B, k]` and distances `[B]` of the present state."""
-        observation, distance = self._look(self.state)
-        return np.array(observation), np.array(distance)
+    def look(self) -> Any:
+        """Observations `[B, k]` of the present state."""
+        return _copied(self.env.look(self.state))
+
+    def look_anew(self, lanes: np.ndarray, others: Any) -> Any:
+        """Observations of the present state in the lanes of `lanes [B]`, and `others` in the other lanes."""
+        return merge(lanes, self.env.look(self.state, lanes), others)
+
+    def look_after(self, done: Transition, begun: np.ndarray) -> Any:
+        """Observations after a step, and after the lanes of `begun [B]` have begun anew."""
+        return self.look() if done.observation is None or begun.any() else _copied(done.observation)
+
+    @property
+    def distance(self) -> np.ndarray:
+        """Tool to target now `[B]` [m]."""
+        return np.array(self.state.distance)
 
     def render(self, lane: int) -> np.ndarray:
         """Picture of a lane."""
@@ -257,8 +264,22 @@ def _checked_render_mode(mode: str | None) -> str | None:
     return None if mode is None else choose("render mode", mode, RENDER_MODES)
 
 
-def _space(bounds: tuple[np.ndarray, np.ndarray]) -> Box:
-    return Box(*bounds, dtype=np.float32)
+def _space(bounds: tuple[Any, Any]) -> Space[Any]:
+    """Box of lower and upper bounds, or a dict of boxes of dicts of bounds."""
+    low, high = bounds
+    if isinstance(low, dict):
+        return Dict({name: _space((low[name], high[name])) for name in low})
+    return Box(low, high, dtype=low.dtype.type)
+
+
+def _copied(observation: Any) -> Any:
+    """Observation as NumPy arrays of its own."""
+    return jax.tree.map(np.array, observation)
+
+
+def _lane(observation: Any, lane: int) -> Any:
+    """Observation of one lane, in memory of its own."""
+    return jax.tree.map(lambda x: np.array(x[lane]), observation)
 
 
 def _infos(done: Transition) -> dict[str, np.ndarray]:
@@ -270,9 +291,9 @@ def _batch_info(info: dict[str, Any], mask: np.ndarray) -> dict[str, Any]:
     return info | {f"_{name}": mask.copy() for name in info}
 
 
-def _objects(observation: np.ndarray, mask: np.ndarray) -> np.ndarray:
+def _objects(observation: Any, mask: np.ndarray) -> np.ndarray:
     """Final observations as Gymnasium gives them: an object for each lane, None where it goes on."""
     final = np.full(len(mask), None, dtype=object)
     for lane in np.flatnonzero(mask):
-        final[lane] = observation[lane].copy()
+        final[lane] = _lane(observation, int(lane))
     return final

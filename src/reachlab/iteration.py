@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -57,12 +57,12 @@ class Watched:
     Attributes:
         metrics: scalars of the rollout and of its update.
         finite: whether all numbers are finite.
-        rollout: the experience, to be looked into where they are not.
+        rollout: the experience as a pytree, to be looked into where they are not.
     """
 
     metrics: dict[str, Array]
     finite: Finite
-    rollout: Rollout
+    rollout: object
 
     @property
     def sound(self) -> Array:
@@ -74,6 +74,13 @@ Tree = TypeVar("Tree")
 Learn = Callable[[ppo.Learner, Rollout, EnvState, Array], tuple[ppo.Learner, Watched]]
 Keep = Callable[[Array, TrainState, TrainState], TrainState]
 Iteration = Callable[[TrainState], tuple[TrainState, Watched]]
+
+
+class Method(NamedTuple):
+    """A way of learning: its first state, of environment, configuration and seed, and its iteration."""
+
+    initial_state: Callable[[Env, RunConfig, Any], Any]
+    compile_iteration: Callable[[Env, RunConfig, Any], Callable[[Any], tuple[Any, Watched]]]
 
 
 def make_initial_policy(config: RunConfig, env: Env, key: Array) -> Policy:
@@ -107,27 +114,32 @@ def compile_iteration(env: Env, config: RunConfig, shape: TrainState) -> Iterati
         learner, watched = learn(state.learner, rollout, lanes, for_update)
         return keep(watched.sound, TrainState(learner, lanes, key), TrainState(learner, state.env, state.key)), watched
 
-    if env.simulator.pure:
+    if env.pure:
         return jit(partial(iterate, collect, learn, _select), donate=(0,)).lower(shape).compile()
-    return partial(iterate, host_collector(env), jit(learn, donate=(0,)), lambda sound, new, old: new if sound else old)
+    return partial(iterate, host_collector(), jit(learn, donate=(0,)), lambda sound, new, old: new if sound else old)
 
 
 def _finite(rollout: Rollout, lanes: EnvState, metrics: dict[str, Array], learner: ppo.Learner) -> Finite:
     return Finite(
-        observation=_all_finite((rollout.observation, rollout.next_observation)),
-        action=_all_finite((rollout.output, rollout.log_prob)),
-        reward=_all_finite(rollout.reward),
-        environment=_all_finite((rollout.distance, replace(lanes, recent=None))),  # infinite where the arm moved
-        gradient=_all_finite(metrics["gradient_norm"]),
-        loss=_all_finite(metrics),
-        parameter=_all_finite(learner),
+        observation=all_finite((rollout.observation, rollout.next_observation)),
+        action=all_finite((rollout.output, rollout.log_prob)),
+        reward=all_finite(rollout.reward),
+        environment=all_finite((rollout.distance, replace(lanes, recent=None))),  # infinite where the arm moved
+        gradient=all_finite(metrics["gradient_norm"]),
+        loss=all_finite(metrics),
+        parameter=all_finite(learner),
     )
 
 
-def _all_finite(tree: object) -> Array:
+def all_finite(tree: object) -> Array:
+    """Whether every number in a pytree is finite `[]`."""
     floats = [leaf for leaf in jax.tree.leaves(tree) if jnp.issubdtype(leaf.dtype, jnp.floating)]
-    return jnp.stack([jnp.isfinite(leaf).all() for leaf in floats]).all()
+    return jnp.array([jnp.isfinite(leaf).all() for leaf in floats], bool).all()
 
 
 def _select(sound: Array, new: Tree, old: Tree) -> Tree:
     return jax.tree.map(lambda a, b: jnp.where(sound, a, b), new, old)
+
+
+PPO = Method(initial_state, compile_iteration)
+"""Proximal policy optimisation."""

@@ -20,11 +20,11 @@ from reachlab.config import InputError, RunConfig
 from reachlab.env import Env
 from reachlab.evaluation import VALIDATION_STREAM, Runner, episode_keys, make_runner, run_episodes
 from reachlab.interrupts import Interrupted, Interrupts
-from reachlab.iteration import TrainState, compile_iteration, initial_state
+from reachlab.iteration import PPO, Method, TrainState
 from reachlab.manifest import Counters
 from reachlab.metrics import Metrics
 from reachlab.policy import Policy
-from reachlab.rollout import EngineError, Rollout
+from reachlab.rollout import EngineError
 from reachlab.storage import write_synced
 
 VALIDATE_FROM = 0.9
@@ -58,9 +58,16 @@ class Loop:
     """
 
     def __init__(
-        self, config: RunConfig, env: Env, run: RunDirectory, watch: Callable[[Progress], None], start: float
+        self,
+        config: RunConfig,
+        env: Env,
+        run: RunDirectory,
+        watch: Callable[[Progress], None],
+        start: float,
+        method: Method = PPO,
     ) -> None:
         """Loop that has taken no step yet; `start` is when training began [s]."""
+        self.method = method
         self.config, self.env, self.run, self.watch, self.start = config, env, run, watch, start
         self.now = Counters(0)
         self.saved: Counters | None = None
@@ -87,16 +94,16 @@ class Loop:
         """
         env, config = self.env, self.config
         resume = resume and self.run.newest_manifest() is not None
-        if not env.simulator.pure:
-            state = initial_state(env, config, config.seed)
-            self._step = compile_iteration(env, config, state)
+        if not env.pure:
+            state = self.method.initial_state(env, config, config.seed)
+            self._step = self.method.compile_iteration(env, config, state)
             return self._saved_state(state) if resume else state
-        shape = jax.eval_shape(lambda: initial_state(env, config, config.seed))
+        shape = jax.eval_shape(lambda: self.method.initial_state(env, config, config.seed))
         saved = self._saved_state(shape) if resume else None
         with ThreadPoolExecutor(2) as pool:
-            begun = pool.submit(jit(lambda seed: initial_state(env, config, seed)), np.uint32(config.seed))
+            begun = pool.submit(jit(lambda seed: self.method.initial_state(env, config, seed)), np.uint32(config.seed))
             runner = pool.submit(self._compiled_runner, shape.learner.policy)
-            self._step = compile_iteration(env, config, shape)
+            self._step = self.method.compile_iteration(env, config, shape)
             self.runner = runner.result()
             return saved or begun.result()
 
@@ -127,7 +134,7 @@ class Loop:
         try:
             self._save(state, metrics)
         except (OSError, InputError) as error:
-            raise unwritable("last checkpoint", self.run, error) from None
+            raise unwritable("last checkpoint", self.run, error, self.config.verb) from None
         return state
 
     def _advance(self, state: TrainState, metrics: Metrics) -> TrainState:
@@ -212,7 +219,7 @@ class Loop:
         self._try_to_save(state, metrics)
         raise Interrupted(signal, f"interrupted at step {self.now.steps:,}; {self._how_to_go_on()}")
 
-    def _stop(self, state: TrainState, metrics: Metrics, why: str, rollout: Rollout | None) -> NoReturn:
+    def _stop(self, state: TrainState, metrics: Metrics, why: str, rollout: object) -> NoReturn:
         """End training at numbers that are not finite: the state is the one before them."""
         self._try_to_save(state, metrics)
         kept = ""
@@ -227,14 +234,15 @@ class Loop:
     def _how_to_go_on(self) -> str:
         if self.saved is None:
             return "nothing is saved."
-        return f"step {self.saved.steps:,} is saved: `reachlab train --resume {self.run.path}` goes on from there."
+        command = f"reachlab {self.config.verb} --resume {self.run.path}"
+        return f"step {self.saved.steps:,} is saved: `{command}` goes on from there."
 
 
-def unwritable(what: str, run: RunDirectory, error: Exception) -> InputError:
+def unwritable(what: str, run: RunDirectory, error: Exception, verb: str = "train") -> InputError:
     """An error that says what of a run could not be written, and what to do."""
     return InputError(
         f"the {what} cannot be written to '{run.path}' ({_reason(error)}): make room there, and go on with"
-        f" `reachlab train --resume {run.path}`."
+        f" `reachlab {verb} --resume {run.path}`."
     )
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +12,7 @@ from jax import Array
 
 from reachlab import task
 from reachlab.env import Env, EnvState, Transition
-from reachlab.evaluation import AGENTS, REPORT_STREAM, episode_keys
+from reachlab.evaluation import REPORT_STREAM, compile_agent, episode_keys
 from reachlab.policy import Policy
 
 Advance = Callable[[Policy | None, EnvState, Array], tuple[EnvState, Transition, Array]]
@@ -103,11 +102,11 @@ class Player:
 
 def make_advance(env: Env, agent: str) -> Advance:
     """Function that gives state, transition and random key after a control step of an agent."""
-    decide = env.traced(partial(AGENTS[agent], env))
+    decide = compile_agent(env, agent)
 
     def advance(policy: Policy | None, state: EnvState, key: Array) -> tuple[EnvState, Transition, Array]:
         key, now = jax.random.split(key)
-        state, transition = env.step(state, decide(policy, state, now))
+        state, transition = env.step(state, decide(policy, state, now, None))
         return state, transition, key
 
     return env.compile(advance)

@@ -12,7 +12,7 @@ import optax
 from jax import Array
 
 from reachlab.config import PPOConfig
-from reachlab.policy import Parameters, Policy, distribution, value
+from reachlab.policy import Observed, Parameters, Policy, distribution, value
 
 if TYPE_CHECKING:
     from reachlab.rollout import Rollout
@@ -27,7 +27,7 @@ Carry = tuple[Parameters, optax.OptState]
 class Batch(NamedTuple):
     """Samples of a rollout, `[N]` in front: normalised observations, outputs and what they are worth."""
 
-    observation: Array
+    observation: Observed
     output: Array
     log_prob: Array
     advantage: Array
@@ -43,9 +43,12 @@ class Learner:
     optimiser: optax.OptState
 
 
-def make_optimiser(config: PPOConfig) -> optax.GradientTransformation:
-    """Adam on gradients clipped by their global norm, the step size falling on a straight line."""
-    updates = config.epochs * config.minibatches
+def make_optimiser(config: PPOConfig, updates: int = 0) -> optax.GradientTransformation:
+    """Adam on gradients clipped by their global norm, the step size falling on a straight line.
+
+    An iteration takes so many `updates`; 0 stands for those of PPO.
+    """
+    updates = updates or config.epochs * config.minibatches
     iterations = -(-config.anneal_steps // (config.lanes * config.rollout_steps))
     schedule = optax.linear_schedule(config.learning_rate, config.final_learning_rate, updates * iterations)
     return optax.chain(
@@ -129,7 +132,8 @@ def update(learner: Learner, rollout: Rollout, key: Array, config: PPOConfig) ->
 
     carry = (policy.parameters, learner.optimiser)
     (parameters, state), watched = jax.lax.scan(epoch, carry, jax.random.split(key, config.epochs))
-    normaliser = policy.normaliser.update(rollout.observation.reshape(size, -1))
+    flat = jax.tree.map(lambda x: x.reshape(size, *x.shape[2:]), rollout.observation)
+    normaliser = policy.normaliser.update(flat)
     parameters = replace(parameters, log_std=_log_std(parameters.log_std, normaliser.count, config))
     watched = {name: x.mean() for name, x in watched.items()} | {"std": jnp.exp(parameters.log_std).mean()}
     return Learner(replace(policy, parameters=parameters, normaliser=normaliser), state), watched
@@ -155,10 +159,17 @@ def _shuffle(key: Array, steps: int, lanes: int) -> Array:
     return (jnp.arange(steps)[:, None] * lanes + lane).T.reshape(-1)
 
 
+def _values(policy: Policy, normalised: Observed) -> Array:
+    """Values `[T, B]`; of pictures step by step, as their squares would take the memory of a whole rollout."""
+    if policy.parameters.encoder is None:
+        return value(policy.parameters, normalised)
+    return jax.lax.map(lambda row: value(policy.parameters, row), normalised)
+
+
 def _samples(policy: Policy, rollout: Rollout, config: PPOConfig) -> Batch:
     observation = policy.normaliser(rollout.observation)
-    v_t = value(policy.parameters, observation)
-    v_tp1 = value(policy.parameters, policy.normaliser(rollout.next_observation))
+    v_t = _values(policy, observation)
+    v_tp1 = _values(policy, policy.normaliser(rollout.next_observation))
     advantage = gae(rollout.reward, v_t, v_tp1, rollout.terminated, rollout.done, config.gamma, config.gae_lambda)
     samples = Batch(observation, rollout.output, rollout.log_prob, advantage, advantage + v_t)
     return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), samples)

@@ -12,8 +12,8 @@ import numpy as np
 from jax import Array
 
 from reachlab.compilation import jit
-from reachlab.env import Env, EnvState, Transition
-from reachlab.policy import Policy, distribution
+from reachlab.env import Env, EnvState, Transition, merge
+from reachlab.policy import Observed, Policy, distribution
 
 
 @jax.tree_util.register_dataclass
@@ -33,10 +33,10 @@ class Rollout:
         clock: number of the step in its episode `[T, B]`.
     """
 
-    observation: Array
+    observation: Observed
     output: Array
     log_prob: Array
-    next_observation: Array
+    next_observation: Observed
     reward: Array
     terminated: Array
     truncated: Array
@@ -67,27 +67,29 @@ def collect(env: Env, policy: Policy, state: EnvState, key: Array, steps: int) -
     def step(state: EnvState, key: Array) -> tuple[EnvState, Rollout]:
         choice = draw(policy, env.observe(state), key)
         state, transition = env.step(state, choice.action)
-        row = _row(choice, state, transition)
+        row = _row(choice, state, transition, transition.observation)
         return env.reset(state, transition.done), row
 
     return jax.lax.scan(step, state, jax.random.split(key, steps))
 
 
-def host_collector(env: Env) -> Collect:
+def host_collector() -> Collect:
     """As `collect`, for a simulator that JAX cannot trace: compiled parts around its steps."""
-    choose = jit(lambda policy, state, key: draw(policy, env.observe(state), key))
+    choose = jit(draw)
 
     def collect(env: Env, policy: Policy, state: EnvState, key: Array, steps: int) -> tuple[EnvState, Rollout]:
-        rows = []
+        rows, seen = [], env.look(state)
         for step_key in jax.random.split(key, steps):
-            choice = choose(policy, state, step_key)
+            choice = choose(policy, seen, step_key)
             try:
                 state, transition = env.step(state, choice.action)
             except FloatingPointError as error:
                 raise EngineError(str(error), _stacked(rows) if rows else None) from None
-            rows.append(_row(choice, state, transition))
-            if np.asarray(transition.done).any():
-                state = env.reset(state, transition.done)
+            seen = env.look(state) if env.pictured else transition.observation
+            rows.append(_row(choice, state, transition, seen))
+            if (done := np.asarray(transition.done)).any():
+                state = env.reset(state, done)
+                seen = merge(done, env.look(state, done), seen)
         return state, _stacked(rows)
 
     return collect
@@ -100,25 +102,25 @@ def _stacked(rows: Sequence[Rollout]) -> Rollout:
 class Choice(NamedTuple):
     """What a policy saw and drew: `observation [B, k]`, `output`, `action [B, a]`, `log_prob [B]`."""
 
-    observation: Array
+    observation: Observed
     output: Array
     action: Array
     log_prob: Array
 
 
-def draw(policy: Policy, observation: Array, key: Array) -> Choice:
+def draw(policy: Policy, observation: Observed, key: Array) -> Choice:
     """A draw from the policy's distribution."""
     head = distribution(policy.parameters, policy.normaliser(observation))
     output = head.sample(key)
     return Choice(observation, output, policy.action(output), head.log_prob(output))
 
 
-def _row(choice: Choice, state: EnvState, transition: Transition) -> Rollout:
+def _row(choice: Choice, state: EnvState, transition: Transition, seen: Observed) -> Rollout:
     return Rollout(
         observation=choice.observation,
         output=choice.output,
         log_prob=choice.log_prob,
-        next_observation=transition.observation,
+        next_observation=seen,
         reward=transition.reward,
         terminated=transition.terminated,
         truncated=transition.truncated,

@@ -62,10 +62,10 @@ def scene_spec(robot: Robot) -> mujoco.MjSpec:
     return spec
 
 
-def add_table(spec: mujoco.MjSpec, *, solid: bool = False) -> None:
+def add_table(spec: mujoco.MjSpec, *, solid: bool = False) -> mujoco.MjsGeom:
     """Put a table under the arm; a solid one stops what touches it."""
     touch = int(solid)
-    spec.worldbody.add_geom(
+    return spec.worldbody.add_geom(
         type=mujoco.mjtGeom.mjGEOM_BOX,
         contype=touch,
         conaffinity=touch,
@@ -85,7 +85,7 @@ class Camera:
             InputError: there is no OpenGL to draw with.
         """
         self._shape = (height, width, 3)
-        self._context = _gl_context(width, height)
+        self._context = gl_context(width, height)
         self._context.make_current()
         spec = scene_spec(robot)
         spec.visual.global_.offwidth, spec.visual.global_.offheight = width, height
@@ -146,7 +146,7 @@ class LazyCamera:
             self._camera = None
 
 
-def _gl_context(width: int, height: int) -> Any:
+def gl_context(width: int, height: int) -> Any:
     """Off-screen OpenGL context: EGL on Linux unless `MUJOCO_GL` says otherwise."""
     chosen = os.environ.get("MUJOCO_GL", "").lower()
     backend = (

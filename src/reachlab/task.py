@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -17,7 +17,9 @@ from jax import Array
 
 from reachlab.config import TaskConfig, choose
 from reachlab.kinematics import ik_displace, ik_point_step
+from reachlab.policy import Observed
 from reachlab.robots import Robot
+from reachlab.views import SIZE
 
 OUTSIDE_REWARD = -0.1
 """Reward of leaving the workspace (the tutorial's)."""
@@ -32,6 +34,8 @@ LOWEST_TARGET = -0.05
 """Bottom of the observed box [m]: the settled target lies just below the workspace."""
 
 Bounds = tuple[np.ndarray, np.ndarray]
+ObservationBounds = tuple[Any, Any]
+"""Lower and upper bounds of an observation, in its form."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +49,8 @@ class Reach:
 class Situation(NamedTuple):
     """What observations and baselines may look at, in lanes.
 
-    `q, target_q [B, n]` rad, `qd [B, n]` rad/s, `tool_position, target [B, 3]` m, `last_action [B, a]`.
+    `q, target_q [B, n]` rad, `qd [B, n]` rad/s, `tool_position, target [B, 3]` m, `last_action [B, a]`; the camera's
+    `picture [B, SIZE, SIZE]` uint8 where the observation holds one.
     """
 
     q: Array
@@ -54,6 +59,7 @@ class Situation(NamedTuple):
     target: Array
     target_q: Array
     last_action: Array
+    picture: Array | None = None
 
 
 class Outcome(NamedTuple):
@@ -116,11 +122,15 @@ def draw_start(reach: Reach, key: Array) -> Array:
 
 @dataclass(frozen=True)
 class Observation:
-    """An observation design: what it holds, its bounds `[k]` and the function that gives `[B, k]`."""
+    """An observation design: what it holds, its bounds `[k]` and the function that gives `[B, k]`.
+
+    `pictured` says that the camera's picture is in it; such an observation may be a dict of arrays, as its bounds are.
+    """
 
     summary: str
-    bounds: Callable[[Reach], Bounds]
-    observe: Callable[[Reach, Situation], Array]
+    bounds: Callable[[Reach], ObservationBounds]
+    observe: Callable[[Reach, Situation], Observed]
+    pictured: bool = False
 
 
 def _target_bounds(reach: Reach) -> Bounds:
@@ -176,6 +186,23 @@ def _state_bounds(reach: Reach) -> Bounds:
     return _join(joints, rush, within(upper - lower), tool, target, within(way), within(np.ones(3)), action)
 
 
+def _picture_bounds(reach: Reach) -> Bounds:
+    del reach
+    return np.zeros((SIZE, SIZE), np.uint8), np.full((SIZE, SIZE), 255, np.uint8)
+
+
+def _picture(reach: Reach, now: Situation) -> Array:
+    del reach
+    assert now.picture is not None, "the environment hands the picture over"  # noqa: S101
+    return now.picture
+
+
+def _picture_and_tool_bounds(reach: Reach) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    pictures, tools = _picture_bounds(reach), _tool_bounds(reach)
+    low, high = ({"image": pictures[i], "tool": tools[i]} for i in (0, 1))
+    return low, high
+
+
 OBSERVATIONS: dict[str, Observation] = {
     "target": Observation("the target's position [m]", _target_bounds, lambda _, now: now.target),
     "target+tool": Observation(
@@ -188,11 +215,24 @@ OBSERVATIONS: dict[str, Observation] = {
         _state_bounds,
         _state,
     ),
+    "image": Observation("a camera's picture, 84 × 84 grey", _picture_bounds, _picture, pictured=True),
+    "image+tool": Observation(
+        "a camera's picture and the tool's position [m], as a dict",
+        _picture_and_tool_bounds,
+        lambda reach, now: {"image": _picture(reach, now), "tool": now.tool_position},
+        pictured=True,
+    ),
 }
 """Observation designs by name."""
 
 
-def observe(reach: Reach, now: Situation) -> Array:
+def pictured_situation(picture: Array, tool_position: Array) -> Situation:
+    """Situation of which nothing is known but what an observation with a picture may hold."""
+    unknown = jnp.full((), jnp.nan)
+    return Situation(unknown, unknown, tool_position, unknown, unknown, unknown, picture)
+
+
+def observe(reach: Reach, now: Situation) -> Observed:
     """Observation `[B, k]` of a situation."""
     return OBSERVATIONS[reach.config.observation].observe(reach, now)
 

@@ -11,11 +11,12 @@ from typing import Any
 import jax
 
 from reachlab.checkpoint import RunDirectory
-from reachlab.config import InputError, RunConfig, override
+from reachlab.config import DistilRunConfig, InputError, RunConfig, override
+from reachlab.distillation import check_distillation, dagger
 from reachlab.env import Env
 from reachlab.evaluation import Report, evaluate
 from reachlab.interrupts import Interrupts
-from reachlab.iteration import make_initial_policy
+from reachlab.iteration import PPO, Method, make_initial_policy
 from reachlab.lock import locked
 from reachlab.loop import Loop, Progress, unwritable
 from reachlab.metrics import Metrics, cut_metrics, event_writer
@@ -87,6 +88,47 @@ def train(
         NotFiniteError: a number is not finite.
         Interrupted: a signal asked for it.
     """
+    return run_method(PPO, config, out, watch, resume=resume, tensorboard=tensorboard)
+
+
+def distil(
+    config: DistilRunConfig,
+    out: Path,
+    watch: Callable[[Progress], None] = lambda _: None,
+    *,
+    resume: bool = False,
+    tensorboard: bool = False,
+) -> TrainResult:
+    """Result of learning to see from the teacher in the run directory `config.teacher`; see `train`.
+
+    Raises:
+        InputError: see `train`; or a teacher, observation or simulator that cannot be learnt with.
+    """
+    teacher = None if resume else _teacher(config)
+    return run_method(dagger(teacher), config, out, watch, resume=resume, tensorboard=tensorboard)
+
+
+def _teacher(config: DistilRunConfig) -> Policy:
+    check_distillation(config)
+    run = RunDirectory(Path(config.teacher))
+    trained = run.read_config()
+    env = Env(trained, 1)
+    try:
+        return load_policy(run, trained, env)
+    finally:
+        env.close()
+
+
+def run_method(
+    method: Method,
+    config: RunConfig,
+    out: Path,
+    watch: Callable[[Progress], None],
+    *,
+    resume: bool,
+    tensorboard: bool,
+) -> TrainResult:
+    """Result of learning by a method; see `train`."""
     start = time.perf_counter()
     _check(config)
     if tensorboard:
@@ -100,7 +142,7 @@ def train(
         if not resume:
             run.create(config)
         with locked(out):
-            return _train(Loop(config, env, run, watch, start), resume=resume, tensorboard=tensorboard)
+            return _train(Loop(config, env, run, watch, start, method), resume=resume, tensorboard=tensorboard)
     finally:
         env.close()
 
@@ -146,7 +188,7 @@ def _train(loop: Loop, *, resume: bool, tensorboard: bool) -> TrainResult:
     try:
         write_json(run.report_file, result.to_json())
     except OSError as error:
-        raise unwritable("report", run, error) from None
+        raise unwritable("report", run, error, config.verb) from None
     return result
 
 

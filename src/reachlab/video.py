@@ -15,10 +15,10 @@ import jax
 import numpy as np
 from PIL import Image
 
-from reachlab.caption import Caption, captioned
+from reachlab.caption import Caption, captioned, inset
 from reachlab.config import InputError, choose
 from reachlab.env import Env, EnvState
-from reachlab.evaluation import AGENTS, REPORT_STREAM, episode_keys
+from reachlab.evaluation import REPORT_STREAM, compile_agent, episode_keys
 from reachlab.policy import Policy
 
 BEGIN_PAUSE, END_PAUSE = 0.4, 1.2
@@ -102,7 +102,7 @@ def write_video(
                 seconds = END_PAUSE if moment.done else interval + BEGIN_PAUSE * (moment.step == 0)
                 tally.update(frames=1, successes=moment.success, milliseconds=round(1000 * seconds))
                 caption = _caption(env, agent, moment, f"Episode {number + 1} of {episodes}", speed)
-                yield Frame(captioned(env.render(moment.state), caption), seconds)
+                yield Frame(captioned(_picture(env, moment.state), caption), seconds)
 
     try:
         encode(out, film(), 1 / interval)
@@ -112,15 +112,20 @@ def write_video(
     return Clip(str(out), episodes, tally["successes"], tally["frames"], seconds, out.stat().st_size)
 
 
+def _picture(env: Env, state: EnvState) -> np.ndarray:
+    """Picture of a state, and in a corner what the policy sees if that is a picture too."""
+    seen = env.see(state)
+    return env.render(state) if seen is None else inset(env.render(state), seen[0])
+
+
 def episode_player(env: Env, agent: str, policy: Policy | None, stride: int) -> Callable[[jax.Array], Iterator[Moment]]:
     """Function that gives the moments of the episode of a key `[1]`: its begin, every `stride`-th step, its end."""
-    act = AGENTS[choose("agent", agent, AGENTS)]
-    decide = env.traced(lambda policy, state, key: act(env, policy, state, key))
+    decide = compile_agent(env, agent)
 
     @env.compile
     def advance(policy: Policy | None, state: EnvState, key: jax.Array) -> tuple[EnvState, jax.Array, Any]:
         key, now = jax.random.split(key)
-        state, transition = env.step(state, decide(policy, state, now))
+        state, transition = env.step(state, decide(policy, state, now, None))
         return state, key, (transition.done, transition.terms["success"])
 
     begin = env.compile(env.init)

@@ -12,6 +12,7 @@ from jax import Array
 
 from reachlab.config import SimConfig, choose
 from reachlab.robots import Robot
+from reachlab.views import Views
 
 
 @jax.tree_util.register_dataclass
@@ -62,6 +63,13 @@ class Simulator(Protocol):
 
     def render(self, state: ArmState, target: Array, lane: int) -> np.ndarray:
         """Picture of one lane, `[height, width, 3]` uint8."""
+        ...
+
+    def see(self, q: np.ndarray, target: np.ndarray, views: Views, lanes: np.ndarray) -> np.ndarray:
+        """What the observation camera sees of some lanes, `[m, SIZE, SIZE]` uint8.
+
+        Of their joints `q [m, n]`, targets `[m, 3]` and views; `lanes [m]` are their numbers.
+        """
         ...
 
     def close(self) -> None:

@@ -6,11 +6,13 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from reachlab.camera import Camera
 from reachlab.config import SimConfig
 from reachlab.kinematics import forward_kinematics
 from reachlab.robots import Robot
 from reachlab.scene import LazyCamera
 from reachlab.sims import ArmState, Lanes
+from reachlab.views import Views
 
 
 class KinematicSimulator:
@@ -23,7 +25,7 @@ class KinematicSimulator:
         del batch_size
         self._robot = robot
         self._period = config.control_period
-        self._camera = LazyCamera(robot)
+        self._camera, self._eye = LazyCamera(robot), Camera(robot)
 
     def reset(
         self, state: ArmState | None, q: Lanes, target: Lanes, mask: Lanes | None, chance: Lanes | None = None
@@ -50,6 +52,12 @@ class KinematicSimulator:
         """See `Simulator.render`."""
         return self._camera.picture(np.asarray(state.q[lane]), np.asarray(target[lane]))
 
+    def see(self, q: np.ndarray, target: np.ndarray, views: Views, lanes: np.ndarray) -> np.ndarray:
+        """See `Simulator.see`."""
+        del lanes
+        return self._eye.pictures(q, target, views)
+
     def close(self) -> None:
         """See `Simulator.close`."""
         self._camera.close()
+        self._eye.close()

@@ -9,12 +9,14 @@ import numpy as np
 from jax import Array
 from mujoco.batch import Batch
 
+from reachlab.camera import Camera
 from reachlab.compilation import jit
 from reachlab.config import InputError, SimConfig
 from reachlab.kinematics import forward_kinematics
 from reachlab.robots import Robot
 from reachlab.scene import LazyCamera, add_table
 from reachlab.sims import ArmState, Lanes
+from reachlab.views import Views
 
 SERVO_STIFFNESS, SERVO_DAMPING = 2000.0, 200.0
 """Gains of servos added to an arm whose file has none [Nm/rad, Nm s/rad]; those of MuJoCo Menagerie's iiwa."""
@@ -48,7 +50,7 @@ class MujocoSimulator:
         self._arms = _Arms(self._batch, self._servos, self._speeds) if config.perturb else None
         self._begin = self._batch.state[0].copy()
         self._pose = jit(lambda q: forward_kinematics(robot.chain, q))
-        self._camera = LazyCamera(robot)
+        self._camera, self._eye = LazyCamera(robot), Camera(robot)
 
     def reset(
         self, state: ArmState | None, q: Lanes, target: Lanes, mask: Lanes | None, chance: Lanes | None = None
@@ -85,9 +87,15 @@ class MujocoSimulator:
         """See `Simulator.render`."""
         return self._camera.picture(np.asarray(state.q[lane]), np.asarray(target[lane]))
 
+    def see(self, q: np.ndarray, target: np.ndarray, views: Views, lanes: np.ndarray) -> np.ndarray:
+        """See `Simulator.see`."""
+        del lanes
+        return self._eye.pictures(q, target, views)
+
     def close(self) -> None:
         """See `Simulator.close`."""
         self._camera.close()
+        self._eye.close()
 
     def _restore(self, state: ArmState) -> None:
         rows, columns = np.asarray(state.engine).view(np.float64), self._batch.state.shape[1]

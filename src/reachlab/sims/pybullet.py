@@ -20,6 +20,7 @@ from jax import Array
 from reachlab.config import InputError, SimConfig
 from reachlab.robots import Robot
 from reachlab.sims import ArmState, Lanes
+from reachlab.views import FAR, FIELD_OF_VIEW, NEAR, SIZE, Views, greys
 
 MAX_LANES = 16
 """Each lane is a client of its own, of about 29 MB."""
@@ -42,8 +43,11 @@ SLOW_STEP = 0.05
 CAMERA = {"cameraDistance": 1.5, "cameraYaw": 0.0, "cameraPitch": -40.0, "cameraTargetPosition": (0.55, -0.35, 0.2)}
 """The tutorial's viewer camera."""
 
-WIDTH, HEIGHT, FIELD_OF_VIEW, NEAR, FAR = 640, 480, 60.0, 0.1, 100.0
-"""Pictures: size [pixels], field of view [deg], near and far plane [m]."""
+WIDTH, HEIGHT = 640, 480
+"""Size of the viewer camera's pictures [pixels]; its lens is the observation camera's."""
+
+LAMP_DISTANCE = 2.0
+"""How far the lamp is from the scene [m]."""
 
 
 @dataclass(frozen=True)
@@ -129,6 +133,15 @@ class PybulletSimulator:
         world = self._worlds[lane]
         world.set_joints(np.asarray(state.q[lane]))
         return world.picture()
+
+    def see(self, q: np.ndarray, target: np.ndarray, views: Views, lanes: np.ndarray) -> np.ndarray:
+        """See `Simulator.see`; the object is seen where it is, and colours are PyBullet's own."""
+        del target
+        out = np.empty((len(q), SIZE, SIZE), np.uint8)
+        for i, lane in enumerate(lanes):
+            self._worlds[lane].set_joints(q[i])
+            out[i] = self._worlds[lane].seen(Views(*(x[i] for x in views)))
+        return out
 
     def close(self) -> None:
         """See `Simulator.close`."""
@@ -217,6 +230,28 @@ class _World:
             WIDTH, HEIGHT, view, projection, renderer=bullet.ER_TINY_RENDERER, physicsClientId=self.client
         )[2]
         return np.array(pixels, np.uint8).reshape(HEIGHT, WIDTH, 4)[..., :3].copy()
+
+    def seen(self, view: Views) -> np.ndarray:
+        """Picture of the observation camera in a view, `[SIZE, SIZE]` uint8."""
+        bullet = self._bullet
+        up, back = view.rotation[:, 1], view.rotation[:, 2]
+        looks_at = view.position - back
+        pixels = bullet.getCameraImage(
+            SIZE,
+            SIZE,
+            bullet.computeViewMatrix(view.position.tolist(), looks_at.tolist(), up.tolist()),
+            bullet.computeProjectionMatrixFOV(FIELD_OF_VIEW, 1.0, NEAR, FAR),
+            lightDirection=(-view.lamp_direction).tolist(),
+            lightDistance=LAMP_DISTANCE,
+            lightAmbientCoeff=float(view.ambient),
+            lightDiffuseCoeff=float(view.lamp),
+            lightSpecularCoeff=0.0,
+            shadow=0,
+            renderer=bullet.ER_TINY_RENDERER,
+            flags=bullet.ER_NO_SEGMENTATION_MASK,
+            physicsClientId=self.client,
+        )[2]
+        return greys(np.asarray(pixels, np.uint8).reshape(SIZE, SIZE, 4)[..., :3])
 
     def close(self) -> None:
         """Disconnect."""

@@ -1,0 +1,247 @@
+"""What the observation camera sees, and who pays for it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import gymnasium
+import jax
+import numpy as np
+import pytest
+from gymnasium.spaces import Box, Dict
+
+from reachlab import camera, evaluation
+from reachlab.camera import Camera
+from reachlab.config import PICTURED, InputError, configure
+from reachlab.env import Env, lane_keys
+from reachlab.evaluation import evaluate
+from reachlab.iteration import make_initial_policy
+from reachlab.policy import Policy
+from reachlab.robots import load_robot
+from reachlab.rollout import host_collector
+from reachlab.sims import SIMULATORS, make_simulator
+from reachlab.task import OBSERVATIONS
+from reachlab.views import CHANCES, FIELD_OF_VIEW, SHIFT, SIZE, TURN, Views, make_views
+
+ROBOT = load_robot("iiwa14", "link_7")
+HOME = np.array(ROBOT.home)
+TARGETS = np.array([[0.3, 0.2, -0.0083], [0.6, -0.2, -0.0083], [0.5, 0.05, -0.0083], [0.65, 0.25, -0.0083]])
+
+
+def nominal(lanes: int) -> Views:
+    return make_views(np.zeros((lanes, CHANCES)))
+
+
+def at_home(lanes: int) -> np.ndarray:
+    return np.tile(HOME, (lanes, 1))
+
+
+@pytest.fixture(scope="module")
+def eye() -> Iterator[Camera]:
+    eye = Camera(ROBOT, threads=2)
+    yield eye
+    eye.close()
+
+
+def pixel(point: np.ndarray, views: Views) -> np.ndarray:
+    """Row and column `[2]` of a point `[3]`, by the pinhole's formula."""
+    right, up, back = views.rotation[0].T @ (point - views.position[0])
+    scale = SIZE / 2 / np.tan(np.radians(FIELD_OF_VIEW / 2))
+    return SIZE / 2 + scale * np.array([-up, right]) / -back
+
+
+def test_pictures_have_defaults_of_their_own() -> None:
+    assert {name for name, design in OBSERVATIONS.items() if design.pictured} == set(PICTURED)
+
+
+# --- where it stands ------------------------------------------------------------------------------
+
+
+def test_the_camera_stands_where_the_tutorial_puts_it() -> None:
+    views = nominal(1)
+    assert views.position[0] == pytest.approx([0.7894, 0.0, 0.7078], abs=1e-4)
+    right, up, back = views.rotation[0].T
+    assert right == pytest.approx([0, 1, 0])
+    assert (up[2], back[2]) == pytest.approx((0.3420, 0.9397), abs=1e-4)
+    assert pixel(np.array([0.55, 0.0, 0.05]), views) == pytest.approx([SIZE / 2, SIZE / 2])
+
+
+def test_random_views_stay_within_2_cm_and_2_degrees_on_each_axis() -> None:
+    plain, views = nominal(1), make_views(np.random.default_rng(0).uniform(-1, 1, (1000, CHANCES)))
+    assert np.abs(views.position - plain.position).max() == pytest.approx(SHIFT, rel=0.02)
+    turned = np.einsum("bij,kj->bik", views.rotation, plain.rotation[0])
+    angles = np.degrees(np.arccos((np.trace(turned, axis1=1, axis2=2) - 1) / 2))
+    assert TURN < angles.max() < TURN * 3**0.5
+    assert (views.target < views.table).all()
+
+
+# --- what it sees ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("sim", SIMULATORS)
+def test_the_target_is_seen_where_it_is(sim: str) -> None:
+    try:
+        simulator = make_simulator(sim, ROBOT, configure(sim=sim).physics, len(TARGETS))
+    except InputError as error:
+        pytest.skip(str(error))
+    q, views = at_home(len(TARGETS)), nominal(len(TARGETS))
+    simulator.reset(None, q, TARGETS, None)
+    pictures = simulator.see(q, TARGETS, views, np.arange(len(TARGETS)))
+    assert pictures.shape == (len(TARGETS), SIZE, SIZE)
+    assert pictures.dtype == np.uint8
+    empty = np.median(pictures, axis=0)
+    for picture, target in zip(pictures, TARGETS, strict=True):
+        changed = np.argwhere(empty - picture > 40)
+        assert 8 < len(changed) < 80  # of 12 cm by 3 cm, about 1 cm a pixel
+        assert changed.mean(axis=0) == pytest.approx(pixel(target, views), abs=2.5)
+    simulator.close()
+
+
+def test_the_arm_is_seen_to_move(eye: Camera) -> None:
+    q = at_home(2)
+    q[1, 3] -= 0.4
+    one, other = eye.pictures(q, TARGETS[[0, 0]], nominal(2))
+    assert (np.abs(one.astype(int) - other) > 20).sum() > 50
+
+
+def test_a_picture_depends_on_nothing_but_its_lane(eye: Camera) -> None:
+    q, views = at_home(4), make_views(np.random.default_rng(0).uniform(-1, 1, (4, CHANCES)))
+    together, again = eye.pictures(q, TARGETS, views), eye.pictures(q, TARGETS, views)
+    alone = Camera(ROBOT, threads=1)
+    parts = [alone.pictures(q[i : i + 1], TARGETS[i : i + 1], Views(*(x[i : i + 1] for x in views))) for i in range(4)]
+    alone.close()
+    assert np.array_equal(together, again)
+    assert np.array_equal(together, np.concatenate(parts))
+
+
+def test_no_lanes_are_no_pictures(eye: Camera) -> None:
+    assert eye.pictures(at_home(0), TARGETS[:0], nominal(0)).shape == (0, SIZE, SIZE)
+
+
+def test_every_episode_has_its_own_view_where_views_are_random() -> None:
+    env = Env(configure(observation="image", randomise_view=True), 3)
+    state = env.init(lane_keys(0, 3))
+    still = state.__class__(**{**vars(state), "target": state.target.at[:].set(state.target[0])})
+    seen = np.asarray(env.look(still))
+    assert not np.array_equal(seen[0], seen[1])
+    assert np.array_equal(seen, np.asarray(env.look(still)))
+    assert not np.array_equal(seen[2], np.asarray(env.look(env.reset(still, np.array([False, False, True]))))[2])
+    env.close()
+
+
+def test_without_opengl_one_sentence_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    def none(*_: object) -> None:
+        raise InputError("pictures need OpenGL (egl), which does not start here. apt install libegl1")
+
+    monkeypatch.setattr(camera, "gl_context", none)
+    env = Env(configure(observation="image"), 1)
+    state = env.init(lane_keys(0, 1))
+    with pytest.raises(InputError, match="apt install libegl1"):
+        env.look(state)
+    env.step(state, np.zeros((1, 3), np.float32))  # all else works
+    env.close()
+
+
+# --- no frame that nobody uses --------------------------------------------------------------------
+
+
+@pytest.fixture
+def drawn(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Numbers of pictures drawn, call by call."""
+    counts: list[int] = []
+    draw = Camera.pictures
+
+    def counted(self: Camera, q: np.ndarray, target: np.ndarray, views: Views) -> np.ndarray:
+        counts.append(len(q))
+        return draw(self, q, target, views)
+
+    monkeypatch.setattr(Camera, "pictures", counted)
+    return counts
+
+
+@pytest.fixture
+def env() -> Iterator[Env]:
+    env = Env(configure(observation="image", max_steps=6), 3)
+    yield env
+    env.close()
+
+
+def untrained(env: Env) -> Policy:
+    return make_initial_policy(env.config, env, jax.random.key(0))
+
+
+def test_an_evaluation_draws_each_episode_while_it_lasts(
+    env: Env, drawn: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ended = evaluation._count
+
+    def sooner(episodes: Any, state: Any, transition: Any, **settings: float) -> Any:
+        early = transition.done | (state.clock == 2) & (np.arange(3) == 1)
+        return ended(episodes, state, transition.__class__(**{**vars(transition), "done": early}), **settings)
+
+    monkeypatch.setattr(evaluation, "_count", sooner)
+    report = evaluate(env, "trained", untrained(env), seed=0, episodes=3)
+    assert sum(drawn) == 6 + 2 + 6 == report.steps_mean * 3
+
+
+@pytest.mark.parametrize("agent", ["ik", "random", "zero"])
+def test_agents_that_do_not_look_have_nothing_drawn(env: Env, drawn: list[int], agent: str) -> None:
+    evaluate(env, agent, seed=0, episodes=3)
+    assert drawn == []
+
+
+def test_a_rollout_draws_one_picture_a_step_and_one_for_every_start(env: Env, drawn: list[int]) -> None:
+    state = env.init(lane_keys(0, 3))
+    _, rollout = host_collector()(env, untrained(env), state, jax.random.key(0), 8)
+    assert sum(drawn) == 3 + 8 * 3 + int(np.asarray(rollout.done).sum())
+    seen, next_seen, done = (np.asarray(x) for x in (rollout.observation, rollout.next_observation, rollout.done))
+    assert done[5].all()
+    assert np.array_equal(seen[1:6], next_seen[:5])
+    assert not np.array_equal(seen[6], next_seen[5])  # the final observation is kept, the next begins anew
+
+
+# --- faces ----------------------------------------------------------------------------------------
+
+
+def make(observation: str, **settings: Any) -> gymnasium.Env[Any, Any]:
+    return gymnasium.make("reachlab:reachlab/Reach-v0", observation=observation, **settings)
+
+
+def test_gymnasium_sees_84_by_84_bytes() -> None:
+    env = make("image")
+    assert env.observation_space == Box(0, 255, (84, 84), np.uint8)
+    observation, _ = env.reset(seed=0)
+    assert env.observation_space.contains(observation)
+    assert env.observation_space.contains(env.step(env.action_space.sample())[0])
+    env.close()
+
+
+def test_gymnasium_sees_picture_and_tool_as_a_dict() -> None:
+    env = make("image+tool")
+    assert isinstance(env.observation_space, Dict)
+    observation, info = env.reset(seed=0)
+    assert env.observation_space.contains(observation)
+    assert observation["tool"] == pytest.approx([0.5321, -0.0011, 0.4963], abs=1e-3)
+    assert info["distance"] > 0.4
+    env.close()
+
+
+@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
+def test_lanes_of_a_batch_see_what_single_environments_see(mode: str) -> None:
+    settings: dict[str, Any] = {"observation": "image+tool", "max_steps": 2}
+    batch = gymnasium.make_vec("reachlab:reachlab/Reach-v0", num_envs=2, autoreset_mode=mode, **settings)
+    single = make(**settings)
+    seen, _ = batch.reset(seed=3)
+    alone, _ = single.reset(seed=4)
+    assert np.array_equal(seen["image"][1], alone["image"])
+    info: dict[str, Any] = {}
+    truncated = np.zeros(2, bool)
+    for _ in range(2):
+        seen, _, _, truncated, info = batch.step(np.zeros((2, 3), np.float32))
+        alone, *_ = single.step(np.zeros(3, np.float32))
+    assert truncated.all()
+    final = info["final_obs"][1] if mode == "SameStep" else {name: part[1] for name, part in seen.items()}
+    assert np.array_equal(final["image"], alone["image"])
+    for env in (batch, single):
+        env.close()

@@ -1,0 +1,166 @@
+"""A student that sees learns from a teacher that knows."""
+
+from __future__ import annotations
+
+import json
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+from PIL import Image
+
+from reachlab import cli
+from reachlab.bench_camera import SPOILT
+from reachlab.checkpoint import RunDirectory
+from reachlab.config import DistilRunConfig, InputError, configure, distillation
+from reachlab.env import Env, lane_keys
+from reachlab.interrupts import Interrupted
+from reachlab.memory import Album, make_memory, remember
+from reachlab.training import distil, load_policy, train
+from test_resume import ask, at, rows, weights
+
+TINY: dict[str, Any] = {
+    "lanes": 8,
+    "rollout_steps": 16,
+    "hold": 4,
+    "total_steps": 6 * 128,
+    "updates": 4,
+    "batch": 16,
+    "guided": 2,
+    "capacity": 128,
+    "report_episodes": 4,
+    "max_steps": 30,
+}
+"""Six iterations of 32 pictures; what is remembered is overwritten once."""
+
+
+@pytest.fixture(scope="module")
+def teacher(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("teacher") / "run"
+    train(
+        configure(lanes=16, rollout_steps=16, total_steps=256, stop_early=False, report_episodes=4, max_steps=30), out
+    )
+    return out
+
+
+def lessons(teacher: Path, **settings: Any) -> DistilRunConfig:
+    return distillation(str(teacher), RunDirectory(teacher).read_config(), **{**TINY, **settings})
+
+
+@pytest.fixture(scope="module")
+def whole(teacher: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("whole") / "run"
+    distil(lessons(teacher, randomise_view=True), out)
+    return out
+
+
+def test_the_student_comes_to_do_as_the_teacher_does(teacher: Path, tmp_path: Path) -> None:
+    distil(lessons(teacher, updates=16, capacity=1000), tmp_path / "run")
+    errors = [row["action_error"] for row in rows(tmp_path / "run")]
+    assert errors[-1] < errors[0] / 2
+
+
+def test_a_distillation_stopped_ends_with_the_weights_of_one_never_stopped(
+    teacher: Path, whole: Path, tmp_path: Path
+) -> None:
+    out, config = tmp_path / "parts", lessons(teacher, randomise_view=True)
+    with pytest.raises(Interrupted, match=r"`reachlab distil --resume .*parts` goes on from there"):
+        distil(config, out, at(5, ask(signal.SIGINT)))
+    distil(config, out, resume=True)
+    assert weights(out) == weights(whole)
+    assert rows(out) == rows(whole)
+
+
+def test_the_run_directory_is_as_that_of_a_training(whole: Path) -> None:
+    run = RunDirectory(whole)
+    report = json.loads(run.report_file.read_text())
+    assert (report["episodes"], report["steps"], report["agent"]) == (4, 768, "trained")
+    assert isinstance(run.read_config(), DistilRunConfig)
+    assert rows(whole)[-1]["pictures"] == 6 * 32
+
+
+def test_pictures_that_are_drawn_again_are_the_same() -> None:
+    env = Env(configure(observation="image", randomise_view=True), 8)
+    state = env.init(lane_keys(0, 8))
+    memory, album, again = make_memory(state, 12), Album(env, 12), Album(env, 12)
+    for seed in range(2):
+        state = env.init(lane_keys(8 * seed, 8))
+        memory = remember(memory, state, state.last_action)
+        pictures = env.see(state)
+        assert pictures is not None
+        album.add(pictures)
+    again.complete(memory)
+    everything = np.arange(12)
+    assert np.array_equal(album[everything], again[everything])
+    env.close()
+
+
+@pytest.fixture
+def student(whole: Path) -> Iterator[tuple[Env, Any]]:
+    run = RunDirectory(whole)
+    env = Env(run.read_config(), 2)
+    yield env, load_policy(run, run.read_config(), env)
+    env.close()
+
+
+@pytest.mark.parametrize("way", SPOILT)
+def test_whatever_the_picture_actions_are_finite(student: tuple[Env, Any], way: str) -> None:
+    env, policy = student
+    seen = env.see(env.init(lane_keys(0, 2)))
+    assert seen is not None
+    spoilt = SPOILT[way](seen, np.random.default_rng(0)).astype(np.uint8)
+    assert not np.array_equal(spoilt, seen)
+    assert np.isfinite(np.asarray(policy.act(spoilt))).all()
+
+
+# --- the command line -----------------------------------------------------------------------------
+
+
+def test_distil_then_eval_and_video(teacher: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "student"
+    words = ["--observation", "image+tool", "--total-steps", "4096", "--updates", "2", "--report-episodes", "4"]
+    assert cli.main(["distil", str(teacher), *words, "--out", str(out), "--json"]) == cli.DONE
+    assert json.loads(capsys.readouterr().out)["steps"] == 4096
+    assert cli.main(["eval", str(out), "--episodes", "2", "--agent", "trained", "zero", "--json"]) == cli.DONE
+    assert [report["episodes"] for report in json.loads(capsys.readouterr().out)] == [2, 2]
+    assert cli.main(["video", str(out), "--episodes", "1"]) == cli.DONE
+    corner = np.asarray(Image.open(out / "video.webp").convert("RGB"))[16 : 16 + 168, 640 - 16 - 168 : 640 - 16]
+    assert np.ptp(corner.astype(int), axis=-1).mean() < 5  # the inset is grey
+    assert 150 < corner.mean() < 250
+    assert cli.main(["distil", "--resume", str(out)]) == cli.DONE
+    assert "is finished" in capsys.readouterr().err
+    assert cli.main(["train", "--resume", str(out)]) == cli.WRONG_INPUT
+    assert f"goes on with `reachlab distil --resume {out}`" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("settings", "sentence"),
+    [
+        ({"observation": "target"}, "observation 'target' holds no picture"),
+        ({"sim": "pybullet"}, "choose --sim kinematic or mujoco"),
+        ({"teacher_observation": "image"}, "a teacher has to know the state"),
+        ({"hold": 5}, "16 rollout_steps cannot be divided into pictures 5 steps apart"),
+        ({"capacity": 4}, "capacity must be at least"),
+    ],
+)
+def test_what_cannot_be_learnt_from_is_refused(
+    teacher: Path, tmp_path: Path, settings: dict[str, Any], sentence: str
+) -> None:
+    with pytest.raises(InputError, match=sentence):
+        distil(lessons(teacher, **settings), tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+def test_distil_without_a_teacher_says_what_it_needs(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["distil"]) == cli.WRONG_INPUT
+    assert "distil needs a teacher" in capsys.readouterr().err
+
+
+def test_a_student_in_mujoco_learns_too(teacher: Path, tmp_path: Path) -> None:
+    result = distil(lessons(teacher, sim="mujoco", total_steps=256), tmp_path / "run")
+    assert result.report.sim == "mujoco"
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(result.policy.parameters))
