@@ -310,7 +310,7 @@ os.sched_setaffinity(0, set(map(int, sys.argv[2].split(","))))
 from pathlib import Path
 from reachlab import cli
 status = cli.main(["train", "--out", sys.argv[1], *sys.argv[3:]])
-(state,) = Path(sys.argv[1]).glob("checkpoints/*/state.safetensors")
+state = max(Path(sys.argv[1]).glob("checkpoints/step_*/state.safetensors"))
 print(status, hashlib.sha256(state.read_bytes()).hexdigest())
 """
 

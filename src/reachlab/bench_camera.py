@@ -105,7 +105,7 @@ def _from_nothing(seed: int, teacher: Path, student: Path) -> Row:
 def _success(name: str, run: Path, sim: str, episodes: int, lanes: int, seed: int) -> Row:
     report = _evaluated(run, sim, episodes, lanes, seed)
     interval = [round(share, 4) for share in report.success_interval]
-    return row(name, report.success_rate, "share", seed=seed, episodes=episodes, interval=interval)
+    return row(name, report.success_rate, "rate", seed=seed, episodes=episodes, interval=interval)
 
 
 def _evaluated(run: Path, sim: str, episodes: int, lanes: int, seed: int) -> Report:
@@ -176,7 +176,7 @@ def spoilt(run: Path) -> Iterator[Row]:
     for name, spoil in {"none": None, **SPOILT}.items():
         env.lens = Lens(spoil, np.random.default_rng(0))
         report = evaluate(env, "trained", policy, seed=HELD_OUT_SEED, episodes=SPOILT_EPISODES)
-        yield row(f"camera/spoilt/{name}", report.success_rate, "share", episodes=SPOILT_EPISODES)
+        yield row(f"camera/spoilt/{name}", report.success_rate, "rate", episodes=SPOILT_EPISODES)
     env.close()
 
 
@@ -188,5 +188,5 @@ def pixels() -> Iterator[Row]:
     with tempfile.TemporaryDirectory() as folder:
         result = train(configure(observation="image"), Path(folder) / "pixels")
     yield row(
-        "camera/pixels", result.report.success_rate, "share", steps=result.steps, wall_s=round(result.total_wall_s)
+        "camera/pixels", result.report.success_rate, "rate", steps=result.steps, wall_s=round(result.total_wall_s)
     )
