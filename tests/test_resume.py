@@ -323,7 +323,8 @@ def test_deterministic_gives_the_same_weights_on_one_core_and_on_all(tmp_path: P
     said = []
     for name, some in cores.items():
         words = [str(tmp_path / name), ",".join(map(str, some)), *flags]
-        done = subprocess.run([sys.executable, "-c", WEIGHTS, *words], capture_output=True, text=True, check=True)
+        done = subprocess.run([sys.executable, "-c", WEIGHTS, *words], capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
         said.append(done.stdout)
     assert said[0] == said[1]
     for name in cores:

@@ -109,6 +109,7 @@ class _Lessons:
         self._album = Album(env, config.distil.capacity)
         self._begin_anew, self._advance = map(self._knowing.compile, (self._knowing.reset, self._knowing.step))
         self._decide, self._remember, self._learn = jit(self._decision), jit(remember), jit(self._update)
+        self._finite = jit(_finite)
 
     def iterate(self, state: DistilState) -> tuple[DistilState, Watched]:
         """State after pictures were collected and learnt from, and what it is judged by."""
@@ -118,7 +119,7 @@ class _Lessons:
         learner, losses = self._study(collected.learner, collected.memory, for_learning)
         metrics = {**_statistics(tally), **losses, "pictures": collected.memory.count}
         new = replace(collected, learner=learner, key=key)
-        watched = Watched(metrics, _finite(new, metrics), new.memory.label)
+        watched = Watched(metrics, self._finite(new, metrics), new.memory.label)
         return (new if watched.sound else state), watched
 
     def _collect(self, state: DistilState, key: Array) -> tuple[DistilState, Counter[str]]:
@@ -215,7 +216,6 @@ def _statistics(tally: Counter[str]) -> dict[str, Array]:
     }
 
 
-@jit
 def _finite(state: DistilState, metrics: dict[str, Array]) -> Finite:
     fine = jnp.array(True)
     return Finite(

@@ -104,6 +104,7 @@ def distil(
     Raises:
         InputError: see `train`; or a teacher, observation or simulator that cannot be learnt with.
     """
+    _choose_threads(RunDirectory(out), config)
     teacher = None if resume else _teacher(config)
     return run_method(dagger(teacher), config, out, watch, resume=resume, tensorboard=tensorboard)
 
