@@ -381,15 +381,17 @@ Config = TypeVar("Config", bound=RunConfig)
 
 
 PICTURE_DEFAULTS: dict[str, Any] = {
-    "lanes": 64,
+    "lanes": 256,
+    "rollout_steps": 32,
     "epochs": 4,
     "minibatches": 8,
     "learning_rate": 7e-4,
-    "anneal_steps": 1_000_000,
-    "total_steps": 1_500_000,
+    "anneal_steps": 4_000_000,
+    "total_steps": 4_000_000,
     "stop_success": 0.95,
     "stop_streak": 1,
     "validation_episodes": 100,
+    "validation_interval": 20,
     "report_episodes": 200,
 }
 """Settings that pictures change in every preset: each costs a hundred times a step without one."""
