@@ -46,6 +46,8 @@ LAYERS = (
         "bench_viewer",
         "chromium",
     },
+    {"flags"},
+    {"verbs"},
     {"cli"},
     {"__main__", "__init__"},
 )

@@ -1,0 +1,161 @@
+"""Flags of the command line: the fields of a dataclass for each verb."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from reachlab.config import DISTIL_DEFAULTS, Checked, Count, DistilConfig, Positive, Range, RunConfig, Seed, Steps
+
+
+@dataclass(frozen=True)
+class Train(Checked):
+    """Train a policy and report on held-out targets."""
+
+    run: RunConfig = field(default_factory=RunConfig)
+    out: Path | None = None
+    """Run directory to make; by default a new one below runs/."""
+    resume: Path | None = None
+    """Run directory to go on in, from its newest checkpoint and with its own settings."""
+    tensorboard: bool = False
+    """Write TensorBoard's event file into the run directory too; needs the extra `tensorboard`."""
+    json: bool = False
+    """Print the result as one JSON object on standard output."""
+
+
+@dataclass(frozen=True)
+class Distil(Checked):
+    """Teach a policy that sees pictures, by one that knows the state."""
+
+    teacher: Annotated[Path | None, tyro.conf.Positional] = None
+    """Run directory of the teacher."""
+    observation: str = "image"
+    """What the student sees: image, image+tool."""
+    sim: str | None = None
+    """Simulator, kinematic or mujoco; by default the teacher's."""
+    seed: Seed = 0
+    """Seed of everything random."""
+    out: Path | None = None
+    """Run directory to make; by default a new one below runs/."""
+    resume: Path | None = None
+    """Run directory to go on in, from its newest checkpoint and with its own settings."""
+    randomise_view: bool = False
+    """Every episode is seen in a view of its own: light, colours, and the camera's pose within 2 cm and 2 degrees."""
+    total_steps: Steps = DISTIL_DEFAULTS["total_steps"]
+    """Environment steps after which it ends; 4,096 an iteration."""
+    report_episodes: Count = DISTIL_DEFAULTS["report_episodes"]
+    """Held-out episodes of the report at the end."""
+    deterministic: bool = False
+    """Compute on one thread: the same weights on any number of cores."""
+    settings: DistilConfig = field(default_factory=DistilConfig)
+    tensorboard: bool = False
+    """Write TensorBoard's event file into the run directory too; needs the extra `tensorboard`."""
+    json: bool = False
+    """Print the result as one JSON object on standard output."""
+
+
+@dataclass(frozen=True)
+class Eval(Checked):
+    """Evaluate a run beside its baselines, on held-out targets."""
+
+    run: Annotated[Path, tyro.conf.Positional]
+    """Run directory."""
+    sim: str | None = None
+    """Simulator, or `all` of them; by default the run's own."""
+    agent: tuple[str, ...] = ("trained",)
+    """Agents: trained, random, zero, ik, ik_open."""
+    episodes: Count = 1000
+    """Held-out episodes."""
+    seed: Seed = 1
+    """Seed of the targets."""
+    perturb: bool = False
+    """Give every episode an arm of its own and noisy measurements; see `perturb` of train."""
+    perturb_view: bool = False
+    """Show every episode in a view of its own, to a policy that sees; see `randomise_view` of train."""
+    gui: bool = False
+    """PyBullet: open its window."""
+    slow: bool = False
+    """PyBullet: slow down to be followed by eye."""
+    json: bool = False
+    """Print the report as JSON on standard output; a list of them for several agents or simulators."""
+
+
+@dataclass(frozen=True)
+class Video(Checked):
+    """Film held-out episodes of a run."""
+
+    run: Annotated[Path, tyro.conf.Positional]
+    """Run directory."""
+    out: Path | None = None
+    """File to write (.webp, .gif, or .mp4 with the extra `video`); by default video.webp in the run."""
+    sim: str | None = None
+    """Simulator; by default the run's own."""
+    agent: str = "trained"
+    """Agent: trained, random, zero, ik."""
+    episodes: Count = 4
+    """Episodes, one after the other: the first ones of `reachlab eval` with that seed."""
+    seed: Seed = 1
+    """Seed of the targets."""
+    fps: Positive = 30.0
+    """Pictures a second, about: each shows a whole number of control steps."""
+    speed: Positive = 1.0
+    """1 is real time, 0.5 half as fast."""
+    json: bool = False
+    """Print what was filmed as one JSON object on standard output."""
+
+
+@dataclass(frozen=True)
+class View(Checked):
+    """Watch a run in the browser and move its target by hand."""
+
+    run: Annotated[Path, tyro.conf.Positional]
+    """Run directory."""
+    sim: str | None = None
+    """Simulator; by default the run's own."""
+    agent: str = "trained"
+    """Agent to begin with: trained, random, zero, ik, ik_open."""
+    seed: Seed = 1
+    """Seed of the targets."""
+    host: str = "127.0.0.1"
+    """Address to listen on; by default no other machine reaches it."""
+    port: Annotated[int, Range(1, 65535)] = 8080
+    """Port to listen on; the next free one where it is taken."""
+    open: bool = False
+    """Open the page in the browser."""
+    save: Path | None = None
+    """Write recorded episodes as one page that needs no server and no network, and end."""
+    episodes: Count = 5
+    """Episodes of the saved page."""
+
+
+@dataclass(frozen=True)
+class Plot(Checked):
+    """Draw learning curves, and of what was evaluated the errors and failures."""
+
+    runs: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """Run directories; those that differ by their seeds alone become one curve with its interval."""
+    out: Path | None = None
+    """Picture to write (.png or .svg); by default plots.png in the first run."""
+
+
+@dataclass(frozen=True)
+class Bench(Checked):
+    """Measure speed, accuracy and learning on this machine."""
+
+    suite: str = "speed"
+    """Suite: speed, kinematics, learning, start, simulators, precise, soak, trust, viewer, camera, pixels."""
+    json: bool = False
+    """Print the measurements as a JSON list on standard output."""
+    markdown: bool = False
+    """Print them as a Markdown table, with the machine and the versions."""
+
+
+@dataclass(frozen=True)
+class List(Checked):
+    """Show tasks, robots, simulators, observations, actions, rewards and agents."""
+
+    json: bool = False
+    """Print them as one JSON object on standard output."""

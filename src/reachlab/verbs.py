@@ -1,0 +1,302 @@
+"""What each verb of the command line does."""
+
+from __future__ import annotations
+
+import json as jsonlib
+import os
+import sys
+import time
+import webbrowser
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from reachlab.config import TASKS, DistilRunConfig, InputError, RunConfig, choose, distillation, in_simulator, override
+from reachlab.flags import Bench, Distil, Eval, List, Plot, Train, Video, View
+
+EVALUATION_LANES = {"pybullet": 8}
+"""Lanes of an evaluation where they are dear."""
+
+
+def train(arguments: Train) -> None:
+    """Run `reachlab train`."""
+    _learn(arguments, arguments.run, "train")
+
+
+def distil(arguments: Distil) -> None:
+    """Run `reachlab distil`."""
+    _learn(arguments, _distillation(arguments), "distil")
+
+
+def _distillation(arguments: Distil) -> RunConfig:
+    """Settings of a distillation: those of the run to go on with, or of the teacher with what the flags say."""
+    from reachlab.checkpoint import RunDirectory
+
+    if arguments.resume:
+        return RunDirectory(arguments.resume).read_config()
+    if arguments.teacher is None:
+        raise InputError("distil needs a teacher: name the run directory of one, as `reachlab train` makes it.")
+    taught = RunDirectory(arguments.teacher).read_config()
+    config = in_simulator(taught, arguments.sim or taught.sim)
+    same = ("observation", "seed", "randomise_view", "total_steps", "report_episodes", "deterministic")
+    chosen = {name: getattr(arguments, name) for name in same} | vars(arguments.settings)
+    return distillation(str(arguments.teacher), config, **chosen)
+
+
+def _learn(arguments: Train | Distil, config: RunConfig, verb: str) -> None:
+    """Train or distil, and show what came of it."""
+    from reachlab.interrupts import raise_on_termination
+
+    raise_on_termination()
+    if config.verb != verb:
+        raise InputError(f"run '{arguments.resume}' goes on with `reachlab {config.verb} --resume {arguments.resume}`.")
+    if arguments.resume and _told_that_finished(arguments, config, arguments.resume):
+        return
+    _prepare_jax()
+    from reachlab.console import TrainDisplay, console, print_reports
+    from reachlab.plots import plot as draw
+    from reachlab.training import distil as run_distillation
+    from reachlab.training import train as run_training
+
+    out = arguments.resume or arguments.out or Path("runs") / f"{time.strftime('%Y%m%d-%H%M%S')}-{config.task}"
+    settings = {"resume": arguments.resume is not None, "tensorboard": arguments.tensorboard}
+    with TrainDisplay() as display:
+        if isinstance(config, DistilRunConfig):
+            result = run_distillation(config, out, display, **settings)
+        else:
+            result = run_training(config, out, display, **settings)
+    draw([out], out / "curve.png")
+    if arguments.json:
+        print(jsonlib.dumps(result.to_json()))
+    print_reports([result.to_json()])
+    if result.validated is False:
+        console.print(
+            f"No validation reached {config.ppo.stop_success:g} success within {config.ppo.total_steps:,} steps."
+        )
+    console.print(
+        f"{result.steps:,} steps in {result.train_wall_s:.1f} s, {result.steps_per_second:,.0f} steps/s;"
+        f" with the report {result.total_wall_s:.1f} s. Written to {out}: report.json, curve.png, checkpoint."
+    )
+    console.print(f"Next: reachlab eval {out} --agent trained random ik")
+
+
+def _told_that_finished(arguments: Train | Distil, config: RunConfig, folder: Path) -> bool:
+    """Whether the run to go on with is finished, and this was said.
+
+    Raises:
+        InputError: it cannot be gone on with; this is found before JAX is loaded.
+    """
+    from reachlab.checkpoint import RunDirectory
+    from reachlab.storage import read_json
+
+    if arguments.out:
+        raise InputError("--resume names the run directory: leave --out out.")
+    run = RunDirectory(folder)
+    run.read_unfinished(config)
+    if not run.finished:
+        return False
+    if arguments.json:
+        print(jsonlib.dumps(read_json(run.report_file)))
+    print(f"Run {folder} is finished: {run.report_file} holds its report.", file=sys.stderr)
+    return True
+
+
+def evaluate(arguments: Eval) -> None:
+    """Run `reachlab eval`."""
+    _prepare_jax()
+    from reachlab.checkpoint import RunDirectory
+    from reachlab.console import print_reports
+    from reachlab.env import Env
+    from reachlab.evaluation import AGENTS, LANES, examine
+    from reachlab.sims import SIMULATORS
+    from reachlab.training import load_policy
+
+    for agent in arguments.agent:
+        choose("agent", agent, AGENTS)
+    run = RunDirectory(arguments.run)
+    trained = run.read_config()
+    names = list(SIMULATORS) if arguments.sim == "all" else [arguments.sim or trained.sim]
+    reports = []
+    for name in names:
+        config = in_simulator(trained, choose("simulator", name, [*SIMULATORS, "all"]))
+        if (arguments.gui or arguments.slow) and name != "pybullet":
+            raise InputError(f"--gui and --slow are PyBullet's, and the simulator is {name!r}: add --sim pybullet.")
+        config = override(config, gui=arguments.gui, slow=arguments.slow, perturb=arguments.perturb)
+        config = override(config, randomise_view=arguments.perturb_view)
+        env = Env(config, 1 if arguments.gui else min(arguments.episodes, EVALUATION_LANES.get(name, LANES)))
+        policy = load_policy(run, config, env)
+        for agent in arguments.agent:
+            result, played = examine(env, agent, policy, seed=arguments.seed, episodes=arguments.episodes)
+            report = result.to_json()
+            rows = {"target": played.target, "distance": played.distance, "success": played.success}
+            kind = "-perturbed" * arguments.perturb + "-views" * arguments.perturb_view
+            run.write_report(f"{name}-{agent}-{arguments.seed}{kind}", report, rows)
+            reports.append(report)
+        env.close()
+    if arguments.json:
+        print(jsonlib.dumps(reports[0] if len(reports) == 1 else reports))
+    else:
+        print_reports(reports)
+
+
+def video(arguments: Video) -> None:
+    """Run `reachlab video`."""
+    _prepare_jax()
+    from reachlab.checkpoint import RunDirectory
+    from reachlab.console import console
+    from reachlab.env import Env
+    from reachlab.evaluation import AGENTS
+    from reachlab.sims import SIMULATORS
+    from reachlab.training import load_policy
+    from reachlab.video import write_video
+
+    agent = choose("agent", arguments.agent, AGENTS)
+    run = RunDirectory(arguments.run)
+    trained = run.read_config()
+    config = in_simulator(trained, choose("simulator", arguments.sim or trained.sim, SIMULATORS))
+    env = Env(config, 1)
+    clip = write_video(
+        env,
+        agent,
+        load_policy(run, config, env),
+        arguments.out or run.path / "video.webp",
+        seed=arguments.seed,
+        episodes=arguments.episodes,
+        fps=arguments.fps,
+        speed=arguments.speed,
+    )
+    env.close()
+    if arguments.json:
+        print(jsonlib.dumps(vars(clip)))
+    console.print(
+        f"Written: {clip.out}, {clip.seconds:.1f} s, {clip.frames} pictures, {clip.bytes / 1e6:.2f} MB:"
+        f" {clip.successes} of {clip.episodes} episodes reach the target."
+    )
+
+
+def view(arguments: View) -> None:
+    """Run `reachlab view`."""
+    _prepare_jax()
+    from reachlab.checkpoint import RunDirectory
+    from reachlab.console import console
+    from reachlab.env import Env
+    from reachlab.interrupts import Interrupts
+    from reachlab.sims import SIMULATORS
+    from reachlab.stage import is_local
+    from reachlab.training import load_policy
+    from reachlab.viewer import Viewer, save_page
+
+    run = RunDirectory(arguments.run)
+    trained = run.read_config()
+    config = in_simulator(trained, choose("simulator", arguments.sim or trained.sim, SIMULATORS))
+    steps = run.checkpoint_steps()
+    env = Env(config, 1)
+    if arguments.save:
+        save_page(
+            env, arguments.agent, load_policy(run, config, env), arguments.seed, arguments.episodes, arguments.save
+        )
+        env.close()
+        console.print(f"Written: {arguments.save}")
+        return
+    load = partial(load_policy, run, config, env)
+    with (
+        Viewer(env, steps, load, arguments.agent, arguments.host, arguments.port) as viewer,
+        Interrupts() as interrupts,
+    ):
+        console.print(f"Viewer: {viewer.url}   Ctrl-C ends it.")
+        if not is_local(arguments.host):
+            console.print(
+                f"Warning: --host {arguments.host} lets other machines in, without a password: whoever reaches it can"
+                " watch and move the target."
+            )
+        if arguments.open:
+            webbrowser.open(viewer.url)
+        viewer.prepare(arguments.seed)
+        viewer.run(lambda: interrupts.received is not None)
+    env.close()
+
+
+def plot(arguments: Plot) -> None:
+    """Run `reachlab plot`."""
+    from reachlab.console import console
+    from reachlab.plots import plot as draw
+
+    if not arguments.runs:
+        raise InputError("plot needs at least one run directory.")
+    out = arguments.out or arguments.runs[0] / "plots.png"
+    draw(arguments.runs, out)
+    console.print(f"Written: {out}")
+
+
+def bench(arguments: Bench) -> None:
+    """Run `reachlab bench`."""
+    _prepare_jax()
+    from reachlab.bench import run_suite, to_markdown
+    from reachlab.console import print_table
+
+    rows = run_suite(arguments.suite)
+    if arguments.json:
+        print(jsonlib.dumps(rows))
+    elif arguments.markdown:
+        print(to_markdown(rows), end="")
+    else:
+        cells = [(row["name"], f"{row['value']:.4g}", row["unit"], str(row["config"])) for row in rows]
+        print_table(f"suite {arguments.suite}", ("measurement", "value", "unit", "configuration"), cells)
+
+
+def list_names(arguments: List) -> None:
+    """Run `reachlab list`."""
+    _prepare_jax()
+    from reachlab.console import print_table
+    from reachlab.evaluation import AGENTS
+    from reachlab.robots import ROBOTS
+    from reachlab.sims import SIMULATORS
+    from reachlab.task import ACTIONS, OBSERVATIONS, REWARDS
+
+    names: dict[str, dict[str, str]] = {
+        "tasks": {
+            name: f"{config.rules.observation}, {config.rules.action}, {config.rules.reward}; simulator {config.sim}"
+            for name, config in TASKS.items()
+        },
+        "robots": {name: f"tool frames {', '.join(robot.tools)}" for name, robot in ROBOTS.items()},
+        "simulators": {name: entry.summary for name, entry in SIMULATORS.items()},
+        "observations": {name: design.summary for name, design in OBSERVATIONS.items()},
+        "actions": {name: design.summary for name, design in ACTIONS.items()},
+        "rewards": {name: (reward.__doc__ or "").strip() for name, reward in REWARDS.items()},
+        "agents": {name: (agent.__doc__ or "").strip() for name, agent in AGENTS.items()},
+    }
+    if arguments.json:
+        print(jsonlib.dumps(names))
+    else:
+        for kind, entries in names.items():
+            print_table(kind, ("name", "what it is"), list(entries.items()))
+
+
+def _prepare_jax() -> None:
+    """Quiet XLA's log, which prints pages of CPU features when it reads the compilation cache, and use the cache."""
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+    from reachlab.compilation import use_compilation_cache
+
+    use_compilation_cache()
+
+
+@dataclass(frozen=True)
+class Verb:
+    """A verb: its flags and its function."""
+
+    flags: type
+    run: Callable[[Any], None]
+
+
+VERBS: dict[str, Verb] = {
+    "train": Verb(Train, train),
+    "distil": Verb(Distil, distil),
+    "eval": Verb(Eval, evaluate),
+    "video": Verb(Video, video),
+    "view": Verb(View, view),
+    "plot": Verb(Plot, plot),
+    "bench": Verb(Bench, bench),
+    "list": Verb(List, list_names),
+}
