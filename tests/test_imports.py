@@ -74,7 +74,7 @@ LEAVES = {
 ONLY_FROM = {
     "scene": {"sims", "stage", "camera"},
     "camera": {"sims"},
-    "console": {"cli"},
+    "console": {"verbs"},
     "cli": {"__main__"},
 }
 """Modules that only these import."""
@@ -154,7 +154,7 @@ def test_every_module_has_its_place() -> None:
 
 def test_the_graph_is_read_right() -> None:
     assert {"config", "env", "iteration", "rollout"} <= GRAPH["loop"].top
-    assert {"training", "console", "checkpoint"} <= GRAPH["cli"].inner - GRAPH["cli"].top
+    assert {"training", "console", "checkpoint"} <= GRAPH["verbs"].inner - GRAPH["verbs"].top
     assert "loop" in GRAPH["console"].types - GRAPH["console"].run
     assert "sims" in GRAPH["sims.kinematic"].top
 
