@@ -3,29 +3,25 @@
 from __future__ import annotations
 
 import jax.numpy as jnp
-import numpy as np
-from jax import Array
 
-from reachlab.camera import Camera
 from reachlab.config import SimConfig
 from reachlab.kinematics import forward_kinematics
 from reachlab.robots import Robot
-from reachlab.scene import LazyCamera
 from reachlab.sims import ArmState, Lanes
-from reachlab.views import Views
+from reachlab.sims.drawn import Drawn
 
 
-class KinematicSimulator:
+class KinematicSimulator(Drawn):
     """Arithmetic in JAX: a step sets the joints and computes where the tool is."""
 
     pure = True
 
     def __init__(self, robot: Robot, config: SimConfig, batch_size: int) -> None:
         """Simulator of `batch_size` arms; its functions take any batch."""
+        super().__init__(robot)
         del batch_size
         self._robot = robot
         self._period = config.control_period
-        self._camera, self._eye = LazyCamera(robot), Camera(robot)
 
     def reset(
         self, state: ArmState | None, q: Lanes, target: Lanes, mask: Lanes | None, chance: Lanes | None = None
@@ -47,17 +43,3 @@ class KinematicSimulator:
         q, qd = jnp.asarray(q), jnp.asarray(qd)
         pose = forward_kinematics(self._robot.chain, q)
         return ArmState(q, qd, pose.position, pose.quaternion)
-
-    def render(self, state: ArmState, target: Array, lane: int) -> np.ndarray:
-        """See `Simulator.render`."""
-        return self._camera.picture(np.asarray(state.q[lane]), np.asarray(target[lane]))
-
-    def see(self, q: np.ndarray, target: np.ndarray, views: Views, lanes: np.ndarray) -> np.ndarray:
-        """See `Simulator.see`."""
-        del lanes
-        return self._eye.pictures(q, target, views)
-
-    def close(self) -> None:
-        """See `Simulator.close`."""
-        self._camera.close()
-        self._eye.close()

@@ -9,14 +9,13 @@ import numpy as np
 from jax import Array
 from mujoco.batch import Batch
 
-from reachlab.camera import Camera
 from reachlab.compilation import jit
 from reachlab.config import InputError, SimConfig
 from reachlab.kinematics import forward_kinematics
 from reachlab.robots import Robot
-from reachlab.scene import LazyCamera, add_table
+from reachlab.scene import add_table
 from reachlab.sims import ArmState, Lanes
-from reachlab.views import Views
+from reachlab.sims.drawn import Drawn
 
 SERVO_STIFFNESS, SERVO_DAMPING = 2000.0, 200.0
 """Gains of servos added to an arm whose file has none [Nm/rad, Nm s/rad]; those of MuJoCo Menagerie's iiwa."""
@@ -29,7 +28,7 @@ PAYLOAD_RADIUS = 0.05
 """The payload is a ball of this radius about the tool point [m]."""
 
 
-class MujocoSimulator:
+class MujocoSimulator(Drawn):
     """Arms under full dynamics, stepped together on all cores.
 
     A control period is `physics_steps` steps of the engine, with the joints' targets held. The engine's state, float64
@@ -40,6 +39,7 @@ class MujocoSimulator:
 
     def __init__(self, robot: Robot, config: SimConfig, batch_size: int, threads: int = 0) -> None:
         """Simulator of `batch_size` arms on `threads` threads, 0 for one a core; results do not depend on them."""
+        super().__init__(robot)
         self._model = physics_model(robot, config)
         self._substeps = config.physics_steps
         self._batch = Batch(self._model, nsim=batch_size, nthread=threads)
@@ -50,7 +50,6 @@ class MujocoSimulator:
         self._arms = _Arms(self._batch, self._servos, self._speeds) if config.perturb else None
         self._begin = self._batch.state[0].copy()
         self._pose = jit(lambda q: forward_kinematics(robot.chain, q))
-        self._camera, self._eye = LazyCamera(robot), Camera(robot)
 
     def reset(
         self, state: ArmState | None, q: Lanes, target: Lanes, mask: Lanes | None, chance: Lanes | None = None
@@ -82,20 +81,6 @@ class MujocoSimulator:
             warnings[:] = 0
             raise FloatingPointError(f"MuJoCo warned of {mujoco.mjtWarning(kind).name[7:]} in lane {lane}")
         return self._arm()
-
-    def render(self, state: ArmState, target: Array, lane: int) -> np.ndarray:
-        """See `Simulator.render`."""
-        return self._camera.picture(np.asarray(state.q[lane]), np.asarray(target[lane]))
-
-    def see(self, q: np.ndarray, target: np.ndarray, views: Views, lanes: np.ndarray) -> np.ndarray:
-        """See `Simulator.see`."""
-        del lanes
-        return self._eye.pictures(q, target, views)
-
-    def close(self) -> None:
-        """See `Simulator.close`."""
-        self._camera.close()
-        self._eye.close()
 
     def _restore(self, state: ArmState) -> None:
         rows, columns = np.asarray(state.engine).view(np.float64), self._batch.state.shape[1]
