@@ -237,4 +237,5 @@ def test_a_public_name_is_the_same_each_time_it_is_asked_for(name: str) -> None:
 def test_importing_any_module_starts_no_jax_backend_so_that_threads_can_still_be_chosen() -> None:
     modules = ", ".join(f"reachlab.{name}" for name in sorted(MODULES) if name not in ("__main__", "__init__"))
     probe = f"import {modules}; from reachlab.threads import set_threads; set_threads(1)"
-    subprocess.run([sys.executable, "-c", probe], check=True)
+    done = subprocess.run([sys.executable, "-c", probe], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
