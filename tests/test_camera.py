@@ -13,7 +13,7 @@ from gymnasium.spaces import Box, Dict
 
 from reachlab import camera, evaluation
 from reachlab.camera import Camera
-from reachlab.config import PICTURED, InputError, configure
+from reachlab.config import PICTURED, InputError, PPOConfig, configure
 from reachlab.env import Env, lane_keys
 from reachlab.evaluation import evaluate
 from reachlab.iteration import make_initial_policy
@@ -193,12 +193,22 @@ def test_agents_that_do_not_look_have_nothing_drawn(env: Env, drawn: list[int], 
 
 def test_a_rollout_draws_one_picture_a_step_and_one_for_every_start(env: Env, drawn: list[int]) -> None:
     state = env.init(lane_keys(0, 3))
-    _, rollout = host_collector()(env, untrained(env), state, jax.random.key(0), 8)
+    _, rollout = host_collector()(env, untrained(env), state, jax.random.key(0), PPOConfig(rollout_steps=8))
     assert sum(drawn) == 3 + 8 * 3 + int(np.asarray(rollout.done).sum())
     seen, next_seen, done = (np.asarray(x) for x in (rollout.observation, rollout.next_observation, rollout.done))
     assert done[5].all()
     assert np.array_equal(seen[1:6], next_seen[:5])
     assert not np.array_equal(seen[6], next_seen[5])  # the final observation is kept, the next begins anew
+
+
+def test_a_held_action_costs_one_picture(env: Env, drawn: list[int]) -> None:
+    state = env.init(lane_keys(0, 3))
+    _, rollout = host_collector()(
+        env, untrained(env), state, jax.random.key(0), PPOConfig(rollout_steps=5, action_repeat=4)
+    )
+    assert sum(drawn) == 3 + 5 * 3 + int(np.asarray(rollout.done).sum())
+    assert np.asarray(rollout.clock)[0].tolist() == [4, 4, 4]
+    assert np.asarray(rollout.done)[1].all()
 
 
 # --- faces ----------------------------------------------------------------------------------------

@@ -215,6 +215,42 @@ def test_the_final_observation_is_the_one_before_the_reset(tutorial: Compiled, s
 # --- randomness -----------------------------------------------------------------------------------
 
 
+def with_staggered_lanes(sim: str, observation: str) -> tuple[Compiled, EnvState]:
+    """Three lanes two steps into episodes of five, and one that begins."""
+    there = Compiled(sim=sim, observation=observation, max_steps=5)
+    state, _ = there.walk(there.start(), (0.1, -0.2, -0.3), 2)
+    return there, there.reset(state, np.arange(LANES) == 0)
+
+
+@pytest.mark.parametrize(
+    ("sim", "observation"),
+    [("kinematic", "target+tool"), ("mujoco", "target+tool"), ("pybullet", "target+tool"), ("kinematic", "image")],
+)
+def test_an_action_taken_several_times_ends_where_the_episode_does(sim: str, observation: str) -> None:
+    (once, state), (several, begun) = (with_staggered_lanes(sim, observation) for _ in range(2))
+    states, transitions = [], []
+    for _ in range(4):
+        state, transition = once.walk(state, (0.1, -0.2, -0.3), 1)
+        states.append(state)
+        transitions.append(transition)
+    actions = np.tile(np.array((0.1, -0.2, -0.3), np.float32), (LANES, 1))
+    step = several.env.compile(lambda state, action: several.env.step(state, action, 4))
+    end, transition = step(begun, actions)
+
+    lasted = np.array([4, 3, 3, 3])  # the fifth step of its episode ends a lane
+    assert np.asarray(transition.done).tolist() == [False, True, True, True]
+    assert np.asarray(end.clock).tolist() == [4, 5, 5, 5]
+    for lane, steps in enumerate(lasted):
+        assert np.asarray(end.arm.q)[lane] == pytest.approx(np.asarray(states[steps - 1].arm.q)[lane], abs=1e-6)
+        reward = sum(float(given.reward[lane]) for given in transitions[:steps])
+        assert float(transition.reward[lane]) == pytest.approx(reward, abs=1e-5)
+        if transition.observation is not None:
+            seen = np.asarray(transitions[steps - 1].observation)[lane]
+            assert np.asarray(transition.observation)[lane] == pytest.approx(seen, abs=1e-5)
+    for there in (once, several):
+        there.env.close()
+
+
 def test_a_lane_is_the_single_environment_with_its_own_seed(tutorial: Compiled) -> None:
     seed, lane, random = 11, 2, np.random.default_rng(5)
     batch, single = tutorial.start(seed), tutorial.start(seed + lane, lanes=1)

@@ -125,7 +125,7 @@ def speed() -> Iterator[Row]:
         state, watched = step(state)
         jax.block_until_ready(watched)
         times.append(time.perf_counter() - start)
-    steps_per_second = config.ppo.lanes * config.ppo.rollout_steps / float(np.median(times))
+    steps_per_second = config.ppo.iteration_steps / float(np.median(times))
     yield row("train_steps_per_second/kinematic", steps_per_second, "1/s", lanes=config.ppo.lanes)
 
 

@@ -159,11 +159,11 @@ class SpoiltEnv(Env):
             return pictures
         return self.lens.spoil(pictures, self.lens.random).astype(np.uint8)
 
-    def step(self, state: EnvState, action: Lanes) -> tuple[EnvState, Transition]:
+    def step(self, state: EnvState, action: Lanes, times: int = 1) -> tuple[EnvState, Transition]:
         """See `Env.step`."""
         if not np.isfinite(np.asarray(action)).all():
             raise FloatingPointError("an action is not finite")
-        return super().step(state, action)
+        return super().step(state, action, times)
 
 
 def spoilt(run: Path) -> Iterator[Row]:

@@ -21,7 +21,6 @@ from unittest import mock
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
 
 from reachlab import iteration, ppo
 from reachlab.bench_faults import Trial, corruptions, cut_saves, failing_saves
@@ -30,10 +29,8 @@ from reachlab.bench_sims import Row, row
 from reachlab.checkpoint import RunDirectory
 from reachlab.compilation import jit
 from reachlab.config import RunConfig, configure, in_simulator
-from reachlab.env import Env, EnvState
+from reachlab.env import Env
 from reachlab.iteration import TrainState, compile_iteration, initial_state
-from reachlab.policy import Policy
-from reachlab.rollout import Rollout
 from reachlab.training import train
 
 KILLS, KILLS_IN_A_RUN, CORRUPTIONS, FAILING_SAVES = 50, 10, 10_000, 20
@@ -213,8 +210,8 @@ def _poisoned(poison: Poison) -> Iterator[list[int]]:
     sizes: list[int] = []
     collect, update = iteration.collect, ppo.update
 
-    def collect_poisoned(env: Env, policy: Policy, state: EnvState, key: Array, steps: int) -> tuple[EnvState, Rollout]:
-        gathered = collect(env, policy, state, key, steps)
+    def collect_poisoned(*arguments: Any) -> Any:
+        gathered = collect(*arguments)
         sizes.append(len(_floats(gathered)))
         return poison(gathered, 0)
 

@@ -213,7 +213,9 @@ class PPOConfig(Checked):
     lanes: Annotated[int, Range(1, 2**17)] = 128
     """Environments stepped together."""
     rollout_steps: Count = 64
-    """Steps of each lane between two updates."""
+    """Actions of each lane between two updates."""
+    action_repeat: Count = 1
+    """Steps for which an action is held in training; the trained policy acts at every step."""
     epochs: Count = 8
     """Passes over a rollout."""
     minibatches: Count = 2
@@ -225,7 +227,7 @@ class PPOConfig(Checked):
     anneal_steps: Steps = 2_000_000
     """Environment steps over which the learning rate falls."""
     gamma: Fraction = 0.98
-    """Discount of a step."""
+    """Discount from one action to the next."""
     gae_lambda: Fraction = 0.95
     """Decay of generalised advantage estimation."""
     clip_ratio: Positive = 0.2
@@ -250,6 +252,11 @@ class PPOConfig(Checked):
     """Train on perturbed arms, see `perturb`; the report is on arms as they are."""
     deterministic: bool = False
     """Compute on one thread: the same weights on any number of cores."""
+
+    @property
+    def iteration_steps(self) -> int:
+        """Environment steps of an iteration."""
+        return self.lanes * self.rollout_steps * self.action_repeat
 
 
 @dataclass(frozen=True)
@@ -276,8 +283,6 @@ class RunConfig(Checked):
 class DistilConfig(Checked):
     """Learning to see from a teacher that knows the state."""
 
-    hold: Count = 4
-    """Steps from one picture to the next, over which the student's action is held; only while it learns."""
     guided: NonNegativeInt = 8
     """Iterations at the start in which the teacher acts, before the student does."""
     noise: NonNegative = 0.2
@@ -309,7 +314,8 @@ DISTIL_DEFAULTS: dict[str, Any] = {
     "total_steps": 40 * 4096,
     "stop_early": False,
     "lanes": 128,
-    "rollout_steps": 32,
+    "rollout_steps": 8,
+    "action_repeat": 4,
     "report_episodes": 200,
     "learning_rate": 3e-3,
     "final_learning_rate": 1e-4,
@@ -382,12 +388,14 @@ Config = TypeVar("Config", bound=RunConfig)
 
 PICTURE_DEFAULTS: dict[str, Any] = {
     "lanes": 256,
-    "rollout_steps": 32,
+    "rollout_steps": 16,
+    "action_repeat": 16,
+    "gamma": 0.8,
     "epochs": 4,
     "minibatches": 8,
     "learning_rate": 7e-4,
-    "anneal_steps": 4_000_000,
-    "total_steps": 4_000_000,
+    "anneal_steps": 8_000_000,
+    "total_steps": 8_000_000,
     "stop_success": 0.95,
     "stop_streak": 1,
     "validation_episodes": 100,

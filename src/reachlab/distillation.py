@@ -19,7 +19,7 @@ from jax import Array
 from reachlab import ppo, task
 from reachlab.compilation import jit
 from reachlab.config import DistilRunConfig, InputError, RunConfig, override
-from reachlab.env import Env, EnvState
+from reachlab.env import Env, EnvState, Transition
 from reachlab.evaluation import episode_keys
 from reachlab.iteration import (
     TRAINING_STREAM,
@@ -77,11 +77,8 @@ def check_distillation(config: RunConfig) -> DistilRunConfig:
         raise InputError(
             "a teacher has to know the state, and this one sees pictures: train one with another observation."
         )
-    loop, hold = config.ppo, config.distil.hold
-    if loop.rollout_steps % hold:
-        raise InputError(f"{loop.rollout_steps} rollout_steps cannot be divided into pictures {hold} steps apart.")
-    if config.distil.capacity < loop.lanes:
-        raise InputError(f"capacity must be at least the {loop.lanes} lanes, got {config.distil.capacity}.")
+    if config.distil.capacity < config.ppo.lanes:
+        raise InputError(f"capacity must be at least the {config.ppo.lanes} lanes, got {config.distil.capacity}.")
     return config
 
 
@@ -107,7 +104,6 @@ class _Lessons:
         self._env, self._config = env, config
         self._knowing = Env(override(env.config, observation=config.teacher_observation), env.batch_size)
         self._album = Album(env, config.distil.capacity)
-        self._begin_anew, self._advance = map(self._knowing.compile, (self._knowing.reset, self._knowing.step))
         self._decide, self._remember, self._learn = jit(self._decision), jit(remember), jit(self._update)
         self._finite = jit(_finite)
 
@@ -126,31 +122,27 @@ class _Lessons:
         """State with more pictures in its memory, and what became of the episodes that ended."""
         settings, lanes, memory = self._config.distil, state.env, state.memory
         policy, tally = state.learner.policy, Counter[str]()
-        frames = self._config.ppo.rollout_steps // settings.hold
-        guided = int(memory.count) < settings.guided * frames * self._env.batch_size
-        for now in jax.random.split(key, frames):
+        loop = self._config.ppo
+        guided = int(memory.count) < settings.guided * loop.rollout_steps * loop.lanes
+        for now in jax.random.split(key, loop.rollout_steps):
             picture = self._env.see(lanes)
             label, action, normaliser = self._decide(state.teacher, policy, lanes, picture, now, guided)
             memory, policy = self._remember(memory, lanes, label), replace(policy, normaliser=normaliser)
             self._album.add(cast("np.ndarray", picture))
-            lanes = self._hold(lanes, action, tally)
+            # The action is held, as nobody learns from pictures that hardly differ.
+            lanes = self._begun_anew(*self._env.step(lanes, action, loop.action_repeat), tally)
         learner = replace(state.learner, policy=policy)
         return replace(state, learner=learner, env=lanes, memory=memory), tally
 
-    def _hold(self, lanes: EnvState, action: Array, tally: Counter[str]) -> EnvState:
-        """Lanes after `hold` steps with the same action, as nobody learns from pictures that hardly differ."""
-        for _ in range(self._config.distil.hold):
-            lanes, transition = self._advance(lanes, action)
-            done = np.asarray(transition.done)
-            if done.any():
-                ended = {name: np.asarray(transition.terms[name])[done] for name in ("success", "distance")}
-                tally.update(episodes=int(done.sum()), successes=int(ended["success"].sum()))
-                tally.update(
-                    steps=int(np.asarray(lanes.clock)[done].sum()), millimetres=round(1000 * ended["distance"].sum())
-                )
-                lanes = self._begin_anew(lanes, done)
-                action = jnp.where(done[:, None], 0.0, action)
-        return lanes
+    def _begun_anew(self, lanes: EnvState, transition: Transition, tally: Counter[str]) -> EnvState:
+        """Lanes of which those that ended are counted and begin anew."""
+        done = np.asarray(transition.done)
+        if not done.any():
+            return lanes
+        ended = {name: np.asarray(transition.terms[name])[done] for name in ("success", "distance")}
+        tally.update(episodes=int(done.sum()), successes=int(ended["success"].sum()))
+        tally.update(steps=int(np.asarray(lanes.clock)[done].sum()), millimetres=round(1000 * ended["distance"].sum()))
+        return self._env.reset(lanes, done)
 
     def _decision(
         self, teacher: Policy, policy: Policy, state: EnvState, picture: Array, key: Array, guided: bool

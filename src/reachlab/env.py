@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 import jax
 import jax.numpy as jnp
@@ -76,6 +77,12 @@ class Transition:
     terms: dict[str, Array]
 
 
+Held = tuple[EnvState, Transition]
+"""What a step leads to."""
+
+Tree = TypeVar("Tree")
+
+
 def lane_keys(seed: int, batch_size: int) -> Array:
     """Random keys `[B]`: lane i of seed s has the key of lane 0 of seed s + i."""
     return jax.vmap(jax.random.key)(np.arange(batch_size, dtype=np.uint32) + np.uint32(seed))
@@ -110,30 +117,54 @@ class Env:
         self.action_bounds = task.ACTIONS[config.rules.action].bounds(self.reach)
         self.pictured = design.pictured
         self.pure = self.simulator.pure and not self.pictured
-        self._sim_step, self._sim_reset = self.simulator.step, self.simulator.reset
         self._look, self._chances = jit(self.observe), jit(self._chances)
-        if not self.pure:
-            self._draw, self._command, self._judge, self._begin, self._merge = map(
-                jit, (self._draw, self._command, self._judge, self._begin, self._merge)
+        if not self.simulator.pure:  # it steps on the host, between compiled parts
+            self._draw, self._command, self._judge, self._begin, self._merge, self._go_on = map(
+                jit, (self._draw, self._command, self._judge, self._begin, self._merge, self._go_on)
             )
-            if self.simulator.pure:
-                self._sim_step, self._sim_reset = jit(self._sim_step), jit(self._sim_reset)
+        elif self.pictured:  # pictures alone are drawn on the host
+            self._init, self._reset, steps = jit(self._init), jit(self._reset), self._steps
+            self._steps = functools.cache(lambda times: jit(steps(times)))
 
     def init(self, keys: Array) -> EnvState:
         """State in which every lane begins an episode; `keys [B]`, see `lane_keys`."""
-        key, q, target, chance = self._draw(keys)
-        return self._begin(self._sim_reset(None, q, target, None, chance), target, key)
+        return self._init(keys)
 
     def reset(self, state: EnvState, mask: Array | np.ndarray) -> EnvState:
         """State in which the lanes of `mask [B]` begin a new episode."""
+        return self._reset(state, mask)
+
+    def step(self, state: EnvState, action: Lanes, times: int = 1) -> tuple[EnvState, Transition]:
+        """State and transition after `action [B, a]`, taken so many `times`.
+
+        A lane whose episode ends on the way stays where it ended, to be reset; rewards are added up.
+        """
+        return self._steps(times)(state, action)
+
+    def _init(self, keys: Array) -> EnvState:
+        key, q, target, chance = self._draw(keys)
+        return self._begin(self.simulator.reset(None, q, target, None, chance), target, key)
+
+    def _reset(self, state: EnvState, mask: Array | np.ndarray) -> EnvState:
         key, q, target, chance = self._draw(state.key)
-        arm = self._sim_reset(state.arm, q, target, mask, chance)
+        arm = self.simulator.reset(state.arm, q, target, mask, chance)
         return self._merge(jnp.asarray(mask), replace(self._begin(arm, target, key), arm=arm), replace(state, arm=arm))
 
-    def step(self, state: EnvState, action: Lanes) -> tuple[EnvState, Transition]:
-        """State and transition after `action [B, a]`."""
+    def _steps(self, times: int) -> Callable[[EnvState, Lanes], Held]:
+        def steps(state: EnvState, action: Lanes) -> Held:
+            def once_more(_: Any, held: Held) -> Held:
+                return self._go_on(held, self._step(held[0], action))
+
+            held = self._step(state, action)
+            if self.simulator.pure and times > 1:
+                return jax.lax.fori_loop(1, times, once_more, held)
+            return functools.reduce(lambda held, i: once_more(i, held), range(1, times), held)
+
+        return steps
+
+    def _step(self, state: EnvState, action: Lanes) -> Held:
         target_q = self._command(state.target_q, action)
-        arm = self._sim_step(state.arm, target_q)
+        arm = self.simulator.step(state.arm, target_q)
         last = (state.distance, state.recent, state.clock)
         (distance, recent, clock), transition = self._judge(self._true(state, arm, target_q, action), last, state.key)
         state = replace(
@@ -246,11 +277,18 @@ class Env:
         )
 
     @staticmethod
-    def _merge(mask: Array, new: EnvState, old: EnvState) -> EnvState:
+    def _merge(mask: Array, new: Tree, old: Tree) -> Tree:
         def pick(a: Array, b: Array) -> Array:
             return jnp.where(mask.reshape(mask.shape + (1,) * (a.ndim - 1)), a, b)
 
         return jax.tree.map(lambda a, b: a if a is b else pick(a, b), new, old)
+
+    @classmethod
+    def _go_on(cls, held: Held, now: Held) -> Held:
+        """State and transition of a step after those `held`, which stay where the episode has ended."""
+        before, (state, transition) = held[1], now
+        added = replace(transition, reward=before.reward + transition.reward)
+        return cls._merge(~before.done, (state, added), held)
 
     def _command(self, last: Array, action: Lanes) -> Array:
         target_q = task.command(self.reach, last, jnp.asarray(action))

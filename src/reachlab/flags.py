@@ -48,6 +48,8 @@ class Distil(Checked):
     """Environment steps after which it ends; 4,096 an iteration."""
     report_episodes: Count = DISTIL_DEFAULTS["report_episodes"]
     """Held-out episodes of the report at the end."""
+    action_repeat: Count = DISTIL_DEFAULTS["action_repeat"]
+    """Steps from one picture to the next, over which the student's action is held; only while it learns."""
     deterministic: bool = False
     """Compute on one thread: the same weights on any number of cores."""
     settings: DistilConfig = field(default_factory=DistilConfig)

@@ -110,7 +110,7 @@ def compile_iteration(env: Env, config: RunConfig, shape: TrainState) -> Iterati
 
     def iterate(gather: Collect, learn: Learn, keep: Keep, state: TrainState) -> tuple[TrainState, Watched]:
         key, for_rollout, for_update = jax.random.split(state.key, 3)
-        lanes, rollout = gather(env, state.learner.policy, state.env, for_rollout, config.ppo.rollout_steps)
+        lanes, rollout = gather(env, state.learner.policy, state.env, for_rollout, config.ppo)
         learner, watched = learn(state.learner, rollout, lanes, for_update)
         return keep(watched.sound, TrainState(learner, lanes, key), TrainState(learner, state.env, state.key)), watched
 

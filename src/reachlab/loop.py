@@ -148,7 +148,7 @@ class Loop:
             self._stop(state, metrics, f"a number is not finite in: {', '.join(missing)}", watched.rollout)
         self.now = replace(
             self.now,
-            steps=self.now.steps + settings.lanes * settings.rollout_steps,
+            steps=self.now.steps + settings.iteration_steps,
             busy_s=self.now.busy_s + time.perf_counter() - tick,
             success=row["success_rate"],
             validated=False,
@@ -163,7 +163,7 @@ class Loop:
 
     def _due(self, row: dict[str, float]) -> bool:
         settings = self.config.ppo
-        count = self.now.steps // (settings.lanes * settings.rollout_steps)
+        count = self.now.steps // settings.iteration_steps
         return (
             settings.stop_early and count % settings.validation_interval == 0 and row["success_rate"] >= VALIDATE_FROM
         )

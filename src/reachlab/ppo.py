@@ -49,7 +49,7 @@ def make_optimiser(config: PPOConfig, updates: int = 0) -> optax.GradientTransfo
     An iteration takes so many `updates`; 0 stands for those of PPO.
     """
     updates = updates or config.epochs * config.minibatches
-    iterations = -(-config.anneal_steps // (config.lanes * config.rollout_steps))
+    iterations = -(-config.anneal_steps // config.iteration_steps)
     schedule = optax.linear_schedule(config.learning_rate, config.final_learning_rate, updates * iterations)
     return optax.chain(
         optax.clip_by_global_norm(config.max_grad_norm),

@@ -12,6 +12,7 @@ import numpy as np
 from jax import Array
 
 from reachlab.compilation import jit
+from reachlab.config import PPOConfig
 from reachlab.env import Env, EnvState, Transition, merge
 from reachlab.policy import Observed, Policy, distribution
 
@@ -19,7 +20,7 @@ from reachlab.policy import Observed, Policy, distribution
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Rollout:
-    """`T` steps of `B` lanes.
+    """`T` actions of `B` lanes.
 
     Attributes:
         observation: what the policy saw `[T, B, k]`.
@@ -58,31 +59,31 @@ class EngineError(FloatingPointError):
         self.rollout = rollout
 
 
-Collect = Callable[[Env, Policy, EnvState, Array, int], tuple[EnvState, Rollout]]
+Collect = Callable[[Env, Policy, EnvState, Array, PPOConfig], tuple[EnvState, Rollout]]
 
 
-def collect(env: Env, policy: Policy, state: EnvState, key: Array, steps: int) -> tuple[EnvState, Rollout]:
-    """State after `steps` steps of every lane, and the experience; lanes that end begin anew."""
+def collect(env: Env, policy: Policy, state: EnvState, key: Array, config: PPOConfig) -> tuple[EnvState, Rollout]:
+    """State after `rollout_steps` actions of every lane, and the experience; lanes that end begin anew."""
 
     def step(state: EnvState, key: Array) -> tuple[EnvState, Rollout]:
         choice = draw(policy, env.observe(state), key)
-        state, transition = env.step(state, choice.action)
+        state, transition = env.step(state, choice.action, config.action_repeat)
         row = _row(choice, state, transition, transition.observation)
         return env.reset(state, transition.done), row
 
-    return jax.lax.scan(step, state, jax.random.split(key, steps))
+    return jax.lax.scan(step, state, jax.random.split(key, config.rollout_steps))
 
 
 def host_collector() -> Collect:
     """As `collect`, for a simulator that JAX cannot trace: compiled parts around its steps."""
     choose = jit(draw)
 
-    def collect(env: Env, policy: Policy, state: EnvState, key: Array, steps: int) -> tuple[EnvState, Rollout]:
+    def collect(env: Env, policy: Policy, state: EnvState, key: Array, config: PPOConfig) -> tuple[EnvState, Rollout]:
         rows, seen = [], env.look(state)
-        for step_key in jax.random.split(key, steps):
+        for step_key in jax.random.split(key, config.rollout_steps):
             choice = choose(policy, seen, step_key)
             try:
-                state, transition = env.step(state, choice.action)
+                state, transition = env.step(state, choice.action, config.action_repeat)
             except FloatingPointError as error:
                 raise EngineError(str(error), _stacked(rows) if rows else None) from None
             seen = env.look(state) if env.pictured else transition.observation

@@ -40,7 +40,7 @@ def _distillation(arguments: Distil) -> RunConfig:
         raise InputError("distil needs a teacher: name the run directory of one, as `reachlab train` makes it.")
     taught = RunDirectory(arguments.teacher).read_config()
     config = in_simulator(taught, arguments.sim or taught.sim)
-    same = ("observation", "seed", "randomise_view", "total_steps", "report_episodes", "deterministic")
+    same = ("observation", "seed", "randomise_view", "total_steps", "report_episodes", "action_repeat", "deterministic")
     chosen = {name: getattr(arguments, name) for name in same} | vars(arguments.settings)
     return distillation(str(arguments.teacher), config, **chosen)
 
