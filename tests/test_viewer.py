@@ -16,7 +16,7 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 
-from reachlab import cli, stage
+from reachlab import cli, panel, stage
 from reachlab.bench_viewer import free_port
 from reachlab.checkpoint import RunDirectory
 from reachlab.chromium import Page, browser, drawn, executable, wait_until
@@ -37,6 +37,18 @@ FRAME = 0.02
 
 EPISODES = 8
 """Episodes of a saved page: it has to last, for beginning anew takes its time without a graphics card."""
+
+SHOWN = """(() => {
+    const image = document.querySelector("img[src^=blob]");
+    if (!image || !image.complete || !image.naturalWidth) return null;
+    const canvas = document.createElement("canvas");
+    [canvas.width, canvas.height] = [image.naturalWidth, image.naturalHeight];
+    const context = canvas.getContext("2d");
+    context.drawImage(image, 0, 0);
+    const bytes = context.getImageData(0, 0, canvas.width, canvas.height).data;
+    return Array.from(bytes).filter((_, i) => i % 4 === 0);
+})()"""
+"""Greys of the picture that the panel shows, row by row; null while there is none."""
 
 HERE_SCHEMES = {"data", "blob", "file", "about"}
 
@@ -157,6 +169,30 @@ def test_a_saved_page_plays_from_its_file_alone(page: Page, config: RunConfig, t
     first = page.picture()
     wait_until(lambda: not np.array_equal(page.picture(), first), "a movement")
     assert {urlsplit(url).scheme for url in page.requests} <= HERE_SCHEMES
+
+
+def test_what_the_policy_sees_is_in_the_panel_and_before_its_camera(page: Page, tmp_path: Path) -> None:
+    config = configure(observation="image", lanes=8, hidden=(8,))
+    with view(config, untrained(config, tmp_path / "run"), "trained") as viewer:
+        page.open(viewer.url)
+        wait_until(lambda: drawn(page.picture()), "a picture")
+        first = viewer.player.see()
+        for _ in range(30):
+            viewer.step()
+        seen = viewer.player.see()
+        assert first is not None
+        assert seen is not None
+        assert not np.array_equal(first, seen)
+        enlarged = seen[..., 0].repeat(panel.ENLARGED, 0).repeat(panel.ENLARGED, 1)
+        wait_until(lambda: page.evaluate(SHOWN) == enlarged.ravel().tolist(), "the picture of now in the panel")
+        assert viewer.stage.eye
+        np.testing.assert_array_equal(np.asarray(viewer.stage.eye.image), seen)
+
+
+def test_a_policy_that_sees_no_picture_has_no_place_for_one(viewer: Viewer) -> None:
+    viewer.step()
+    assert viewer.player.see() is None
+    assert viewer.stage.eye is None
 
 
 # --- without ---------------------------------------------------------------------------------------

@@ -91,7 +91,7 @@ class Page:
 
     def evaluate(self, script: str) -> Any:
         """Value of a piece of JavaScript."""
-        return self.call("Runtime.evaluate", expression=script)["result"].get("value")
+        return self.call("Runtime.evaluate", expression=script, returnByValue=True)["result"].get("value")
 
     def text(self) -> str:
         """Text that it shows."""

@@ -6,6 +6,8 @@ from collections.abc import Callable, Sequence
 from queue import SimpleQueue
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from reachlab.evaluation import AGENTS
 
 if TYPE_CHECKING:
@@ -14,17 +16,35 @@ if TYPE_CHECKING:
 SLOWEST, FASTEST, SPEED_STEP = 0.1, 4.0, 0.1
 """The speed slider's range and step, in multiples of real time."""
 
+ENLARGED = 3
+"""What the policy sees is shown so many times as large."""
+
+NOTHING = np.zeros((1, 1, 3), np.uint8)
+"""Stands for the picture until there is one."""
+
 
 class Panel:
     """The controls beside the scene. What is chosen is read from it; buttons leave their name in `pressed`."""
 
-    def __init__(self, gui: viser.GuiApi, agent: str, checkpoints: Sequence[int], buttons: Sequence[str]) -> None:
-        """Panel for the agents of `AGENTS`, the run's checkpoints, oldest first, and buttons of these names."""
+    def __init__(
+        self,
+        gui: viser.GuiApi,
+        agent: str,
+        checkpoints: Sequence[int],
+        buttons: Sequence[str],
+        *,
+        pictured: bool,
+    ) -> None:
+        """Panel for the agents of `AGENTS`, the run's checkpoints, oldest first, and buttons of these names.
+
+        Where the policy sees a picture (`pictured`) there is a place for it.
+        """
         self._steps = {_label(steps): steps for steps in checkpoints}
         self.pressed: SimpleQueue[str] = SimpleQueue()
         gui.configure_theme(show_logo=False, show_share_button=False)
         self._text = gui.add_markdown("Compiling …")
         self._refusal = gui.add_markdown("", visible=False)
+        self._seen = gui.add_image(NOTHING, label="The policy sees", format="png", visible=False) if pictured else None
         self._agent = gui.add_dropdown("Agent", tuple(AGENTS), initial_value=agent)
         self._checkpoint = gui.add_dropdown("Checkpoint", tuple(self._steps), initial_value=[*self._steps][-1])
         self._speed = gui.add_slider("Speed", SLOWEST, FASTEST, SPEED_STEP, 1.0, hint="Multiples of real time")
@@ -74,6 +94,12 @@ class Panel:
     def say(self, text: str) -> None:
         """Show a text, in Markdown, above the controls."""
         self._text.content = text
+
+    def show_seen(self, picture: np.ndarray) -> None:
+        """Show what the policy sees `[height, width, 3]` uint8, where there is a place for it."""
+        if self._seen is not None:
+            self._seen.image = picture.repeat(ENLARGED, 0).repeat(ENLARGED, 1)
+            self._seen.visible = True
 
     @property
     def refusal(self) -> str:

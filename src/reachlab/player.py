@@ -72,6 +72,11 @@ class Player:
             self.episodes += 1
             self.successes += success
 
+    def see(self) -> np.ndarray | None:
+        """What the policy sees now, `[SIZE, SIZE, 3]` uint8, if that is a picture."""
+        seen = self._env.see(self._state)
+        return None if seen is None else np.stack([seen[0]] * 3, axis=-1)
+
     def hold(self, held: bool) -> None:
         """Let no episode end while `held`."""
         self._held, self._touched = held, self._touched or held

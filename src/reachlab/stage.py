@@ -14,7 +14,9 @@ from unittest import mock
 import mujoco
 import numpy as np
 import rich
+from scipy.spatial.transform import Rotation
 
+from reachlab import views
 from reachlab.config import InputError
 from reachlab.player import Moment
 from reachlab.robots import Robot
@@ -58,6 +60,9 @@ FIELD_OF_VIEW = 0.8
 """Vertical field of view of the first camera [rad]."""
 
 
+EYE_LENGTH, EYE_WIDTH, EYE = 0.07, 0.002, (90, 95, 106)
+"""The drawn camera: its length, the width of its edges [m], and their colour."""
+
 SKY, GROUND, SKY_INTENSITY = (255, 255, 255), (150, 155, 165), 2.2
 """Light from above and below, and its strength."""
 
@@ -68,6 +73,7 @@ class Stage:
     Attributes:
         workspace: the edges of the robot's workspace.
         path: the tool's way in this episode, once it has moved.
+        eye: the observation camera with what it sees, once there is a picture.
     """
 
     def __init__(self, server: viser.ViserServer, robot: Robot) -> None:
@@ -78,6 +84,7 @@ class Stage:
         self._joints = self._model.jnt_qposadr[list(robot.chain.joints)]
         self._path: deque[np.ndarray] = deque(maxlen=PATH_POINTS)
         self.path: viser.LineSegmentsHandle | None = None
+        self.eye: viser.CameraFrustumHandle | None = None
         self._set_view(server)
         self._frames = [self._scene.add_frame(self._name(body), show_axes=False) for body in range(self._model.nbody)]
         parts = [(solid.body, self._add(number, solid)) for number, solid in enumerate(solids(self._model))]
@@ -97,14 +104,16 @@ class Stage:
             "/handle", scale=HANDLE_SIZE, active_axes=(x, y, z), disable_rotations=True, depth_test=False
         )
 
-    def show(self, moment: Moment, *, axes: bool = False) -> None:
-        """Show a moment."""
+    def show(self, moment: Moment, *, axes: bool = False, seen: np.ndarray | None = None) -> None:
+        """Show a moment, and in front of the camera what the policy has `seen`, `[height, width, 3]` uint8."""
         self._place(moment.q, moment.target)
         self._target.visible, self._axes.visible = True, axes
         self._axes.position, self._axes.wxyz = moment.tool, moment.orientation
         self._ball.color = REACHED if moment.reached else WAITING
         self._label.text = f"{1000 * moment.distance:.1f} mm"
         self._lengthen(moment.tool)
+        if seen is not None:
+            self._show_seen(seen)
 
     def clear_path(self) -> None:
         """Begin the path anew."""
@@ -148,6 +157,26 @@ class Stage:
         mujoco.mj_kinematics(self._model, self._data)
         for frame, position, quaternion in zip(self._frames, self._data.xpos, self._data.xquat, strict=True):
             frame.position, frame.wxyz = position, quaternion
+
+    def _show_seen(self, picture: np.ndarray) -> None:
+        if self.eye is None:
+            position, rotation = views.tutorial_pose()
+            down_and_ahead = rotation * (1, -1, -1)
+            self.eye = self._scene.add_camera_frustum(
+                "/eye",
+                fov=np.radians(views.FIELD_OF_VIEW),
+                aspect=1.0,
+                scale=EYE_LENGTH,
+                thickness=EYE_WIDTH,
+                color=EYE,
+                image=picture,
+                format="png",
+                position=position,
+                wxyz=Rotation.from_matrix(down_and_ahead).as_quat(scalar_first=True),
+                cast_shadow=False,
+            )
+        else:
+            self.eye.image = picture
 
     def _lengthen(self, tool: np.ndarray) -> None:
         if self._path and np.linalg.norm(self._path[-1] - tool) < PATH_STEP:

@@ -73,7 +73,7 @@ class Viewer:
         self._playing: int | None = None
         self._server = start_server(host, port)
         self.stage = Stage(self._server, env.reach.robot)
-        self.panel = Panel(self._server.gui, agent, checkpoints, tuple(COMMANDS))
+        self.panel = Panel(self._server.gui, agent, checkpoints, tuple(COMMANDS), pictured=env.pictured)
         self.panel.on_shadows(self.stage.cast_shadows)
         self._pace = Pace()
         self._dragged = self.paused = False
@@ -202,8 +202,11 @@ class Viewer:
         self._hand = np.array(self.handle.position)
 
     def _show(self) -> None:
+        seen = self.player.see()
         with self._server.atomic():
-            self.stage.show(self.player.moment, axes=self.panel.axes)
+            self.stage.show(self.player.moment, axes=self.panel.axes, seen=seen)
+            if seen is not None:
+                self.panel.show_seen(seen)
         if self._pace.due(self.player.steps) or self.player.over:
             self._tell()
 
@@ -255,14 +258,14 @@ def save_page(env: Env, agent: str, policy: Policy | None, seed: int, episodes: 
     server = start_server(LOCAL, 0)
     try:
         stage, player = Stage(server, env.reach.robot), Player(env, seed)
-        stage.show(player.moment)
+        stage.show(player.moment, seen=player.see())
         recording = server.get_scene_serializer()
         for _ in range(episodes):
             while not player.over:
                 for _ in range(steps):
                     if not player.over:
                         player.step(agent, policy)
-                stage.show(player.moment)
+                stage.show(player.moment, seen=player.see())
                 recording.insert_sleep(steps * env.config.physics.control_period)
             recording.insert_sleep(PAUSE)
             player.new_episode()

@@ -83,7 +83,7 @@ class Views(NamedTuple):
 def make_views(chance: np.ndarray) -> Views:
     """Views of `chance [B, CHANCES]` in -1 to 1; zeros are the tutorial's view."""
     chance = np.asarray(chance, np.float64)
-    position, rotation = _tutorial_pose()
+    position, rotation = tutorial_pose()
     turn = Rotation.from_rotvec(TURN * chance[:, 3:6], degrees=True).as_matrix()
 
     def grey(nominal: tuple[float, float], column: int) -> np.ndarray:
@@ -120,7 +120,7 @@ def develop(pictures: np.ndarray, views: Views) -> np.ndarray:
     return out
 
 
-def _tutorial_pose() -> tuple[np.ndarray, np.ndarray]:
+def tutorial_pose() -> tuple[np.ndarray, np.ndarray]:
     """Position `[3]` m and rotation `[3, 3]` of the tutorial's camera."""
     pitch = np.radians(PITCH)
     back = np.array([np.cos(pitch), 0.0, -np.sin(pitch)])
