@@ -396,9 +396,9 @@ PICTURE_DEFAULTS: dict[str, Any] = {
     "learning_rate": 7e-4,
     "anneal_steps": 8_000_000,
     "total_steps": 8_000_000,
-    "stop_success": 0.95,
+    "stop_success": 0.98,
     "stop_streak": 1,
-    "validation_episodes": 100,
+    "validation_episodes": 200,
     "validation_interval": 20,
     "report_episodes": 200,
 }

@@ -152,13 +152,15 @@ class Env:
 
     def _steps(self, times: int) -> Callable[[EnvState, Lanes], Held]:
         def steps(state: EnvState, action: Lanes) -> Held:
-            def once_more(_: Any, held: Held) -> Held:
+            def again(_: Any, held: Held) -> Held:
                 return self._go_on(held, self._step(held[0], action))
 
             held = self._step(state, action)
             if self.simulator.pure and times > 1:
-                return jax.lax.fori_loop(1, times, once_more, held)
-            return functools.reduce(lambda held, i: once_more(i, held), range(1, times), held)
+                return jax.lax.fori_loop(1, times, again, held)
+            for i in range(1, times):
+                held = again(i, held)
+            return held
 
         return steps
 
