@@ -247,11 +247,13 @@ def test_the_norm_of_all_gradients_together_is_bounded():
         np.testing.assert_allclose(found[name], -1e-2 * mean / (np.sqrt(square) + 1e-5), rtol=1e-3, atol=1e-7)
 
 
-def test_learning_rate_falls_on_a_line_from_its_first_to_its_final_value():
+@pytest.mark.parametrize("action_repeat", [1, 5])
+def test_learning_rate_falls_on_a_line_from_its_first_to_its_final_value(action_repeat):
     """A constant gradient makes every step of Adam as long as the learning rate."""
     config = PPOConfig(
         lanes=10,
-        rollout_steps=10,
+        rollout_steps=10 // action_repeat,
+        action_repeat=action_repeat,
         epochs=2,
         minibatches=2,
         anneal_steps=500,
@@ -265,8 +267,10 @@ def test_learning_rate_falls_on_a_line_from_its_first_to_its_final_value():
     np.testing.assert_allclose(rates[updates:], 2e-3, rtol=1e-3)
 
 
-def test_noise_follows_its_schedule_or_what_is_learnt(policy, rollout):
-    scheduled = replace(CONFIG, initial_std=0.4, final_std=0.1, anneal_steps=2 * T * B)
+@pytest.mark.parametrize("action_repeat", [1, 4])
+def test_noise_follows_its_schedule_or_what_is_learnt(policy, rollout, action_repeat):
+    anneal_steps = 2 * T * B * action_repeat
+    scheduled = replace(CONFIG, initial_std=0.4, final_std=0.1, anneal_steps=anneal_steps, action_repeat=action_repeat)
     fresh = replace(policy, normaliser=replace(policy.normaliser, count=jnp.zeros(())))
     learner = ppo.make_learner(scheduled, fresh)
     for wanted in (0.2, 0.1, 0.1):

@@ -45,7 +45,7 @@ class Distil(Checked):
     randomise_view: bool = False
     """Every episode is seen in a view of its own: light, colours, and the camera's pose within 2 cm and 2 degrees."""
     total_steps: Steps = DISTIL_DEFAULTS["total_steps"]
-    """Environment steps after which it ends; 4,096 an iteration."""
+    """Environment steps after which it ends: 4,096 an iteration, more or less with another `--action-repeat`."""
     report_episodes: Count = DISTIL_DEFAULTS["report_episodes"]
     """Held-out episodes of the report at the end."""
     action_repeat: Count = DISTIL_DEFAULTS["action_repeat"]

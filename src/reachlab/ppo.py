@@ -134,7 +134,8 @@ def update(learner: Learner, rollout: Rollout, key: Array, config: PPOConfig) ->
     (parameters, state), watched = jax.lax.scan(epoch, carry, jax.random.split(key, config.epochs))
     flat = jax.tree.map(lambda x: x.reshape(size, *x.shape[2:]), rollout.observation)
     normaliser = policy.normaliser.update(flat)
-    parameters = replace(parameters, log_std=_log_std(parameters.log_std, normaliser.count, config))
+    steps = config.action_repeat * normaliser.count
+    parameters = replace(parameters, log_std=_log_std(parameters.log_std, steps, config))
     watched = {name: x.mean() for name, x in watched.items()} | {"std": jnp.exp(parameters.log_std).mean()}
     return Learner(replace(policy, parameters=parameters, normaliser=normaliser), state), watched
 
