@@ -57,9 +57,9 @@ class TrainDisplay:
         """Show where training stands."""
         now = progress.metrics
         left = max(progress.total_steps - progress.steps, 0) / max(now["steps_per_second"], 1.0)
+        ended = f"success {100 * now['success_rate']:5.1f} %  {1000 * now['final_distance']:.1f} mm off"
         status = (
-            f"{progress.steps / 1e6:.2f}M steps  success {100 * now['success_rate']:5.1f} %"
-            f"  {1000 * now['final_distance']:.1f} mm off"
+            f"{progress.steps / 1e6:.2f}M steps  {ended if now['episodes'] else 'no episode ended'}"
             f"  {now['steps_per_second'] / 1e3:.0f}k steps/s  at most {left:.0f} s left"
         )
         if "validation_success" in now:

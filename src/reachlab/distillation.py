@@ -119,7 +119,7 @@ class _Lessons:
         return (new if watched.sound else state), watched
 
     def _collect(self, state: DistilState, key: Array) -> tuple[DistilState, Counter[str]]:
-        """State with more pictures in its memory, and what became of the episodes that ended."""
+        """State with more pictures in its memory, and what became of the student's episodes that ended."""
         settings, lanes, memory = self._config.distil, state.env, state.memory
         policy, tally = state.learner.policy, Counter[str]()
         loop = self._config.ppo
@@ -132,7 +132,7 @@ class _Lessons:
             # The action is held, as nobody learns from pictures that hardly differ.
             lanes = self._begun_anew(*self._env.step(lanes, action, loop.action_repeat), tally)
         learner = replace(state.learner, policy=policy)
-        return replace(state, learner=learner, env=lanes, memory=memory), tally
+        return replace(state, learner=learner, env=lanes, memory=memory), Counter() if guided else tally
 
     def _begun_anew(self, lanes: EnvState, transition: Transition, tally: Counter[str]) -> EnvState:
         """Lanes of which those that ended are counted and begin anew."""
