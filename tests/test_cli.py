@@ -233,8 +233,8 @@ def test_an_interruption_is_told_by_its_status(reachlab: Shell, monkeypatch: pyt
 def trained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Said]:
     """A run of the command itself, in a process of its own."""
     out = tmp_path_factory.mktemp("cli") / "trained"
-    flags = ["--seed", "4", "--reward", "sparse", "--no-clip-actions", "--hidden", "16", "16", "--json"]
-    return out, in_a_process("train", "--out", str(out), *TINY, *flags)
+    flags = ["--seed", "4", "--reward", "sparse", "--action-repeat", "1", "--no-clip-actions", "--hidden", "16", "16"]
+    return out, in_a_process("train", "--out", str(out), *TINY, *flags, "--json")
 
 
 def test_train_prints_one_json_object_and_nothing_else(trained: tuple[Path, Said]) -> None:
@@ -253,6 +253,7 @@ def test_flags_reach_the_configuration(trained: tuple[Path, Said]) -> None:
     assert config == configure(
         seed=4,
         reward="sparse",
+        action_repeat=1,
         clip_actions=False,
         hidden=(16, 16),
         lanes=16,

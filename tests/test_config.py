@@ -7,6 +7,8 @@ import math
 import pytest
 
 from reachlab.config import (
+    PICTURE_DEFAULTS,
+    REWARD_DEFAULTS,
     TASKS,
     InputError,
     PPOConfig,
@@ -66,15 +68,15 @@ def test_sections_are_no_settings(name):
 
 
 def test_configure_changes_only_what_is_named_wherever_it_lives():
-    config = configure("tutorial", seed=3, reward="sparse", control_period=0.01, gamma=0.9)
+    config = configure("tutorial", seed=3, action="joint_delta", control_period=0.01, gamma=0.9)
     before = preset("tutorial")
-    assert (config.seed, config.rules.reward, config.physics.control_period, config.ppo.gamma) == (
+    assert (config.seed, config.rules.action, config.physics.control_period, config.ppo.gamma) == (
         3,
-        "sparse",
+        "joint_delta",
         0.01,
         0.9,
     )
-    assert dataclasses.replace(config.rules, reward=before.rules.reward) == before.rules
+    assert dataclasses.replace(config.rules, action=before.rules.action) == before.rules
     assert dataclasses.replace(config.ppo, gamma=before.ppo.gamma) == before.ppo
     assert config.robot == before.robot
 
@@ -83,6 +85,17 @@ def test_configure_changes_only_what_is_named_wherever_it_lives():
 def test_configure_without_settings_is_the_preset(task):
     assert configure(task) == preset(task)
     assert preset(task).task == task
+
+
+@pytest.mark.parametrize(
+    ("settings", "defaults"),
+    [({"reward": "sparse"}, REWARD_DEFAULTS["sparse"]), ({"observation": "image"}, PICTURE_DEFAULTS)],
+)
+def test_what_is_seen_and_paid_for_brings_defaults_which_settings_change(settings, defaults):
+    ppo = configure(**settings).ppo
+    assert {name: getattr(ppo, name) for name in defaults} == defaults
+    assert ppo != preset().ppo
+    assert configure(**settings, gamma=0.5).ppo == dataclasses.replace(ppo, gamma=0.5)
 
 
 def test_a_setting_belongs_to_one_section():

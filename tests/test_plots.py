@@ -152,17 +152,17 @@ def test_metrics_that_are_none_are_refused(tmp_path: Path) -> None:
 
 def test_runs_that_differ_by_their_seeds_alone_are_one_group(tmp_path: Path) -> None:
     runs = [
-        make_run(tmp_path / f"{reward}-{seed}", [row(1)], configure(reward=reward, seed=seed))
+        make_run(tmp_path / f"{seen}-{seed}", [row(1)], configure(observation=seen, seed=seed))
         for seed in (0, 1, 2)
-        for reward in ("dense", "sparse")
+        for seen in ("target+tool", "target")
     ]
-    groups = group_runs([*runs, make_run(tmp_path / "other", [row(1)], configure(reward="sparse", gamma=0.9))])
+    groups = group_runs([*runs, make_run(tmp_path / "other", [row(1)], configure(observation="target", gamma=0.9))])
     assert [group.label for group in groups] == [
-        "gamma 0.98, reward dense, 3 seeds",
-        "gamma 0.98, reward sparse, 3 seeds",
-        "gamma 0.9, reward sparse",
+        "gamma 0.98, observation target+tool, 3 seeds",
+        "gamma 0.98, observation target, 3 seeds",
+        "gamma 0.9, observation target",
     ]
-    assert [run.name for run in groups[0].runs] == ["dense-0", "dense-1", "dense-2"]
+    assert [run.name for run in groups[0].runs] == ["target+tool-0", "target+tool-1", "target+tool-2"]
 
 
 def test_a_single_group_is_called_by_its_run_or_its_task(tmp_path: Path) -> None:
@@ -274,12 +274,12 @@ def test_targets_of_many_heights_are_seen_from_two_sides(
 
 
 def test_of_two_groups_each_has_its_map(evaluated: Path, tmp_path: Path, figures: list[Figure]) -> None:
-    other = make_run(tmp_path / "other", [row(1)], configure(reward="sparse"))
+    other = make_run(tmp_path / "other", [row(1)], configure(observation="target"))
     evaluate(other)
     plot([evaluated, other], tmp_path / "two.png")
     assert [title.split("\n")[0] for title in titles(figures[0]) if "failures" in title] == [
-        "reward dense",
-        "reward sparse",
+        "observation target+tool",
+        "observation target",
     ]
 
 

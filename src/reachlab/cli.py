@@ -81,8 +81,8 @@ def _defaults(words: Sequence[str]) -> RunConfig:
         from reachlab.checkpoint import RunDirectory
 
         return RunDirectory(Path(folder)).read_config()
-    task, sim, observation = (_value_of(flag, words) for flag in ("--task", "--sim", "--observation"))
-    return preset(task or "tutorial", sim, observation)
+    task, *choices = (_value_of(flag, words) for flag in ("--task", "--sim", "--observation", "--reward"))
+    return preset(task or "tutorial", *choices)
 
 
 def _value_of(flag: str, words: Sequence[str]) -> str | None:

@@ -404,6 +404,11 @@ PICTURE_DEFAULTS: dict[str, Any] = {
 }
 """Settings that pictures change in every preset: each costs a hundred times a step without one."""
 
+REWARD_DEFAULTS: dict[str, dict[str, Any]] = {
+    "sparse": {"action_repeat": 8, "gamma": 0.9, "anneal_steps": 8_000_000},
+}
+"""Settings that a reward changes in every preset: where success alone pays, its credit has a long way back."""
+
 PICTURED = ("image", "image+tool")
 """Observations with a picture in them."""
 
@@ -416,11 +421,14 @@ def in_simulator(config: Config, sim: str) -> Config:
     return override(config, sim=sim, **defaults)
 
 
-def preset(task: str = "tutorial", sim: str | None = None, observation: str | None = None) -> RunConfig:
-    """The preset of that name, with the defaults of a simulator that is not its own, and of pictures."""
+def preset(
+    task: str = "tutorial", sim: str | None = None, observation: str | None = None, reward: str | None = None
+) -> RunConfig:
+    """The preset of that name, with the defaults of a simulator that is not its own, of a reward, and of pictures."""
     config = TASKS[choose("task", task, TASKS)]
     config = config if sim is None else in_simulator(config, sim)
-    return override(config, **PICTURE_DEFAULTS) if observation in PICTURED else config
+    pictures = PICTURE_DEFAULTS if observation in PICTURED else {}
+    return override(config, **(REWARD_DEFAULTS.get(reward or "", {}) | pictures))
 
 
 def configure(task: str = "tutorial", **settings: Any) -> RunConfig:
@@ -429,7 +437,7 @@ def configure(task: str = "tutorial", **settings: Any) -> RunConfig:
     Raises:
         InputError: a name that is no setting, or a value that is not allowed.
     """
-    return override(preset(task, settings.get("sim"), settings.get("observation")), **settings)
+    return override(preset(task, *(settings.get(name) for name in ("sim", "observation", "reward"))), **settings)
 
 
 def override(config: Config, **settings: Any) -> Config:
