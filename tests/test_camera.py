@@ -13,7 +13,8 @@ from gymnasium.spaces import Box, Dict
 
 from reachlab import camera, evaluation
 from reachlab.camera import Camera
-from reachlab.config import PICTURED, InputError, PPOConfig, configure
+from reachlab.checks import InputError
+from reachlab.config import PICTURED, PPOConfig, configure
 from reachlab.env import Env, lane_keys
 from reachlab.evaluation import evaluate
 from reachlab.iteration import make_initial_policy

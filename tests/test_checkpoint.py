@@ -19,7 +19,8 @@ import safetensors.numpy
 
 from reachlab import cli
 from reachlab.checkpoint import RunDirectory
-from reachlab.config import InputError, RunConfig, configure
+from reachlab.checks import InputError
+from reachlab.config import RunConfig, configure
 from reachlab.env import Env
 from reachlab.iteration import TrainState, initial_state
 from reachlab.manifest import seal

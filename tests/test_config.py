@@ -6,16 +6,15 @@ import math
 
 import pytest
 
+from reachlab.checks import InputError, choose
 from reachlab.config import (
     PICTURE_DEFAULTS,
     REWARD_DEFAULTS,
     TASKS,
-    InputError,
     PPOConfig,
     RunConfig,
     SimConfig,
     TaskConfig,
-    choose,
     configure,
     from_json,
     preset,

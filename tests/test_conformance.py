@@ -11,7 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reachlab.config import InputError, configure
+from reachlab.checks import InputError
+from reachlab.config import configure
 from reachlab.env import Env, EnvState, Transition, lane_keys
 from reachlab.robots import ROBOTS
 from reachlab.sims import SIMULATORS

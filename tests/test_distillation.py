@@ -16,7 +16,8 @@ from PIL import Image
 from reachlab import cli
 from reachlab.bench_camera import SPOILT
 from reachlab.checkpoint import RunDirectory
-from reachlab.config import DistilRunConfig, InputError, configure, distillation
+from reachlab.checks import InputError
+from reachlab.config import DistilRunConfig, configure, distillation
 from reachlab.env import Env, lane_keys
 from reachlab.interrupts import Interrupted
 from reachlab.memory import Album, make_memory, remember

@@ -11,7 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from reachlab.config import InputError, configure
+from reachlab.checks import InputError
+from reachlab.config import configure
 from reachlab.env import Env, EnvState, lane_keys
 from reachlab.evaluation import (
     AGENTS,

@@ -22,7 +22,8 @@ from reachlab import arrays, bench_faults, bench_trust, cli, task
 from reachlab.bench_faults import file_limit, make_run, no_space, state_of
 from reachlab.bench_hostile import HOSTILE, hostile_files
 from reachlab.checkpoint import RunDirectory
-from reachlab.config import InputError, configure, to_json
+from reachlab.checks import InputError
+from reachlab.config import configure, to_json
 from reachlab.interrupts import Interrupted
 from reachlab.loop import NotFiniteError, Progress
 from reachlab.manifest import MANIFEST, seal

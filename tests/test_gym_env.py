@@ -12,7 +12,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
-from reachlab.config import InputError
+from reachlab.checks import InputError
 from reachlab.gym_env import ReachEnv, ReachVectorEnv
 from reachlab.robots import load_robot
 from reachlab.scene import Camera

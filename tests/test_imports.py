@@ -17,6 +17,7 @@ SOURCE = Path(reachlab.__file__).parent
 
 LAYERS = (
     {"lanes", "compilation"},
+    {"checks"},
     {"config", "interrupts", "chain", "kinematics", "views", "encoder"},
     {"policy"},
     {"storage"},
@@ -56,18 +57,19 @@ LAYERS = (
 LEAVES = {
     "lanes": set(),
     "compilation": set(),
-    "config": set(),
+    "checks": set(),
+    "config": {"checks"},
     "chain": {"lanes"},
     "kinematics": {"lanes", "chain"},
     "views": set(),
     "encoder": set(),
     "policy": {"encoder"},
     "interrupts": set(),
-    "storage": {"config"},
-    "metrics": {"config", "storage"},
-    "lock": {"config", "storage"},
-    "threads": {"config"},
-    "arrays": {"config", "storage"},
+    "storage": {"checks"},
+    "metrics": {"checks", "storage"},
+    "lock": {"checks", "storage"},
+    "threads": {"checks"},
+    "arrays": {"checks", "storage"},
 }
 """What the leaves import of the package."""
 

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from reachlab.config import InputError, configure
+from reachlab.checks import InputError
+from reachlab.config import configure
 from reachlab.metrics import Metrics, read_metrics
 from reachlab.training import train
 

@@ -12,7 +12,8 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from reachlab.checkpoint import RunDirectory
-from reachlab.config import InputError, RunConfig, configure, to_json
+from reachlab.checks import InputError
+from reachlab.config import RunConfig, configure, to_json
 from reachlab.curves import band, group_runs, read_evaluations
 from reachlab.plots import plot
 

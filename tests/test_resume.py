@@ -16,7 +16,8 @@ import pytest
 
 from reachlab import cli
 from reachlab.checkpoint import RunDirectory
-from reachlab.config import InputError, RunConfig, configure
+from reachlab.checks import InputError
+from reachlab.config import RunConfig, configure
 from reachlab.interrupts import Interrupted
 from reachlab.lock import NAME, locked
 from reachlab.loop import Progress

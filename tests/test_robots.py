@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reachlab.config import InputError
+from reachlab.checks import InputError
 from reachlab.kinematics import forward_kinematics
 from reachlab.robots import ROBOTS, load_robot
 

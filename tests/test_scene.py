@@ -9,7 +9,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from reachlab.config import InputError, configure
+from reachlab.checks import InputError
+from reachlab.config import configure
 from reachlab.env import Env, lane_keys
 from reachlab.robots import Robot, load_robot
 from reachlab.scene import HEIGHT, WIDTH, Camera, scene_spec

@@ -12,7 +12,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from reachlab.config import InputError, TaskConfig
+from reachlab.checks import InputError
+from reachlab.config import TaskConfig
 from reachlab.kinematics import forward_kinematics
 from reachlab.robots import load_robot
 from reachlab.task import (

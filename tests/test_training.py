@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from reachlab.checkpoint import RunDirectory
-from reachlab.config import InputError, configure, to_json
+from reachlab.checks import InputError
+from reachlab.config import configure, to_json
 from reachlab.env import Env
 from reachlab.evaluation import LANES, evaluate
 from reachlab.loop import Progress

@@ -13,7 +13,8 @@ from PIL import Image
 
 from reachlab import video
 from reachlab.caption import HEIGHT, VERDICTS, Caption, captioned, distance_text
-from reachlab.config import InputError, configure
+from reachlab.checks import InputError
+from reachlab.config import configure
 from reachlab.env import Env
 from reachlab.evaluation import LANES, REPORT_STREAM, episode_keys, make_runner, run_episodes
 from reachlab.video import BEGIN_PAUSE, ENCODERS, END_PAUSE, Clip, Moment, episode_player, write_video

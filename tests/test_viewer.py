@@ -19,8 +19,9 @@ import pytest
 from reachlab import cli, panel, stage
 from reachlab.bench_viewer import free_port
 from reachlab.checkpoint import RunDirectory
+from reachlab.checks import InputError
 from reachlab.chromium import Page, browser, drawn, executable, wait_until
-from reachlab.config import TASKS, InputError, RunConfig, configure
+from reachlab.config import TASKS, RunConfig, configure
 from reachlab.env import Env
 from reachlab.iteration import initial_state
 from reachlab.robots import load_robot

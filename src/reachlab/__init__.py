@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 from gymnasium.envs.registration import register
 
 if TYPE_CHECKING:
-    from reachlab.config import InputError, RunConfig, configure
+    from reachlab.checks import InputError
+    from reachlab.config import RunConfig, configure
     from reachlab.env import Env
     from reachlab.evaluation import Report, evaluate
     from reachlab.gym_env import ReachEnv, ReachVectorEnv

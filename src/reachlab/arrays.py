@@ -12,7 +12,7 @@ import numpy as np
 import safetensors.numpy
 from safetensors import SafetensorError, safe_open
 
-from reachlab.config import InputError
+from reachlab.checks import InputError
 from reachlab.storage import open_plain
 
 SIZE_LIMIT = 2**30

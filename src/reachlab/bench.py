@@ -26,8 +26,9 @@ from reachlab.bench_soak import soak
 from reachlab.bench_trust import trust
 from reachlab.bench_viewer import viewer
 from reachlab.chain import Chain
+from reachlab.checks import choose
 from reachlab.compilation import jit
-from reachlab.config import choose, configure
+from reachlab.config import configure
 from reachlab.env import Env, EnvState, lane_keys
 from reachlab.evaluation import versions
 from reachlab.iteration import compile_iteration, initial_state

@@ -19,7 +19,8 @@ from typing import Any
 import numpy as np
 
 from reachlab.checkpoint import RunDirectory
-from reachlab.config import InputError, RunConfig, configure
+from reachlab.checks import InputError
+from reachlab.config import RunConfig, configure
 
 CALLS = ("open", "write", "fsync", "close", "mkdir", "rename", "unlink", "rmdir")
 """Calls of the operating system that a save consists of."""

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from reachlab.bench_faults import SIZE, Trial, make_run, problem_of, read_run
-from reachlab.config import InputError
+from reachlab.checks import InputError
 from reachlab.manifest import ARRAYS, MANIFEST, seal
 from reachlab.storage import read_json
 

@@ -10,7 +10,8 @@ import jax
 import numpy as np
 
 from reachlab.bench_sims import Row, row
-from reachlab.config import InputError, configure
+from reachlab.checks import InputError
+from reachlab.config import configure
 from reachlab.env import Env, EnvState, lane_keys
 from reachlab.gym_env import ReachEnv
 from reachlab.sims import SIMULATORS

@@ -18,7 +18,8 @@ import numpy as np
 
 from reachlab.bench_sims import Row, row
 from reachlab.checkpoint import RunDirectory
-from reachlab.config import TASKS, InputError, RunConfig
+from reachlab.checks import InputError
+from reachlab.config import TASKS, RunConfig
 from reachlab.env import Env
 from reachlab.iteration import initial_state
 from reachlab.stage import LOCAL

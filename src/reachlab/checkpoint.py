@@ -12,13 +12,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, TypeVar
 
-from reachlab.config import (
-    InputError,
-    RunConfig,
-    difference,
-    from_json,
-    to_json,
-)
+from reachlab.checks import InputError
+from reachlab.config import RunConfig, difference, from_json, to_json
 from reachlab.lock import refuse_if_held
 from reachlab.manifest import ARRAYS, FORMAT, MANIFEST, Counters, Manifest, read_manifest, seal
 from reachlab.storage import read_json, remove, sync, write_json, write_synced

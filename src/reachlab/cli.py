@@ -13,7 +13,8 @@ from typing import Any
 
 import tyro
 
-from reachlab.config import InputError, RunConfig, choose, preset
+from reachlab.checks import InputError, choose
+from reachlab.config import RunConfig, preset
 from reachlab.flags import Train
 from reachlab.verbs import VERBS
 

@@ -1,4 +1,4 @@
-"""Every setting of a run: frozen dataclasses, presets, validation, and their JSON form.
+"""Every setting of a run: frozen dataclasses, presets, and their JSON form.
 
 A setting is one field with its unit and meaning below it. The command line, the keywords of
 `gymnasium.make` and `config.json` are all read from these classes, so field names are unique among
@@ -8,119 +8,27 @@ them. This module imports nothing heavy.
 from __future__ import annotations
 
 import dataclasses
-import difflib
-import functools
-import math
-import reprlib
-import sys
-import types
 import typing
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any, ClassVar, TypeVar
 
-from typeguard import TypeCheckError, check_type
-
-
-class InputError(ValueError):
-    """Input that is refused, in one sentence: what, got, allowed, how to mend."""
-
-
-def choose(kind: str, name: str, names: Iterable[str]) -> str:
-    """The name itself if it is one of `names`.
-
-    Raises:
-        InputError: it is not; the sentence lists the names and the nearest one.
-    """
-    allowed = sorted(names)
-    if name in allowed:
-        return name
-    near = difflib.get_close_matches(str(name), allowed, n=1)
-    hint = f" Did you mean {near[0]!r}?" if near else ""
-    raise InputError(f"{kind} {name!r} is not one of: {', '.join(allowed)}.{hint}")
-
-
-@dataclass(frozen=True)
-class Range:
-    """Allowed values of a number; infinite and undefined ones never are."""
-
-    low: float = -math.inf
-    high: float = math.inf
-    open_low: bool = False
-
-    def __contains__(self, value: float) -> bool:
-        """Whether the value is finite and inside."""
-        above = value > self.low if self.open_low else value >= self.low
-        return abs(value) <= sys.float_info.max and above and value <= self.high
-
-    def __str__(self) -> str:
-        """The range in words."""
-        low = "" if math.isinf(self.low) else f"{'above' if self.open_low else 'at least'} {self.low:.12g}"
-        high = "" if math.isinf(self.high) else f"at most {self.high:.12g}"
-        return " and ".join(part for part in (low, high) if part)
-
-
-@dataclass(frozen=True)
-class Length:
-    """Allowed lengths of a list."""
-
-    most: int
-
-    def __contains__(self, value: Any) -> bool:
-        """Whether the list is not too long."""
-        return len(value) <= self.most
-
-    def __str__(self) -> str:
-        """The length in words."""
-        return f"a list of at most {self.most}"
-
-
-Count = Annotated[int, Range(1, 2**31 - 1)]
-Steps = Annotated[int, Range(1, 10**12 - 1)]
-"""Environment steps of a whole training; a checkpoint's name has twelve digits."""
-NonNegativeInt = Annotated[int, Range(0)]
-Positive = Annotated[float, Range(0.0, open_low=True)]
-NonNegative = Annotated[float, Range(0.0)]
-Fraction = Annotated[float, Range(0.0, 1.0)]
-Point = tuple[float, float, float]
-Seed = Annotated[int, Range(0, 2**31 - 1)]
-
-
-class Checked:
-    """Checks every field of a dataclass against its annotation when it is built."""
-
-    def __post_init__(self) -> None:
-        for name, hint in _hints(type(self)).items():
-            _check(name, getattr(self, name), hint)
-
-
-@functools.cache
-def _hints(cls: type) -> dict[str, Any]:
-    hints = typing.get_type_hints(cls, include_extras=True)
-    return {entry.name: hints[entry.name] for entry in dataclasses.fields(cls)}
-
-
-def _check(name: str, value: Any, hint: Any) -> None:
-    base, limits = (hint.__origin__, hint.__metadata__) if hasattr(hint, "__metadata__") else (hint, ())
-    try:
-        if isinstance(value, bool) and base is not bool:
-            raise TypeCheckError("a truth value is no number")
-        check_type(value, base)
-    except TypeCheckError:
-        raise InputError(f"{name} must be {_type_name(base)}, got {reprlib.repr(value)}.") from None
-    for limit in limits:
-        if isinstance(limit, Range | Length) and value not in limit:
-            raise InputError(f"{name} must be {limit}, got {reprlib.repr(value)}.")
-    if isinstance(value, tuple):
-        for item in value:
-            _check(f"each entry of {name}", item, typing.get_args(base)[0])
-
-
-def _type_name(hint: Any) -> str:
-    names = {int: "a whole number", float: "a number", str: "a name", bool: "true or false"}
-    if typing.get_origin(hint) in (typing.Union, types.UnionType):
-        return " or ".join(_type_name(arg) for arg in typing.get_args(hint) if arg is not type(None))
-    return names.get(hint, str(hint))
+from reachlab.checks import (
+    Checked,
+    Count,
+    Fraction,
+    InputError,
+    Length,
+    NonNegative,
+    NonNegativeInt,
+    Point,
+    Positive,
+    Range,
+    Seed,
+    Steps,
+    choose,
+    hints,
+)
 
 
 @dataclass(frozen=True)
@@ -499,15 +407,15 @@ def from_json(data: Any) -> RunConfig:
 def _build(cls: type, data: Any, where: str) -> Any:
     if not isinstance(data, Mapping):
         raise InputError(f"{where} must be an object of settings, got {type(data).__name__}.")
-    hints = _hints(cls)
-    if unknown := sorted(set(data) - set(hints)):
+    fields = hints(cls)
+    if unknown := sorted(set(data) - set(fields)):
         raise InputError(f"{where} holds an unknown setting {unknown[0]!r}.")
-    if missing := sorted(set(hints) - set(data)):
+    if missing := sorted(set(fields) - set(data)):
         raise InputError(f"{where} lacks the setting {missing[0]!r}.")
     values = {}
     for name, value in data.items():
-        if dataclasses.is_dataclass(hints[name]):
-            values[name] = _build(typing.cast("type", hints[name]), value, f"{where}, {name},")
+        if dataclasses.is_dataclass(fields[name]):
+            values[name] = _build(typing.cast("type", fields[name]), value, f"{where}, {name},")
         else:
             values[name] = tuple(value) if isinstance(value, list) else value
     return cls(**values)

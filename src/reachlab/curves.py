@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from reachlab.config import InputError
+from reachlab.checks import InputError
 from reachlab.metrics import read_metrics
 
 POOL = 100

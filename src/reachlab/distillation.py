@@ -17,8 +17,9 @@ import optax
 from jax import Array
 
 from reachlab import ppo, task
+from reachlab.checks import InputError
 from reachlab.compilation import jit
-from reachlab.config import DistilRunConfig, InputError, RunConfig, override
+from reachlab.config import DistilRunConfig, RunConfig, override
 from reachlab.env import Env, EnvState, Transition
 from reachlab.evaluation import episode_keys
 from reachlab.iteration import (

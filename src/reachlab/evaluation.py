@@ -17,8 +17,8 @@ import numpy as np
 from jax import Array
 
 from reachlab import task
+from reachlab.checks import InputError, choose
 from reachlab.compilation import jit
-from reachlab.config import InputError, choose
 from reachlab.env import Env, EnvState, Transition
 from reachlab.kinematics import forward_kinematics
 from reachlab.policy import Policy

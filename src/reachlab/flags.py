@@ -8,7 +8,8 @@ from typing import Annotated
 
 import tyro
 
-from reachlab.config import DISTIL_DEFAULTS, Checked, Count, DistilConfig, Positive, Range, RunConfig, Seed, Steps
+from reachlab.checks import Checked, Count, Positive, Range, Seed, Steps
+from reachlab.config import DISTIL_DEFAULTS, DistilConfig, RunConfig
 
 
 @dataclass(frozen=True)

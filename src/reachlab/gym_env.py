@@ -15,7 +15,8 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike
 
-from reachlab.config import InputError, RunConfig, choose, configure
+from reachlab.checks import InputError, choose
+from reachlab.config import RunConfig, configure
 from reachlab.env import Env, EnvState, Transition, merge
 
 LARGEST_SEED = 2**32

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from reachlab.config import InputError
+from reachlab.checks import InputError
 from reachlab.storage import open_plain
 
 NAME = ".lock"

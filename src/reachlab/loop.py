@@ -15,8 +15,9 @@ from jax.stages import Wrapped
 
 from reachlab import arrays
 from reachlab.checkpoint import RunDirectory
+from reachlab.checks import InputError
 from reachlab.compilation import jit
-from reachlab.config import InputError, RunConfig
+from reachlab.config import RunConfig
 from reachlab.env import Env
 from reachlab.evaluation import VALIDATION_STREAM, Runner, episode_keys, make_runner, run_episodes
 from reachlab.interrupts import Interrupted, Interrupts

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from reachlab.config import Checked, Count, Fraction, InputError, NonNegative, NonNegativeInt
+from reachlab.checks import Checked, Count, Fraction, InputError, NonNegative, NonNegativeInt
 from reachlab.storage import read_json
 
 FORMAT = 1

@@ -10,7 +10,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
-from reachlab.config import InputError
+from reachlab.checks import InputError
 from reachlab.storage import open_plain
 
 if TYPE_CHECKING:

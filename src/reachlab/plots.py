@@ -14,7 +14,7 @@ from matplotlib.collections import QuadMesh
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.ticker import EngFormatter, FuncFormatter, LogLocator, MaxNLocator, NullLocator, PercentFormatter
 
-from reachlab.config import InputError
+from reachlab.checks import InputError
 from reachlab.curves import (
     Band,
     Evaluation,

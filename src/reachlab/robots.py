@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 
 from reachlab.chain import Chain, chain_from_model
-from reachlab.config import InputError, choose
+from reachlab.checks import InputError, choose
 from reachlab.kinematics import forward_kinematics
 
 ASSETS = Path(__file__).parent / "assets"

@@ -9,7 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from reachlab.config import InputError
+from reachlab.checks import InputError
 from reachlab.robots import Robot
 
 WIDTH, HEIGHT = 640, 480

@@ -17,7 +17,7 @@ import rich
 from scipy.spatial.transform import Rotation
 
 from reachlab import views
-from reachlab.config import InputError
+from reachlab.checks import InputError
 from reachlab.player import Moment
 from reachlab.robots import Robot
 from reachlab.scene import TABLE_CENTRE, TABLE_SIZE, scene_spec

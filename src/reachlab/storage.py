@@ -8,7 +8,7 @@ import stat
 from pathlib import Path
 from typing import Any, NoReturn
 
-from reachlab.config import InputError
+from reachlab.checks import InputError
 
 JSON_LIMIT = 2**20
 """Largest JSON file that is read [bytes]; those of a run are a few thousand."""

@@ -15,7 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from reachlab.config import TaskConfig, choose
+from reachlab.checks import choose
+from reachlab.config import TaskConfig
 from reachlab.kinematics import ik_displace, ik_point_step
 from reachlab.policy import Observed
 from reachlab.robots import Robot

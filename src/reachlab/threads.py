@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from reachlab.config import InputError
+from reachlab.checks import InputError
 
 VARIABLE = "NPROC"
 """XLA reads the number from here when JAX starts its backend; otherwise it takes the cores that it may use.

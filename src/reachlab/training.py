@@ -11,7 +11,8 @@ from typing import Any
 import jax
 
 from reachlab.checkpoint import RunDirectory
-from reachlab.config import DistilRunConfig, InputError, RunConfig, override
+from reachlab.checks import InputError
+from reachlab.config import DistilRunConfig, RunConfig, override
 from reachlab.distillation import check_distillation, dagger
 from reachlab.env import Env
 from reachlab.evaluation import Report, evaluate

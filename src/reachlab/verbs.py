@@ -13,7 +13,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from reachlab.config import TASKS, DistilRunConfig, InputError, RunConfig, choose, distillation, in_simulator, override
+from reachlab.checks import InputError, choose
+from reachlab.config import TASKS, DistilRunConfig, RunConfig, distillation, in_simulator, override
 from reachlab.flags import Bench, Distil, Eval, List, Plot, Train, Video, View
 
 EVALUATION_LANES = {"pybullet": 8}

@@ -16,7 +16,7 @@ import numpy as np
 from PIL import Image
 
 from reachlab.caption import Caption, captioned, inset
-from reachlab.config import InputError, choose
+from reachlab.checks import InputError, choose
 from reachlab.env import Env, EnvState
 from reachlab.evaluation import REPORT_STREAM, compile_agent, episode_keys
 from reachlab.policy import Policy

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-from reachlab.config import InputError, choose
+from reachlab.checks import InputError, choose
 from reachlab.env import Env
 from reachlab.evaluation import AGENTS
 from reachlab.panel import Panel

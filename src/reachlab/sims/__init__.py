@@ -10,7 +10,8 @@ import jax
 import numpy as np
 from jax import Array
 
-from reachlab.config import SimConfig, choose
+from reachlab.checks import choose
+from reachlab.config import SimConfig
 from reachlab.robots import Robot
 from reachlab.views import Views
 

@@ -9,8 +9,9 @@ import numpy as np
 from jax import Array
 from mujoco.batch import Batch
 
+from reachlab.checks import InputError
 from reachlab.compilation import jit
-from reachlab.config import InputError, SimConfig
+from reachlab.config import SimConfig
 from reachlab.kinematics import forward_kinematics
 from reachlab.robots import Robot
 from reachlab.scene import add_table

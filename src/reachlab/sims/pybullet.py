@@ -17,7 +17,8 @@ import jax
 import numpy as np
 from jax import Array
 
-from reachlab.config import InputError, SimConfig
+from reachlab.checks import InputError
+from reachlab.config import SimConfig
 from reachlab.robots import Robot
 from reachlab.sims import ArmState, Lanes
 from reachlab.views import FAR, FIELD_OF_VIEW, NEAR, SIZE, Views, greys
