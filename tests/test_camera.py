@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -23,6 +24,7 @@ from reachlab.robots import load_robot
 from reachlab.rollout import host_collector
 from reachlab.sims import SIMULATORS, make_simulator
 from reachlab.task import OBSERVATIONS
+from reachlab.training import train
 from reachlab.views import CHANCES, FIELD_OF_VIEW, SHIFT, SIZE, TURN, Views, make_views
 
 ROBOT = load_robot("iiwa14", "link_7")
@@ -131,7 +133,7 @@ def test_every_episode_has_its_own_view_where_views_are_random() -> None:
     env.close()
 
 
-def test_without_opengl_one_sentence_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_opengl_one_sentence_says_what_to_install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     def none(*_: object) -> None:
         raise InputError("pictures need OpenGL (egl), which does not start here. apt install libegl1")
 
@@ -142,6 +144,9 @@ def test_without_opengl_one_sentence_says_what_to_install(monkeypatch: pytest.Mo
         env.look(state)
     env.step(state, np.zeros((1, 3), np.float32))  # all else works
     env.close()
+    with pytest.raises(InputError, match="apt install libegl1"):
+        train(configure(observation="image", lanes=8), tmp_path / "run")
+    assert not (tmp_path / "run").exists()
 
 
 # --- no frame that nobody uses --------------------------------------------------------------------

@@ -226,6 +226,14 @@ def test_an_interruption_is_told_by_its_status(reachlab: Shell, monkeypatch: pyt
     assert reachlab("list") == Said(130, "", "reachlab: interrupted.\n")
 
 
+def test_a_backend_that_mujoco_does_not_know_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MUJOCO_GL", "bogus")
+    said = in_a_process("list")
+    assert (said.status, said.out) == (cli.WRONG_INPUT, "")
+    assert said.err.startswith("reachlab: MuJoCo does not load with MUJOCO_GL='bogus' (")
+    assert said.err.count("\n") == 1
+
+
 # --- train ----------------------------------------------------------------------------------------
 
 
@@ -262,6 +270,13 @@ def test_flags_reach_the_configuration(trained: tuple[Path, Said]) -> None:
         stop_early=False,
         report_episodes=10,
     )
+
+
+@pytest.mark.parametrize("reward", ["sparse", "dense"])
+def test_of_a_flag_given_twice_the_last_one_counts(reward: str) -> None:
+    other = {"sparse": "dense", "dense": "sparse"}[reward]
+    chosen = cli._parse("train", cli.Train, ["--reward", other, f"--reward={reward}"])
+    assert chosen.run == configure(reward=reward)
 
 
 def test_train_leaves_its_curve(trained: tuple[Path, Said]) -> None:

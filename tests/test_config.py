@@ -97,6 +97,11 @@ def test_what_is_seen_and_paid_for_brings_defaults_which_settings_change(setting
     assert configure(**settings, gamma=0.5).ppo == dataclasses.replace(ppo, gamma=0.5)
 
 
+@pytest.mark.parametrize("settings", [{"reward": "sparse"}, {"observation": "image"}])
+def test_where_the_target_is_held_actions_are_not(settings):
+    assert configure("precise", **settings).ppo == preset("precise").ppo
+
+
 def test_a_setting_belongs_to_one_section():
     sections = (RunConfig, TaskConfig, SimConfig, PPOConfig)
     names = [field.name for section in sections for field in dataclasses.fields(section)]

@@ -66,11 +66,14 @@ def test_the_student_comes_to_do_as_the_teacher_does(teacher: Path, tmp_path: Pa
 
 
 def test_a_distillation_stopped_ends_with_the_weights_of_one_never_stopped(
-    teacher: Path, whole: Path, tmp_path: Path
+    teacher: Path, whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out, config = tmp_path / "parts", lessons(teacher, randomise_view=True)
     with pytest.raises(Interrupted, match=r"`reachlab distil --resume .*parts` goes on from there"):
         distil(config, out, at(5, ask(signal.SIGINT)))
+    for words in (["--seed", "9"], ["--action-repeat", "7"], ["--batch", "17"], [str(tmp_path / "other")]):
+        assert cli.main(["distil", "--resume", str(out), *words]) == cli.WRONG_INPUT
+        assert "and cannot go on with" in capsys.readouterr().err
     distil(config, out, resume=True)
     assert weights(out) == weights(whole)
     assert rows(out) == rows(whole)
@@ -81,6 +84,7 @@ def test_the_run_directory_is_as_that_of_a_training(whole: Path) -> None:
     report = json.loads(run.report_file.read_text())
     assert (report["episodes"], report["steps"], report["agent"]) == (4, 768, "trained")
     assert isinstance(run.read_config(), DistilRunConfig)
+    assert (run.read_config().physics.randomise_view, report["perturb_view"]) == (True, False)
     assert rows(whole)[-1]["pictures"] == 6 * 32
 
 
@@ -123,7 +127,18 @@ def test_whatever_the_picture_actions_are_finite(student: tuple[Env, Any], way: 
 
 def test_distil_then_eval_and_video(teacher: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "student"
-    words = ["--observation", "image+tool", "--total-steps", "4096", "--updates", "2", "--report-episodes", "4"]
+    words = [
+        "--observation",
+        "image+tool",
+        "--total-steps",
+        "4096",
+        "--updates",
+        "2",
+        "--report-episodes",
+        "4",
+        "--guided",
+        "0",
+    ]
     assert cli.main(["distil", str(teacher), *words, "--out", str(out), "--json"]) == cli.DONE
     assert json.loads(capsys.readouterr().out)["steps"] == 4096
     assert cli.main(["eval", str(out), "--episodes", "2", "--agent", "trained", "zero", "--json"]) == cli.DONE
@@ -145,6 +160,7 @@ def test_distil_then_eval_and_video(teacher: Path, tmp_path: Path, capsys: pytes
         ({"sim": "pybullet"}, "choose --sim kinematic or mujoco"),
         ({"teacher_observation": "image"}, "a teacher has to know the state"),
         ({"capacity": 4}, "capacity must be at least"),
+        ({"action_repeat": 16}, "the teacher would act in all 2 iterations of 512 steps, as guided is 2"),
     ],
 )
 def test_what_cannot_be_learnt_from_is_refused(
@@ -161,6 +177,6 @@ def test_distil_without_a_teacher_says_what_it_needs(capsys: pytest.CaptureFixtu
 
 
 def test_a_student_in_mujoco_learns_too(teacher: Path, tmp_path: Path) -> None:
-    result = distil(lessons(teacher, sim="mujoco", total_steps=256), tmp_path / "run")
+    result = distil(lessons(teacher, sim="mujoco", total_steps=384), tmp_path / "run")
     assert result.report.sim == "mujoco"
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(result.policy.parameters))

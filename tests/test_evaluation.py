@@ -40,6 +40,7 @@ REPORT_FIELDS = [
     "seed",
     "episodes",
     "perturb",
+    "perturb_view",
     "success_rate",
     "success_interval",
     "success_within",
@@ -52,7 +53,7 @@ REPORT_FIELDS = [
     "wall_s",
     "versions",
 ]
-"""DESIGN.md's, and `return_mean`."""
+"""DESIGN.md's, `return_mean` and `perturb_view`."""
 
 
 @pytest.fixture(scope="module")

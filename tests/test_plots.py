@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -153,17 +154,32 @@ def test_metrics_that_are_none_are_refused(tmp_path: Path) -> None:
 
 def test_runs_that_differ_by_their_seeds_alone_are_one_group(tmp_path: Path) -> None:
     runs = [
-        make_run(tmp_path / f"{seen}-{seed}", [row(1)], configure(observation=seen, seed=seed))
+        make_run(tmp_path / f"{reward}-{seed}", [row(1)], configure(reward=reward, seed=seed))
         for seed in (0, 1, 2)
-        for seen in ("target+tool", "target")
+        for reward in ("dense", "sparse")
     ]
-    groups = group_runs([*runs, make_run(tmp_path / "other", [row(1)], configure(observation="target", gamma=0.9))])
+    groups = group_runs([*runs, make_run(tmp_path / "other", [row(1)], configure(reward="sparse", gamma=0.8))])
     assert [group.label for group in groups] == [
-        "gamma 0.98, observation target+tool, 3 seeds",
-        "gamma 0.98, observation target, 3 seeds",
-        "gamma 0.9, observation target",
+        "gamma 0.98, reward dense, 3 seeds",
+        "gamma 0.9, reward sparse, 3 seeds",
+        "gamma 0.8, reward sparse",
     ]
-    assert [run.name for run in groups[0].runs] == ["target+tool-0", "target+tool-1", "target+tool-2"]
+    assert [run.name for run in groups[0].runs] == ["dense-0", "dense-1", "dense-2"]
+
+
+@pytest.mark.parametrize(
+    ("settings", "labels"),
+    [
+        ({"reward": "sparse"}, ["reward dense", "reward sparse"]),
+        ({"sim": "mujoco"}, ["sim kinematic", "sim mujoco"]),
+        ({"observation": "image"}, ["observation target+tool", "observation image"]),
+    ],
+)
+def test_settings_that_follow_from_others_are_not_named(
+    tmp_path: Path, settings: dict[str, Any], labels: list[str]
+) -> None:
+    runs = [make_run(tmp_path / str(i), [row(1)], configure(**given)) for i, given in enumerate(({}, settings))]
+    assert [group.label for group in group_runs(runs)] == labels
 
 
 def test_a_single_group_is_called_by_its_run_or_its_task(tmp_path: Path) -> None:
@@ -275,12 +291,12 @@ def test_targets_of_many_heights_are_seen_from_two_sides(
 
 
 def test_of_two_groups_each_has_its_map(evaluated: Path, tmp_path: Path, figures: list[Figure]) -> None:
-    other = make_run(tmp_path / "other", [row(1)], configure(observation="target"))
+    other = make_run(tmp_path / "other", [row(1)], configure(reward="sparse"))
     evaluate(other)
     plot([evaluated, other], tmp_path / "two.png")
     assert [title.split("\n")[0] for title in titles(figures[0]) if "failures" in title] == [
-        "observation target+tool",
-        "observation target",
+        "reward dense",
+        "reward sparse",
     ]
 
 

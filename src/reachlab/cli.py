@@ -56,7 +56,7 @@ def _overview() -> str:
 
 
 def _parse(verb: str, flags: type, words: list[str]) -> Any:
-    """Flags of a verb; `--task`, `--sim` and `--observation` are read first and set the other defaults.
+    """Flags of a verb; `--task`, `--sim`, `--observation` and `--reward` are read first and set the other defaults.
 
     Raises:
         InputError: a flag or value that is not allowed, in one sentence.
@@ -87,12 +87,14 @@ def _defaults(words: Sequence[str]) -> RunConfig:
 
 
 def _value_of(flag: str, words: Sequence[str]) -> str | None:
+    """Value of a flag, the last one if it is there several times."""
+    value = None
     for word, following in zip(words, [*words[1:], None], strict=True):
         if word == flag:
-            return following
-        if word.startswith(f"{flag}="):
-            return word.partition("=")[2]
-    return None
+            value = following
+        elif word.startswith(f"{flag}="):
+            value = word.partition("=")[2]
+    return value
 
 
 def _sentence(box: str) -> str:

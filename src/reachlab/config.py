@@ -97,7 +97,8 @@ class SimConfig(Checked):
     """Every episode has an arm of its own: servo gains within 15 %, joint damping within 30 %, a payload of 0 to 2 kg
     at the tool (MuJoCo); and its joints are measured with noise of 0.5 mrad and 0.01 rad/s."""
     randomise_view: bool = False
-    """Every episode is seen in a view of its own: light, colours, and the camera's pose within 2 cm and 2 degrees."""
+    """Train in views that differ from episode to episode: light, colours, and the camera's pose within 2 cm and 2
+    degrees; the report is in the view as it is."""
 
 
 @dataclass(frozen=True)
@@ -310,12 +311,12 @@ PICTURE_DEFAULTS: dict[str, Any] = {
     "validation_interval": 20,
     "report_episodes": 200,
 }
-"""Settings that pictures change in every preset: each costs a hundred times a step without one."""
+"""Settings that pictures change where touching the target is enough: each costs a hundred times a step without one."""
 
 REWARD_DEFAULTS: dict[str, dict[str, Any]] = {
     "sparse": {"action_repeat": 8, "gamma": 0.9, "anneal_steps": 8_000_000},
 }
-"""Settings that a reward changes in every preset: where success alone pays, its credit has a long way back."""
+"""Settings that a reward changes there: where success alone pays, its credit has a long way back."""
 
 PICTURED = ("image", "image+tool")
 """Observations with a picture in them."""
@@ -335,6 +336,8 @@ def preset(
     """The preset of that name, with the defaults of a simulator that is not its own, of a reward, and of pictures."""
     config = TASKS[choose("task", task, TASKS)]
     config = config if sim is None else in_simulator(config, sim)
+    if config.rules.hold_steps:  # an action that is held goes past what has to be held
+        return config
     pictures = PICTURE_DEFAULTS if observation in PICTURED else {}
     return override(config, **(REWARD_DEFAULTS.get(reward or "", {}) | pictures))
 

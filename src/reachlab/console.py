@@ -59,7 +59,7 @@ class TrainDisplay:
         left = max(progress.total_steps - progress.steps, 0) / max(now["steps_per_second"], 1.0)
         ended = f"success {100 * now['success_rate']:5.1f} %  {1000 * now['final_distance']:.1f} mm off"
         status = (
-            f"{progress.steps / 1e6:.2f}M steps  {ended if now['episodes'] else 'no episode ended'}"
+            f"{progress.steps / 1e6:.2f}M steps  {ended if now['episodes'] else 'no episode to count'}"
             f"  {now['steps_per_second'] / 1e3:.0f}k steps/s  at most {left:.0f} s left"
         )
         if "validation_success" in now:
@@ -76,7 +76,7 @@ class TrainDisplay:
 def print_reports(reports: Sequence[dict[str, Any]]) -> None:
     """One table with a row for each report."""
     first = reports[0]
-    perturbed = ", perturbed" if first["perturb"] else ""
+    perturbed = ", perturbed" * first["perturb"] + ", random views" * first["perturb_view"]
     what = f"{first['task']} task, {first['robot']}{perturbed}"
     title = f"{what}: {first['episodes']:,} held-out targets of seed {first['seed']}"
     held = first["success_within"] is not None

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from reachlab.checks import InputError
+from reachlab.config import preset, to_json
 from reachlab.metrics import read_metrics
 
 POOL = 100
@@ -19,6 +20,9 @@ POOL = 100
 
 MOST_DIFFERENCES = 3
 """Settings that a label names at most; groups that differ in more are called by their first run."""
+
+CHOICES = ("task", "sim", "observation", "reward")
+"""Settings that bring others with them, see `config.preset`."""
 
 QUANTILE = 0.975
 """Of Student's distribution, for intervals of 95 %."""
@@ -45,8 +49,8 @@ class Band:
     high: np.ndarray | None
 
 
-PERTURBED = " (perturbed)"
-"""What the name of an agent ends in where every episode had an arm of its own."""
+PERTURBED = {"perturb": " (perturbed)", "perturb_view": " (random views)"}
+"""What the name of an agent ends in where every episode had an arm, or a view, of its own."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +58,7 @@ class Evaluation:
     """Held-out episodes of a group's runs, by one agent in one simulator.
 
     Attributes:
-        sim, agent: names; that of an agent on perturbed arms says so.
+        sim, agent: names; that of an agent on perturbed arms or in random views says so.
         target: `[N, 3]` [m].
         error: tool to target at the end `[N]` [mm], infinite where it had to be held and was not.
         success: `[N]`.
@@ -74,7 +78,8 @@ def group_runs(runs: Sequence[Path]) -> list[Group]:
     for run, flat in settings.items():
         members.setdefault(json.dumps(flat) if flat else str(run), []).append(run)
     heads = [settings[group[0]] for group in members.values()]
-    names = sorted({name for head in heads for name in head if any(head.get(name) != o.get(name) for o in heads)})
+    differ = {name for head in heads for name in head if any(head.get(name) != other.get(name) for other in heads)}
+    names = sorted(name for name in differ if name in CHOICES or not all(_follows(name, head) for head in heads))
     return [
         Group(_label(group, head, names), tuple(group)) for group, head in zip(members.values(), heads, strict=True)
     ]
@@ -90,12 +95,24 @@ def _label(runs: Sequence[Path], settings: Mapping[str, Any], names: Sequence[st
     return f"{label}, {len(runs)} seeds" if len(runs) > 1 else label
 
 
+def _follows(name: str, settings: Mapping[str, Any]) -> bool:
+    """Whether a setting is what others bring with them, and was not chosen."""
+    choices = {choice: settings[choice] for choice in CHOICES if choice in settings}
+    return len(choices) == len(CHOICES) and settings.get(name) == _flat(to_json(preset(**choices))).get(name)
+
+
+def _flat(config: Mapping[str, Any]) -> dict[str, Any]:
+    """Every setting by name."""
+    flat: dict[str, Any] = {}
+    for name, value in config.items():
+        flat |= value if isinstance(value, dict) else {name: value}
+    return flat
+
+
 def read_settings(run: Path) -> dict[str, Any]:
     """Every setting of a run but its seed, by name; empty without a configuration."""
     file = run / "config.json"
-    flat: dict[str, Any] = {}
-    for name, value in _read_json(file).items() if file.exists() else ():
-        flat |= value if isinstance(value, dict) else {name: value}
+    flat = _flat(_read_json(file)) if file.exists() else {}
     flat.pop("seed", None)
     return flat
 
@@ -162,7 +179,7 @@ def read_evaluations(group: Group) -> list[Evaluation]:
     for run in group.runs:
         for file in sorted((run / "reports").glob("*.safetensors")):
             report = _read_json(file.with_suffix(".json"))
-            agent = report["agent"] + PERTURBED * bool(report.get("perturb"))
+            agent = report["agent"] + "".join(words for name, words in PERTURBED.items() if report.get(name))
             parts.setdefault((report["sim"], agent), []).append(_read_episodes(file))
     order = sorted(parts, key=lambda names: (names[1] != "trained", names[0] != own, names))
     return [_join(sim, agent, parts[sim, agent]) for sim, agent in order]

@@ -78,6 +78,12 @@ def check_distillation(config: RunConfig) -> DistilRunConfig:
         raise InputError(
             "a teacher has to know the state, and this one sees pictures: train one with another observation."
         )
+    iterations = -(-config.ppo.total_steps // config.ppo.iteration_steps)
+    if config.distil.guided >= iterations:
+        raise InputError(
+            f"the teacher would act in all {iterations} iterations of {config.ppo.iteration_steps:,} steps, as guided"
+            f" is {config.distil.guided}: choose a lower --guided or --action-repeat, or more --total-steps."
+        )
     if config.distil.capacity < config.ppo.lanes:
         raise InputError(f"capacity must be at least the {config.ppo.lanes} lanes, got {config.distil.capacity}.")
     return config

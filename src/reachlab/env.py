@@ -202,6 +202,16 @@ class Env:
         pictures[chosen] = self._drawn(q[chosen], target[chosen], chances[chosen], chosen)
         return pictures
 
+    def open_eyes(self) -> None:
+        """Draw a picture, if the observation holds one, to find out whether that can be done.
+
+        Raises:
+            InputError: it cannot.
+        """
+        if self.pictured:
+            home = np.array([self.reach.robot.home])
+            self._drawn(home, np.zeros((1, 3)), np.zeros((1, CHANCES)), np.zeros(1, int))
+
     def draw(self, q: Array, target: Array, keys: Array) -> np.ndarray:
         """Pictures `[m, SIZE, SIZE]` uint8 of joints `[m, n]`, targets `[m, 3]` and episodes with `keys [m]`."""
         return self._drawn(*(np.asarray(x) for x in (q, target, self._chances(keys), np.arange(len(q)))))

@@ -137,6 +137,7 @@ class Report:
     Attributes:
         task, robot, sim, agent, seed, episodes: what was evaluated, on which seed's held-out targets.
         perturb: whether every episode had a perturbed arm of its own, see `SimConfig.perturb`.
+        perturb_view: whether every episode was seen in a view of its own, see `SimConfig.randomise_view`.
         success_rate: share of episodes that ended in success.
         success_interval: its 95 % Wilson interval.
         success_within: share within so many millimetres at the end; None where success ends the episode.
@@ -158,6 +159,7 @@ class Report:
     seed: int
     episodes: int
     perturb: bool
+    perturb_view: bool
     success_rate: float
     success_interval: tuple[float, float]
     success_within: dict[str, float] | None
@@ -338,6 +340,7 @@ def summarise(env: Env, agent: str, result: Episodes, seed: int, wall_s: float) 
         seed=seed,
         episodes=count,
         perturb=env.config.physics.perturb,
+        perturb_view=env.config.physics.randomise_view,
         success_rate=successes / count,
         success_interval=wilson_interval(successes, count),
         success_within=_shares_within(error) if env.config.rules.hold_steps else None,

@@ -44,7 +44,8 @@ class Distil(Checked):
     resume: Path | None = None
     """Run directory to go on in, from its newest checkpoint and with its own settings."""
     randomise_view: bool = False
-    """Every episode is seen in a view of its own: light, colours, and the camera's pose within 2 cm and 2 degrees."""
+    """Learn in views that differ from episode to episode: light, colours, and the camera's pose within 2 cm and 2
+    degrees; the report is in the view as it is."""
     total_steps: Steps = DISTIL_DEFAULTS["total_steps"]
     """Environment steps after which it ends: 4,096 an iteration, more or less with another `--action-repeat`."""
     report_episodes: Count = DISTIL_DEFAULTS["report_episodes"]

@@ -163,7 +163,12 @@ def gl_context(width: int, height: int) -> Any:
             from mujoco.cgl import GLContext
         else:
             from mujoco.glfw import GLContext
-        return GLContext(width, height)
+        context = GLContext(width, height)
+        context.make_current()
+        # A context that is none is noticed by what draws in it.
+        mujoco.MjrContext(mujoco.MjSpec().compile(), mujoco.mjtFontScale.mjFONTSCALE_50).free()
     except Exception as error:
-        hint = "On Debian or Ubuntu: apt install libegl1 libopengl0 libgl1-mesa-dri."
-        raise InputError(f"pictures need OpenGL ({backend}), which does not start here ({error}). {hint}") from None
+        hint = "on Debian or Ubuntu, apt install libegl1 libopengl0 libgl1-mesa-dri"
+        why = str(error).rstrip(".")
+        raise InputError(f"pictures need OpenGL ({backend}), which does not start here ({why}): {hint}.") from None
+    return context

@@ -141,6 +141,7 @@ def run_method(
     _choose_threads(run, config)
     env = Env(override(config, perturb=True) if config.ppo.randomise else config, config.ppo.lanes)
     try:
+        env.open_eyes()
         if not resume:
             run.create(config)
         with locked(out):
@@ -195,8 +196,9 @@ def _train(loop: Loop, *, resume: bool, tensorboard: bool) -> TrainResult:
 
 
 def _report(loop: Loop, policy: Policy) -> Report:
-    """Report on held-out targets, on arms of the run's physics even where training had others."""
-    config, seed, episodes = loop.config, loop.config.seed, loop.config.ppo.report_episodes
+    """Report on held-out targets, on arms and in the view as they are even where training had others."""
+    config = override(loop.config, randomise_view=False)
+    seed, episodes = config.seed, config.ppo.report_episodes
     if loop.env.config == config:
         return evaluate(loop.env, "trained", policy, seed=seed, episodes=episodes, runner=loop.runner)
     env = Env(config, loop.env.batch_size)

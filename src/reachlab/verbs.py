@@ -10,6 +10,7 @@ import webbrowser
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -35,15 +36,27 @@ def _distillation(arguments: Distil) -> RunConfig:
     """Settings of a distillation: those of the run to go on with, or of the teacher with what the flags say."""
     from reachlab.checkpoint import RunDirectory
 
+    names = (
+        "observation",
+        "seed",
+        "randomise_view",
+        "total_steps",
+        "report_episodes",
+        "action_repeat",
+        "deterministic",
+    )
+    said = {name: getattr(arguments, name) for name in names} | vars(arguments.settings)
     if arguments.resume:
-        return RunDirectory(arguments.resume).read_config()
+        usual = vars(Distil()) | vars(Distil().settings)
+        given = {name: value for name, value in said.items() if value != usual[name]}
+        given |= {"sim": arguments.sim} if arguments.sim else {}
+        given |= {"teacher": str(arguments.teacher)} if arguments.teacher else {}
+        return override(RunDirectory(arguments.resume).read_config(), **given)
     if arguments.teacher is None:
         raise InputError("distil needs a teacher: name the run directory of one, as `reachlab train` makes it.")
     taught = RunDirectory(arguments.teacher).read_config()
     config = in_simulator(taught, arguments.sim or taught.sim)
-    same = ("observation", "seed", "randomise_view", "total_steps", "report_episodes", "action_repeat", "deterministic")
-    chosen = {name: getattr(arguments, name) for name in same} | vars(arguments.settings)
-    return distillation(str(arguments.teacher), config, **chosen)
+    return distillation(str(arguments.teacher), config, **said)
 
 
 def _learn(arguments: Train | Distil, config: RunConfig, verb: str) -> None:
@@ -55,7 +68,7 @@ def _learn(arguments: Train | Distil, config: RunConfig, verb: str) -> None:
         raise InputError(f"run '{arguments.resume}' goes on with `reachlab {config.verb} --resume {arguments.resume}`.")
     if arguments.resume and _told_that_finished(arguments, config, arguments.resume):
         return
-    _prepare_jax()
+    _prepare()
     from reachlab.console import TrainDisplay, console, print_reports
     from reachlab.plots import plot as draw
     from reachlab.training import distil as run_distillation
@@ -106,7 +119,7 @@ def _told_that_finished(arguments: Train | Distil, config: RunConfig, folder: Pa
 
 def evaluate(arguments: Eval) -> None:
     """Run `reachlab eval`."""
-    _prepare_jax()
+    _prepare()
     from reachlab.checkpoint import RunDirectory
     from reachlab.console import print_reports
     from reachlab.env import Env
@@ -144,7 +157,7 @@ def evaluate(arguments: Eval) -> None:
 
 def video(arguments: Video) -> None:
     """Run `reachlab video`."""
-    _prepare_jax()
+    _prepare()
     from reachlab.checkpoint import RunDirectory
     from reachlab.console import console
     from reachlab.env import Env
@@ -157,6 +170,7 @@ def video(arguments: Video) -> None:
     run = RunDirectory(arguments.run)
     trained = run.read_config()
     config = in_simulator(trained, choose("simulator", arguments.sim or trained.sim, SIMULATORS))
+    config = override(config, randomise_view=False)
     env = Env(config, 1)
     clip = write_video(
         env,
@@ -179,7 +193,7 @@ def video(arguments: Video) -> None:
 
 def view(arguments: View) -> None:
     """Run `reachlab view`."""
-    _prepare_jax()
+    _prepare()
     from reachlab.checkpoint import RunDirectory
     from reachlab.console import console
     from reachlab.env import Env
@@ -192,6 +206,7 @@ def view(arguments: View) -> None:
     run = RunDirectory(arguments.run)
     trained = run.read_config()
     config = in_simulator(trained, choose("simulator", arguments.sim or trained.sim, SIMULATORS))
+    config = override(config, randomise_view=False)
     steps = run.checkpoint_steps()
     env = Env(config, 1)
     if arguments.save:
@@ -233,7 +248,7 @@ def plot(arguments: Plot) -> None:
 
 def bench(arguments: Bench) -> None:
     """Run `reachlab bench`."""
-    _prepare_jax()
+    _prepare()
     from reachlab.bench import run_suite, to_markdown
     from reachlab.console import print_table
 
@@ -249,7 +264,7 @@ def bench(arguments: Bench) -> None:
 
 def list_names(arguments: List) -> None:
     """Run `reachlab list`."""
-    _prepare_jax()
+    _prepare()
     from reachlab.console import print_table
     from reachlab.evaluation import AGENTS
     from reachlab.robots import ROBOTS
@@ -275,12 +290,23 @@ def list_names(arguments: List) -> None:
             print_table(kind, ("name", "what it is"), list(entries.items()))
 
 
-def _prepare_jax() -> None:
-    """Quiet XLA's log, which prints pages of CPU features when it reads the compilation cache, and use the cache."""
+def _prepare() -> None:
+    """Quiet XLA's log, which prints pages of CPU features when it reads the compilation cache, and use the cache.
+
+    Raises:
+        InputError: MuJoCo does not load, as with a `MUJOCO_GL` that it does not know or cannot have.
+    """
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     from reachlab.compilation import use_compilation_cache
 
     use_compilation_cache()
+    try:
+        import_module("mujoco")
+    except Exception as error:
+        if "MUJOCO_GL" not in os.environ:
+            raise
+        wanted = os.environ["MUJOCO_GL"]
+        raise InputError(f"MuJoCo does not load with MUJOCO_GL={wanted!r} ({error}): unset it, or set egl.") from None
 
 
 @dataclass(frozen=True)
