@@ -256,6 +256,19 @@ def titles(figure: Figure) -> list[str]:
     return [axes.get_title("left") for axes in figure.axes]
 
 
+def test_perturbed_arms_and_random_views_are_evaluations_of_their_own(evaluated: Path) -> None:
+    rows = {"target": np.zeros((1, 3)), "distance": np.zeros(1), "success": np.ones(1, bool)}
+    for name in ("perturb", "perturb_view"):
+        report = {"sim": "kinematic", "agent": "trained", name: True}
+        RunDirectory(evaluated).write_report(f"kinematic-trained-1-{name}", report, rows)
+    found = read_evaluations(group_runs([evaluated])[0])
+    assert {(evaluation.agent, len(evaluation.target)) for evaluation in found} == {
+        ("trained", 400),
+        ("trained (perturbed)", 1),
+        ("trained (random views)", 1),
+    }
+
+
 def test_errors_are_drawn_as_the_share_of_episodes_within(
     evaluated: Path, tmp_path: Path, figures: list[Figure]
 ) -> None:
