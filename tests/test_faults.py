@@ -36,17 +36,8 @@ from reachlab.training import train
 EACH = 64
 """Environment steps of an iteration."""
 
-TINY: dict[str, Any] = {
-    "lanes": 8,
-    "rollout_steps": 8,
-    "total_steps": 6 * EACH,
-    "hidden": (8,),
-    "stop_early": False,
-    "validation_episodes": 4,
-    "report_episodes": 4,
-    "max_steps": 30,
-    "checkpoint_interval": 0.0,
-}
+TINY: dict[str, Any] = {**bench_trust.TINY, "lanes": 8, "rollout_steps": 8, "total_steps": 6 * EACH}
+"""Six iterations, each saved."""
 
 
 @pytest.fixture(autouse=True)
