@@ -272,6 +272,10 @@ def test_flags_reach_the_configuration(trained: tuple[Path, Said]) -> None:
     )
 
 
+def test_without_flags_the_tutorials_task_is_trained() -> None:
+    assert cli._parse("train", cli.Train, []).run == configure()
+
+
 @pytest.mark.parametrize("reward", ["sparse", "dense"])
 def test_of_a_flag_given_twice_the_last_one_counts(reward: str) -> None:
     other = {"sparse": "dense", "dense": "sparse"}[reward]

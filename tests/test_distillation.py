@@ -17,8 +17,9 @@ from reachlab import cli
 from reachlab.bench_camera import SPOILT
 from reachlab.checkpoint import RunDirectory
 from reachlab.checks import InputError
-from reachlab.config import DistilRunConfig, configure, distillation
+from reachlab.config import DistilRunConfig, configure, distillation, override
 from reachlab.env import Env, lane_keys
+from reachlab.evaluation import REPORT_STREAM, episode_keys
 from reachlab.interrupts import Interrupted
 from reachlab.memory import Album, make_memory, remember
 from reachlab.training import distil, load_policy, train
@@ -71,7 +72,15 @@ def test_a_distillation_stopped_ends_with_the_weights_of_one_never_stopped(
     out, config = tmp_path / "parts", lessons(teacher, randomise_view=True)
     with pytest.raises(Interrupted, match=r"`reachlab distil --resume .*parts` goes on from there"):
         distil(config, out, at(5, ask(signal.SIGINT)))
-    for words in (["--seed", "9"], ["--action-repeat", "7"], ["--batch", "17"], [str(tmp_path / "other")]):
+    different = (
+        ["--seed", "9"],
+        ["--action-repeat", "7"],
+        ["--batch", "17"],
+        ["--updates", "48"],  # what it would be by default
+        ["--no-randomise-view"],
+        [str(tmp_path / "other")],
+    )
+    for words in different:
         assert cli.main(["distil", "--resume", str(out), *words]) == cli.WRONG_INPUT
         assert "and cannot go on with" in capsys.readouterr().err
     distil(config, out, resume=True)
@@ -169,6 +178,19 @@ def test_what_cannot_be_learnt_from_is_refused(
     with pytest.raises(InputError, match=sentence):
         distil(lessons(teacher, **settings), tmp_path / "run")
     assert not (tmp_path / "run").exists()
+
+
+def test_videos_of_a_student_of_random_views_show_the_view_as_it_is(whole: Path, tmp_path: Path) -> None:
+    out = tmp_path / "video.webp"
+    assert cli.main(["video", str(whole), "--episodes", "1", "--out", str(out)]) == cli.DONE
+    shown = np.asarray(Image.open(out).convert("L"), int)[16 : 16 + 168 : 2, 640 - 16 - 168 : 640 - 16 : 2]
+    pictures = []
+    for randomise_view in (False, True):
+        env = Env(override(RunDirectory(whole).read_config(), randomise_view=randomise_view), 1)
+        pictures.append(np.asarray(env.look(env.init(episode_keys(1, REPORT_STREAM, 0, 1))), int)[0])
+        env.close()
+    tutorial, random = (np.abs(shown - picture).mean() for picture in pictures)
+    assert tutorial < 5 < random
 
 
 def test_distil_without_a_teacher_says_what_it_needs(capsys: pytest.CaptureFixture[str]) -> None:

@@ -14,8 +14,8 @@ from typing import Any
 import tyro
 
 from reachlab.checks import InputError, choose
-from reachlab.config import RunConfig, preset
-from reachlab.flags import Train
+from reachlab.config import DistilRunConfig, RunConfig, flatten, preset, to_json
+from reachlab.flags import LESSON, Distil, Train
 from reachlab.verbs import VERBS
 
 DONE, WRONG_INPUT, NOT_FINITE, INTERRUPTED = 0, 2, 3, 130
@@ -64,6 +64,9 @@ def _parse(verb: str, flags: type, words: list[str]) -> Any:
     default: Any = tyro.MISSING_NONPROP
     if flags is Train:
         default = Train(run=_defaults(words))
+    elif flags is Distil and isinstance(config := _resumed(words), DistilRunConfig):
+        settings = flatten(to_json(config))
+        default = Distil(**{name: settings[name] for name in LESSON}, settings=config.distil)
     said = io.StringIO()
     try:
         with contextlib.redirect_stderr(said):
@@ -78,18 +81,25 @@ def _parse(verb: str, flags: type, words: list[str]) -> Any:
 
 def _defaults(words: Sequence[str]) -> RunConfig:
     """Settings that the flags of a training change: those of the run to go on with, or a preset."""
-    if folder := _value_of("--resume", words):
-        from reachlab.checkpoint import RunDirectory
-
-        return RunDirectory(Path(folder)).read_config()
+    if config := _resumed(words):
+        return config
     task, *choices = (_value_of(flag, words) for flag in ("--task", "--sim", "--observation", "--reward"))
     return preset(task or "tutorial", *choices)
+
+
+def _resumed(words: Sequence[str]) -> RunConfig | None:
+    """Settings of the run to go on with, if there is one."""
+    if not (folder := _value_of("--resume", words)):
+        return None
+    from reachlab.checkpoint import RunDirectory
+
+    return RunDirectory(Path(folder)).read_config()
 
 
 def _value_of(flag: str, words: Sequence[str]) -> str | None:
     """Value of a flag, the last one if it is there several times."""
     value = None
-    for word, following in zip(words, [*words[1:], None], strict=True):
+    for word, following in itertools.zip_longest(words, words[1:]):
         if word == flag:
             value = following
         elif word.startswith(f"{flag}="):

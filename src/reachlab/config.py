@@ -397,6 +397,14 @@ def to_json(config: RunConfig) -> dict[str, Any]:
     return dataclasses.asdict(config)
 
 
+def flatten(plain: Mapping[str, Any]) -> dict[str, Any]:
+    """Every setting of a config's plain form by name, whatever part holds it."""
+    flat: dict[str, Any] = {}
+    for name, value in plain.items():
+        flat |= value if isinstance(value, dict) else {name: value}
+    return flat
+
+
 def from_json(data: Any) -> RunConfig:
     """Config from its plain form; every field must be there, and no other.
 

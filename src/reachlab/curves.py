@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from reachlab.checks import InputError
-from reachlab.config import preset, to_json
+from reachlab.config import flatten, preset, to_json
 from reachlab.metrics import read_metrics
 
 POOL = 100
@@ -79,7 +79,13 @@ def group_runs(runs: Sequence[Path]) -> list[Group]:
         members.setdefault(json.dumps(flat) if flat else str(run), []).append(run)
     heads = [settings[group[0]] for group in members.values()]
     differ = {name for head in heads for name in head if any(head.get(name) != other.get(name) for other in heads)}
-    names = sorted(name for name in differ if name in CHOICES or not all(_follows(name, head) for head in heads))
+    usual = [_usual(head) for head in heads]
+    followed = {
+        name
+        for name in differ - {*CHOICES}
+        if all(head.get(name, ...) == own.get(name) for own, head in zip(heads, usual, strict=True))
+    }
+    names = sorted(differ - followed)
     return [
         Group(_label(group, head, names), tuple(group)) for group, head in zip(members.values(), heads, strict=True)
     ]
@@ -95,24 +101,17 @@ def _label(runs: Sequence[Path], settings: Mapping[str, Any], names: Sequence[st
     return f"{label}, {len(runs)} seeds" if len(runs) > 1 else label
 
 
-def _follows(name: str, settings: Mapping[str, Any]) -> bool:
-    """Whether a setting is what others bring with them, and was not chosen."""
-    choices = {choice: settings[choice] for choice in CHOICES if choice in settings}
-    return len(choices) == len(CHOICES) and settings.get(name) == _flat(to_json(preset(**choices))).get(name)
-
-
-def _flat(config: Mapping[str, Any]) -> dict[str, Any]:
-    """Every setting by name."""
-    flat: dict[str, Any] = {}
-    for name, value in config.items():
-        flat |= value if isinstance(value, dict) else {name: value}
-    return flat
+def _usual(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings that those of `CHOICES` bring with them; none where one of these is missing."""
+    if not settings.keys() >= {*CHOICES}:
+        return {}
+    return flatten(to_json(preset(**{choice: settings[choice] for choice in CHOICES})))
 
 
 def read_settings(run: Path) -> dict[str, Any]:
     """Every setting of a run but its seed, by name; empty without a configuration."""
     file = run / "config.json"
-    flat = _flat(_read_json(file)) if file.exists() else {}
+    flat = flatten(_read_json(file)) if file.exists() else {}
     flat.pop("seed", None)
     return flat
 

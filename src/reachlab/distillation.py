@@ -109,7 +109,8 @@ class _Lessons:
 
     def __init__(self, env: Env, config: DistilRunConfig) -> None:
         self._env, self._config = env, config
-        self._knowing = Env(override(env.config, observation=config.teacher_observation), env.batch_size)
+        taught = override(config, observation=config.teacher_observation).rules
+        self._known = task.make_reach(taught, env.reach.robot)
         self._album = Album(env, config.distil.capacity)
         self._decide, self._remember, self._learn = jit(self._decision), jit(remember), jit(self._update)
         self._finite = jit(_finite)
@@ -156,7 +157,7 @@ class _Lessons:
     ) -> tuple[Array, Array, Normaliser]:
         """The teacher's action `[B, a]`, the one that is taken, and what the student knows of what it observes."""
         observation = self._env.observe(state, picture)
-        label, own = teacher.act(self._knowing.observe(state)), policy.act(observation)
+        label, own = teacher.act(task.observe(self._known, self._env.situation(state))), policy.act(observation)
         if self._config.rules.clip_actions:
             label = jnp.clip(label, *self._env.action_bounds)
         noise = self._config.distil.noise * policy.half * jax.random.normal(key, label.shape)

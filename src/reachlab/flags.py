@@ -61,6 +61,10 @@ class Distil(Checked):
     """Print the result as one JSON object on standard output."""
 
 
+LESSON = ("observation", "seed", "randomise_view", "total_steps", "report_episodes", "action_repeat", "deterministic")
+"""Flags of `Distil` that are settings of its run, beside `settings`."""
+
+
 @dataclass(frozen=True)
 class Eval(Checked):
     """Evaluate a run beside its baselines, on held-out targets."""

@@ -16,7 +16,7 @@ from typing import Any
 
 from reachlab.checks import InputError, choose
 from reachlab.config import TASKS, DistilRunConfig, RunConfig, distillation, in_simulator, override
-from reachlab.flags import Bench, Distil, Eval, List, Plot, Train, Video, View
+from reachlab.flags import LESSON, Bench, Distil, Eval, List, Plot, Train, Video, View
 
 EVALUATION_LANES = {"pybullet": 8}
 """Lanes of an evaluation where they are dear."""
@@ -36,22 +36,12 @@ def _distillation(arguments: Distil) -> RunConfig:
     """Settings of a distillation: those of the run to go on with, or of the teacher with what the flags say."""
     from reachlab.checkpoint import RunDirectory
 
-    names = (
-        "observation",
-        "seed",
-        "randomise_view",
-        "total_steps",
-        "report_episodes",
-        "action_repeat",
-        "deterministic",
-    )
-    said = {name: getattr(arguments, name) for name in names} | vars(arguments.settings)
+    said = {name: getattr(arguments, name) for name in LESSON} | vars(arguments.settings)
     if arguments.resume:
-        usual = vars(Distil()) | vars(Distil().settings)
-        given = {name: value for name, value in said.items() if value != usual[name]}
-        given |= {"sim": arguments.sim} if arguments.sim else {}
-        given |= {"teacher": str(arguments.teacher)} if arguments.teacher else {}
-        return override(RunDirectory(arguments.resume).read_config(), **given)
+        config = RunDirectory(arguments.resume).read_config()
+        said |= {"sim": arguments.sim} if arguments.sim else {}
+        said |= {"teacher": str(arguments.teacher)} if arguments.teacher else {}
+        return override(config, **said) if isinstance(config, DistilRunConfig) else config
     if arguments.teacher is None:
         raise InputError("distil needs a teacher: name the run directory of one, as `reachlab train` makes it.")
     taught = RunDirectory(arguments.teacher).read_config()
@@ -155,6 +145,13 @@ def evaluate(arguments: Eval) -> None:
         print_reports(reports)
 
 
+def _as_it_is(trained: RunConfig, sim: str | None) -> RunConfig:
+    """Settings of a run in a simulator, its own without a name, and in the view as it is."""
+    from reachlab.sims import SIMULATORS
+
+    return override(in_simulator(trained, choose("simulator", sim or trained.sim, SIMULATORS)), randomise_view=False)
+
+
 def video(arguments: Video) -> None:
     """Run `reachlab video`."""
     _prepare()
@@ -162,15 +159,12 @@ def video(arguments: Video) -> None:
     from reachlab.console import console
     from reachlab.env import Env
     from reachlab.evaluation import AGENTS
-    from reachlab.sims import SIMULATORS
     from reachlab.training import load_policy
     from reachlab.video import write_video
 
     agent = choose("agent", arguments.agent, AGENTS)
     run = RunDirectory(arguments.run)
-    trained = run.read_config()
-    config = in_simulator(trained, choose("simulator", arguments.sim or trained.sim, SIMULATORS))
-    config = override(config, randomise_view=False)
+    config = _as_it_is(run.read_config(), arguments.sim)
     env = Env(config, 1)
     clip = write_video(
         env,
@@ -198,15 +192,12 @@ def view(arguments: View) -> None:
     from reachlab.console import console
     from reachlab.env import Env
     from reachlab.interrupts import Interrupts
-    from reachlab.sims import SIMULATORS
     from reachlab.stage import is_local
     from reachlab.training import load_policy
     from reachlab.viewer import Viewer, save_page
 
     run = RunDirectory(arguments.run)
-    trained = run.read_config()
-    config = in_simulator(trained, choose("simulator", arguments.sim or trained.sim, SIMULATORS))
-    config = override(config, randomise_view=False)
+    config = _as_it_is(run.read_config(), arguments.sim)
     steps = run.checkpoint_steps()
     env = Env(config, 1)
     if arguments.save:
