@@ -16,13 +16,14 @@ from reachlab import camera, evaluation
 from reachlab.camera import Camera
 from reachlab.checks import InputError
 from reachlab.config import PICTURED, PPOConfig, configure
-from reachlab.env import Env, lane_keys
+from reachlab.env import Env
 from reachlab.evaluation import evaluate
 from reachlab.iteration import make_initial_policy
 from reachlab.policy import Policy
 from reachlab.robots import load_robot
 from reachlab.rollout import host_collector
 from reachlab.sims import SIMULATORS, make_simulator
+from reachlab.streams import lane_keys
 from reachlab.task import OBSERVATIONS
 from reachlab.training import train
 from reachlab.views import CHANCES, FIELD_OF_VIEW, SHIFT, SIZE, TURN, Views, make_views

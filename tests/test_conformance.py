@@ -13,9 +13,10 @@ import pytest
 
 from reachlab.checks import InputError
 from reachlab.config import configure
-from reachlab.env import Env, EnvState, Transition, lane_keys
+from reachlab.env import Env, EnvState, Transition
 from reachlab.robots import ROBOTS
 from reachlab.sims import SIMULATORS
+from reachlab.streams import lane_keys
 from reachlab.task import ACTIONS, OBSERVATIONS, REWARDS
 
 LANES, STEPS, EPISODE = 4, 60, 25

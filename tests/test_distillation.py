@@ -18,10 +18,10 @@ from reachlab.bench_camera import SPOILT
 from reachlab.checkpoint import RunDirectory
 from reachlab.checks import InputError
 from reachlab.config import DistilRunConfig, configure, distillation, override
-from reachlab.env import Env, lane_keys
-from reachlab.evaluation import REPORT_STREAM, episode_keys
+from reachlab.env import Env
 from reachlab.interrupts import Interrupted
 from reachlab.memory import Album, make_memory, remember
+from reachlab.streams import REPORT_STREAM, episode_keys, lane_keys
 from reachlab.training import distil, load_policy, train
 from test_resume import ask, at, rows, weights
 

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from reachlab.config import configure
-from reachlab.env import Env, EnvState, Transition, lane_keys
+from reachlab.env import Env, EnvState, Transition
+from reachlab.streams import lane_keys
 
 LANES = 4
 TOOL = slice(3, 6)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -10,27 +11,37 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.stats import spearmanr
 
 from reachlab.checks import InputError
 from reachlab.config import configure
-from reachlab.env import Env, EnvState, lane_keys
+from reachlab.env import Env, EnvState
 from reachlab.evaluation import (
     AGENTS,
     LANES,
-    REPORT_STREAM,
-    VALIDATION_STREAM,
     Episodes,
     Report,
     Runner,
-    episode_keys,
     evaluate,
     make_runner,
     run_episodes,
     summarise,
     wilson_interval,
 )
-from reachlab.iteration import TRAINING_STREAM
 from reachlab.policy import Policy
+from reachlab.streams import (
+    AGENT_STREAM,
+    LEARNER_STREAM,
+    PARTS,
+    REPORT_STREAM,
+    TRAINING_STREAM,
+    VALIDATION_STREAM,
+    VIEW_STREAM,
+    episode_keys,
+    lane_keys,
+    noise_keys,
+    stream_key,
+)
 
 REPORT_FIELDS = [
     "task",
@@ -130,6 +141,31 @@ def test_no_seed_repeats_the_keys_of_another_seed_or_stream() -> None:
     parts = [key_rows(episode_keys(seed, stream, 0, 200)) for seed in range(10) for stream in streams]
     parts.append(key_rows(lane_keys(0, 200)))
     assert len(set.union(*parts)) == 200 * len(parts)
+
+
+def test_every_key_of_a_run_is_used_for_one_thing() -> None:
+    """Parts, view, noise and agent of an episode and of those that follow it, and the learner's keys, all differ."""
+    episode, used = episode_keys(0, TRAINING_STREAM, 0, 50), []
+    for _ in range(3):
+        for_next, *others = (keys for keys in jax.vmap(lambda key: jax.random.split(key, PARTS), out_axes=1)(episode))
+        steps = [noise_keys(for_next, jnp.full(50, step)) for step in range(20)]
+        streams = [jax.vmap(jax.random.fold_in, (0, None))(for_next, s) for s in (VIEW_STREAM, AGENT_STREAM)]
+        used += [for_next, *others, *steps, *streams]
+        episode = for_next
+    used += [jax.random.split(stream_key(0, stream), 50) for stream in (LEARNER_STREAM, REPORT_STREAM)]
+    assert len(set.union(*map(key_rows, used))) == 50 * len(used)
+
+
+def test_measurement_noise_says_nothing_of_starts_and_targets() -> None:
+    lanes = 1000
+    env = Env(configure("precise", sim="kinematic", perturb=True), lanes)
+    state = env.compile(env.init)(episode_keys(0, REPORT_STREAM, 0, lanes))
+    after = env.compile(env.reset)(state, np.ones(lanes, bool))
+    noise = [np.asarray(env.situation(replace(state, clock=state.clock + step)).q - state.arm.q) for step in range(5)]
+    drawn = np.concatenate([np.asarray(x) for s in (state, after) for x in (s.arm.q, s.target)], axis=1)
+    columns = np.concatenate([*noise, drawn], axis=1)
+    correlation, own = spearmanr(columns).statistic, sum(rows.shape[1] for rows in noise)
+    assert np.abs(correlation[:own, own:]).max() < 0.15
 
 
 def test_chunks_are_the_same_episodes_as_the_whole(ik: Runner, whole: Episodes) -> None:

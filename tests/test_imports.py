@@ -18,7 +18,7 @@ SOURCE = Path(reachlab.__file__).parent
 LAYERS = (
     {"lanes", "compilation"},
     {"checks"},
-    {"config", "interrupts", "chain", "kinematics", "views", "encoder"},
+    {"config", "interrupts", "chain", "kinematics", "views", "encoder", "streams"},
     {"policy"},
     {"storage"},
     {"metrics", "lock", "manifest", "threads", "arrays"},
@@ -63,6 +63,7 @@ LEAVES = {
     "kinematics": {"lanes", "chain"},
     "views": set(),
     "encoder": set(),
+    "streams": set(),
     "policy": {"encoder"},
     "interrupts": set(),
     "storage": {"checks"},

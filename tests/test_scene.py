@@ -11,9 +11,10 @@ import pytest
 
 from reachlab.checks import InputError
 from reachlab.config import configure
-from reachlab.env import Env, lane_keys
+from reachlab.env import Env
 from reachlab.robots import Robot, load_robot
 from reachlab.scene import HEIGHT, WIDTH, Camera, scene_spec
+from reachlab.streams import lane_keys
 
 TARGET = np.array([0.45, 0.1, -0.0083])
 

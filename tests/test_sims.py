@@ -10,10 +10,11 @@ import pytest
 
 from reachlab.bench_soak import bad_actions, interleavings
 from reachlab.config import configure
-from reachlab.env import Env, lane_keys
+from reachlab.env import Env
 from reachlab.robots import load_robot
 from reachlab.sims import SIMULATORS, make_simulator
 from reachlab.sims.mujoco import MujocoSimulator
+from reachlab.streams import lane_keys
 
 LANES = 4
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from jax import Array
 
 from reachlab.checks import InputError
 from reachlab.config import TaskConfig
@@ -23,12 +24,15 @@ from reachlab.task import (
     Outcome,
     Reach,
     Situation,
+    bounded,
     command,
     draw_start,
     draw_target,
     judge,
     make_reach,
 )
+
+PERIOD, LAG = 0.02, (0.1,) * 7
 
 INSIDE = (0.5, 0.0, 0.3)
 TARGET = (0.5, 0.0, -0.0083)
@@ -37,7 +41,7 @@ NEAR = (0.5, 0.0, 0.05)
 
 @pytest.fixture(scope="module")
 def reach() -> Reach:
-    return make_reach(TaskConfig(), load_robot("iiwa14", "link_7"))
+    return make_reach(TaskConfig(), load_robot("iiwa14", "link_7"), PERIOD, LAG)
 
 
 def outcome_of(reach: Reach, tool: tuple[float, ...], clock: int, before: float = 0.5) -> Outcome:
@@ -201,38 +205,70 @@ def test_the_tool_delta_box_is_the_tutorials(reach: Reach) -> None:
 def test_actions_are_clipped_to_their_box_unless_told_otherwise(reach: Reach, name: str) -> None:
     clipping = replace(reach, config=replace(reach.config, action=name))
     free = replace(reach, config=replace(reach.config, action=name, clip_actions=False))
-    home = jnp.array([reach.robot.home])
     high = jnp.array([ACTIONS[name].bounds(reach)[1]])
-    at_bound = np.asarray(command(free, home, high))
-    assert np.asarray(command(clipping, home, 2 * high)) == pytest.approx(at_bound, abs=1e-6)
-    assert np.abs(np.asarray(command(free, home, 2 * high)) - at_bound).max() > 1e-4
+    assert np.asarray(bounded(clipping, 2 * high)) == pytest.approx(np.asarray(high))
+    assert np.asarray(bounded(free, 2 * high)) == pytest.approx(2 * np.asarray(high))
+
+
+def at_home(reach: Reach, target: tuple[float, ...] = TARGET) -> Situation:
+    home = jnp.array([reach.robot.home])
+    tool = forward_kinematics(reach.robot.chain, home).position
+    return Situation(home, jnp.zeros((1, 7)), tool, jnp.array([target]), home, jnp.zeros((1, 7)))
 
 
 def test_a_joint_displacement_adds_to_the_last_command(reach: Reach) -> None:
     joints = replace(reach, config=replace(reach.config, action="joint_delta", joint_scale=0.03))
-    home = jnp.array([reach.robot.home])
+    now = at_home(reach)
     action = jnp.array([[1.0, -1.0, 0.5, 0.0, -0.5, 0.25, 0.0]])
-    assert np.asarray(command(joints, home, action) - home) == pytest.approx(0.03 * np.asarray(action), abs=1e-6)
+    moved = np.asarray(command(joints, now, action) - now.target_q)
+    assert moved == pytest.approx(0.03 * np.asarray(action), abs=1e-6)
 
 
 def test_joint_displacements_stop_at_the_limits(reach: Reach) -> None:
     joints = replace(reach, config=replace(reach.config, action="joint_delta"))
     upper = jnp.array([reach.robot.chain.upper], jnp.float32)
-    assert command(joints, upper - 0.001, jnp.ones((1, 7))).tolist() == upper.tolist()
+    near = at_home(reach)._replace(target_q=upper - 0.001)
+    assert command(joints, near, jnp.ones((1, 7))).tolist() == upper.tolist()
 
 
 @pytest.mark.parametrize("name", ACTIONS)
 def test_the_action_towards_the_target_is_inside_the_box(reach: Reach, name: str) -> None:
-    design = ACTIONS[name]
-    home = jnp.array([reach.robot.home])
-    tool = forward_kinematics(reach.robot.chain, home).position
-    now = Situation(home, jnp.zeros((1, 7)), tool, jnp.array([[0.3, 0.25, -0.0083]]), home, jnp.zeros((1, 3)))
-    action = np.asarray(design.towards(reach, now))
+    design, now = ACTIONS[name], at_home(reach, (0.3, 0.25, -0.0083))
+    action = np.asarray(design.towards(reach, now, now))
     low, high = design.bounds(reach)
     assert (action >= low - 1e-6).all()
     assert (action <= high + 1e-6).all()
-    moved = forward_kinematics(reach.robot.chain, design.command(reach, home, jnp.asarray(action))).position
-    assert float(jnp.linalg.norm(moved - now.target)) < float(jnp.linalg.norm(tool - now.target))
+    moved = forward_kinematics(reach.robot.chain, design.command(reach, now, jnp.asarray(action))).position
+    assert float(jnp.linalg.norm(moved - now.target)) < float(jnp.linalg.norm(now.tool_position - now.target))
+
+
+def test_a_correction_is_added_to_inverse_kinematics_and_fades_at_the_target(reach: Reach) -> None:
+    far, nothing = at_home(reach), jnp.zeros((1, 7))
+    classical = ACTIONS["joint_delta"].towards(reach, far, far)
+    correction = 0.3 * jnp.array([[1.0, -1.0, 0.5, 0.0, -0.5, 0.25, 0.0]])
+
+    def displacement(now: Situation, action: Array) -> np.ndarray:
+        moved = ACTIONS["joint_residual"].command(reach, now, action) - now.target_q
+        return np.asarray(moved) / reach.config.joint_scale
+
+    expected = np.clip(np.asarray(classical + correction), -1, 1)
+    assert displacement(far, correction) == pytest.approx(expected, abs=1e-4)
+    tool = tuple(np.asarray(far.tool_position)[0].tolist())
+    reached = at_home(reach, tool)
+    assert displacement(reached, correction) == pytest.approx(displacement(reached, nothing), abs=1e-4)
+    near = at_home(reach, (tool[0] - 0.01, *tool[1:]))  # half of the distance at which corrections begin to fade
+    assert displacement(near, correction) - displacement(near, nothing) == pytest.approx(
+        np.asarray(correction) / 2, abs=1e-3
+    )
+
+
+def test_inverse_kinematics_need_no_correction_but_for_what_they_wrongly_believe(reach: Reach) -> None:
+    now, towards = at_home(reach), ACTIONS["joint_residual"].towards
+    assert np.asarray(towards(reach, now, now)) == pytest.approx(np.zeros((1, 7)))
+    believed = now._replace(target_q=now.target_q + 0.01, q=now.q + 0.01)
+    wrong = ACTIONS["joint_residual"].command(reach, now, towards(reach, now, believed)) - now.target_q
+    meant = ACTIONS["joint_delta"].towards(reach, believed, believed) * reach.config.joint_scale
+    assert np.asarray(wrong) == pytest.approx(np.asarray(meant), abs=1e-5)
 
 
 # --- names ----------------------------------------------------------------------------------------
@@ -253,4 +289,4 @@ def test_a_name_that_does_not_exist_is_refused_with_the_nearest(
     with pytest.raises(
         InputError, match=f"^{setting} '.*' is not one of: .* Did you mean '{nearest.replace('+', '.')}'"
     ):
-        make_reach(TaskConfig(**wrong), reach.robot)
+        make_reach(TaskConfig(**wrong), reach.robot, PERIOD, LAG)

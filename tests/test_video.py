@@ -16,7 +16,8 @@ from reachlab.caption import HEIGHT, VERDICTS, Caption, captioned, distance_text
 from reachlab.checks import InputError
 from reachlab.config import configure
 from reachlab.env import Env
-from reachlab.evaluation import LANES, REPORT_STREAM, episode_keys, make_runner, run_episodes
+from reachlab.evaluation import LANES, make_runner, run_episodes
+from reachlab.streams import REPORT_STREAM, episode_keys
 from reachlab.video import BEGIN_PAUSE, ENCODERS, END_PAUSE, Clip, Moment, episode_player, write_video
 
 SIZE = (64, 48)

@@ -29,11 +29,12 @@ from reachlab.chain import Chain
 from reachlab.checks import choose
 from reachlab.compilation import jit
 from reachlab.config import configure
-from reachlab.env import Env, EnvState, lane_keys
+from reachlab.env import Env, EnvState
 from reachlab.evaluation import versions
 from reachlab.iteration import compile_iteration, initial_state
 from reachlab.kinematics import forward_kinematics, inverse_kinematics, jacobian
 from reachlab.robots import Robot, load_robot
+from reachlab.streams import lane_keys
 
 REPEATS = 10
 """Timed repetitions; the best counts, since other work on the machine can only slow one down."""

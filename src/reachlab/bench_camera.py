@@ -16,10 +16,11 @@ from reachlab.bench_sims import Row, row
 from reachlab.checkpoint import RunDirectory
 from reachlab.compilation import jit
 from reachlab.config import configure, distillation, in_simulator, override
-from reachlab.env import Env, EnvState, Transition, lane_keys
+from reachlab.env import Env, EnvState, Transition
 from reachlab.evaluation import Report, evaluate
 from reachlab.policy import Policy
 from reachlab.sims import Lanes
+from reachlab.streams import lane_keys
 from reachlab.training import distil, load_policy, train
 
 SEEDS, HELD_OUT, HELD_OUT_SEED = range(3), 1000, 1000

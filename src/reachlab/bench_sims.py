@@ -14,13 +14,14 @@ from mujoco.batch import Batch
 
 from reachlab.compilation import jit
 from reachlab.config import configure, in_simulator
-from reachlab.env import Env, lane_keys
+from reachlab.env import Env
 from reachlab.evaluation import LANES, evaluate
 from reachlab.kinematics import forward_kinematics
 from reachlab.robots import Robot, load_robot
 from reachlab.sims import make_simulator
 from reachlab.sims.mujoco import physics_model
 from reachlab.sims.pybullet import GRAVITY, GROUND, TABLE, URDFS, import_pybullet
+from reachlab.streams import lane_keys
 from reachlab.training import train
 
 Row = dict[str, Any]

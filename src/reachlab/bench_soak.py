@@ -12,9 +12,10 @@ import numpy as np
 from reachlab.bench_sims import Row, row
 from reachlab.checks import InputError
 from reachlab.config import configure
-from reachlab.env import Env, EnvState, lane_keys
+from reachlab.env import Env, EnvState
 from reachlab.gym_env import ReachEnv
 from reachlab.sims import SIMULATORS
+from reachlab.streams import lane_keys
 
 ACTIONS, BAD_SHARE = 100_000, 0.01
 """Random actions, and how many of them are bad."""

@@ -21,9 +21,7 @@ from reachlab.checks import InputError
 from reachlab.compilation import jit
 from reachlab.config import DistilRunConfig, RunConfig, override
 from reachlab.env import Env, EnvState, Transition
-from reachlab.evaluation import episode_keys
 from reachlab.iteration import (
-    TRAINING_STREAM,
     Finite,
     Method,
     Watched,
@@ -33,6 +31,7 @@ from reachlab.iteration import (
 from reachlab.memory import Album, Memory, make_memory, remember
 from reachlab.policy import Normaliser, Parameters, Policy, distribution, features
 from reachlab.robots import Robot
+from reachlab.streams import LEARNER_STREAM, TRAINING_STREAM, episode_keys, stream_key
 from reachlab.task import OBSERVATIONS
 
 PLACES = 6
@@ -90,7 +89,7 @@ def check_distillation(config: RunConfig) -> DistilRunConfig:
 
 
 def _initial_state(env: Env, config: DistilRunConfig, seed: int | Array, teacher: Policy | None) -> DistilState:
-    key, for_policy = jax.random.split(jax.random.fold_in(jax.random.key(seed), TRAINING_STREAM))
+    key, for_policy = jax.random.split(stream_key(seed, LEARNER_STREAM))
     policy = jit(lambda key: make_initial_policy(config, env, key))(for_policy)
     if teacher is None:
         knowing = Env(override(config, observation=config.teacher_observation), 1)
@@ -110,7 +109,7 @@ class _Lessons:
     def __init__(self, env: Env, config: DistilRunConfig) -> None:
         self._env, self._config = env, config
         taught = override(config, observation=config.teacher_observation).rules
-        self._known = task.make_reach(taught, env.reach.robot)
+        self._known = replace(env.reach, config=taught)
         self._album = Album(env, config.distil.capacity)
         self._decide, self._remember, self._learn = jit(self._decision), jit(remember), jit(self._update)
         self._finite = jit(_finite)

@@ -19,11 +19,9 @@ from reachlab.kinematics import forward_kinematics
 from reachlab.policy import Observed
 from reachlab.robots import load_robot
 from reachlab.sims import SIMULATORS, ArmState, Lanes, make_simulator
+from reachlab.streams import PARTS, VIEW_STREAM, noise_keys
 from reachlab.task import Reach, Situation, make_reach
 from reachlab.views import CHANCES, SIZE, develop, make_views
-
-VIEW_STREAM = 2**32 - 1
-"""Number of an episode's random stream for its view; those below are for its steps."""
 
 POSITION_NOISE, SPEED_NOISE = 0.0005, 0.01
 """Standard deviations of the joint measurements where arms are perturbed [rad, rad/s]."""
@@ -83,11 +81,6 @@ Held = tuple[EnvState, Transition]
 Tree = TypeVar("Tree")
 
 
-def lane_keys(seed: int, batch_size: int) -> Array:
-    """Random keys `[B]`: lane i of seed s has the key of lane 0 of seed s + i."""
-    return jax.vmap(jax.random.key)(np.arange(batch_size, dtype=np.uint32) + np.uint32(seed))
-
-
 def merge(mask: np.ndarray, new: Observed, old: Observed) -> Observed:
     """Observations with those of `new` in the lanes of `mask [B]`."""
     return jax.tree.map(lambda a, b: np.where(mask.reshape(-1, *[1] * (np.ndim(a) - 1)), a, b), new, old)
@@ -109,8 +102,9 @@ class Env:
         dispatch_inline()
         self.config = config
         self.batch_size = batch_size
-        self.reach: Reach = make_reach(config.rules, load_robot(config.robot, config.rules.tool))
-        self.simulator = make_simulator(config.sim, self.reach.robot, config.physics, batch_size)
+        robot = load_robot(config.robot, config.rules.tool)
+        self.simulator = make_simulator(config.sim, robot, config.physics, batch_size)
+        self.reach: Reach = make_reach(config.rules, robot, config.physics.control_period, self.simulator.lag)
         self._real_time = SIMULATORS[config.sim].real_time
         design = task.OBSERVATIONS[config.rules.observation]
         self.observation_bounds = design.bounds(self.reach)
@@ -127,7 +121,7 @@ class Env:
             self._steps = functools.cache(lambda times: jit(steps(times)))
 
     def init(self, keys: Array) -> EnvState:
-        """State in which every lane begins an episode; `keys [B]`, see `lane_keys`."""
+        """State in which every lane begins an episode; `keys [B]`, see `streams`."""
         return self._init(keys)
 
     def reset(self, state: EnvState, mask: Array | np.ndarray) -> EnvState:
@@ -165,7 +159,8 @@ class Env:
         return steps
 
     def _step(self, state: EnvState, action: Lanes) -> Held:
-        target_q = self._command(state.target_q, action)
+        action = task.bounded(self.reach, jnp.asarray(action))
+        target_q = self._command(replace(state, arm=replace(state.arm, engine=None)), action)
         arm = self.simulator.step(state.arm, target_q)
         last = (state.distance, state.recent, state.clock)
         (distance, recent, clock), transition = self._judge(self._true(state, arm, target_q, action), last, state.key)
@@ -173,7 +168,7 @@ class Env:
             state,
             arm=arm,
             target_q=target_q,
-            last_action=cast("Array", action),
+            last_action=action,
             distance=distance,
             recent=recent,
             clock=clock,
@@ -240,9 +235,7 @@ class Env:
     def _measured(self, now: Situation, keys: Array, clock: Array) -> Situation:
         if not self.config.physics.perturb:
             return now
-        noise = jax.vmap(lambda key, step: jax.random.normal(jax.random.fold_in(key, step), (2, now.q.shape[-1])))(
-            keys, clock
-        )
+        noise = jax.vmap(lambda key: jax.random.normal(key, (2, now.q.shape[-1])))(noise_keys(keys, clock))
         q, qd = now.q + POSITION_NOISE * noise[:, 0], now.qd + SPEED_NOISE * noise[:, 1]
         return now._replace(q=q, qd=qd, tool_position=forward_kinematics(self.reach.robot.chain, q).position)
 
@@ -267,9 +260,8 @@ class Env:
         chances = 2 * self.reach.robot.chain.n + 1 if self.config.physics.perturb else 0
 
         def one(key: Array) -> tuple[Array, Array, Array, Array | None]:
-            key, for_target, for_start = jax.random.split(key, 3)
+            key, for_target, for_start, for_arm = jax.random.split(key, PARTS)
             start, target = task.draw_start(self.reach, for_start), task.draw_target(self.reach, for_target)
-            for_arm = jax.random.fold_in(for_start, 1)
             chance = jax.random.uniform(for_arm, (chances,), minval=-1.0) if chances else None
             return key, start, target, chance
 
@@ -302,12 +294,12 @@ class Env:
         added = replace(transition, reward=before.reward + transition.reward)
         return cls._merge(~before.done, (state, added), held)
 
-    def _command(self, last: Array, action: Lanes) -> Array:
-        target_q = task.command(self.reach, last, jnp.asarray(action))
+    def _command(self, state: EnvState, action: Array) -> Array:
+        target_q = task.command(self.reach, self.situation(state), action)
         if not self._real_time:
             return target_q
         most = jnp.array(self.reach.robot.speed) * self.config.physics.control_period
-        return jnp.clip(target_q, last - most, last + most)
+        return jnp.clip(target_q, state.target_q - most, state.target_q + most)
 
     def _judge(
         self, now: Situation, last: tuple[Array, Array | None, Array], keys: Array

@@ -22,9 +22,7 @@ from reachlab.compilation import jit
 from reachlab.env import Env, EnvState, Transition
 from reachlab.kinematics import forward_kinematics
 from reachlab.policy import Policy
-
-REPORT_STREAM, VALIDATION_STREAM = 1, 2
-"""Random streams beside the one that lanes train on, so that no evaluation repeats a training target."""
+from reachlab.streams import AGENT_STREAM, REPORT_STREAM, episode_keys
 
 QUANTILES = {"median": 0.5, "p95": 0.95, "p99": 0.99, "max": 1.0}
 """Quantiles of the final error in a report."""
@@ -66,7 +64,8 @@ def _zero(env: Env, policy: Policy | None, state: EnvState, key: Array, picture:
 def _ik(env: Env, policy: Policy | None, state: EnvState, key: Array, picture: Array | None) -> Array:
     """Inverse kinematics in a closed loop: to the target from where the tool is measured, at every step."""
     del policy, key, picture
-    return task.ACTIONS[env.reach.config.action].towards(env.reach, env.situation(state))
+    now = env.situation(state)
+    return task.ACTIONS[env.reach.config.action].towards(env.reach, now, now)
 
 
 def _ik_open(env: Env, policy: Policy | None, state: EnvState, key: Array, picture: Array | None) -> Array:
@@ -74,8 +73,8 @@ def _ik_open(env: Env, policy: Policy | None, state: EnvState, key: Array, pictu
     del policy, key, picture
     now = env.situation(state)
     commanded = forward_kinematics(env.reach.robot.chain, now.target_q).position
-    blind = now._replace(q=now.target_q, tool_position=commanded)
-    return task.ACTIONS[env.reach.config.action].towards(env.reach, blind)
+    blind = now._replace(q=now.target_q, qd=jnp.zeros_like(now.qd), tool_position=commanded)
+    return task.ACTIONS[env.reach.config.action].towards(env.reach, now, blind)
 
 
 AGENTS: dict[str, Agent] = {"trained": _trained, "random": _random, "zero": _zero, "ik": _ik, "ik_open": _ik_open}
@@ -186,12 +185,6 @@ def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
     return max(0.0, (centre - half) / scale), min(1.0, (centre + half) / scale)
 
 
-def episode_keys(seed: int | Array, stream: int, first: int, count: int) -> Array:
-    """Keys of the episodes `first ... first + count - 1` of a seed's stream; they depend on nothing else."""
-    key = jax.random.fold_in(jax.random.key(seed), stream)
-    return jax.vmap(jax.random.fold_in, (None, 0))(key, jnp.arange(first, first + count))
-
-
 @dataclass(frozen=True)
 class Runner:
     """`run(policy, keys)` runs one episode for each of `lanes` keys to its end."""
@@ -219,7 +212,7 @@ def make_runner(env: Env, agent: str) -> Runner:
             squared_jerk=jnp.zeros(lanes),
             motion=(state.arm.q, still, still),
         )
-        return state, episodes, jax.random.fold_in(keys[0], lanes)
+        return state, episodes, jax.random.fold_in(keys[0], AGENT_STREAM)
 
     decide = compile_agent(env, agent)
     count = env.traced(partial(_count, period=period, within=within))

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from reachlab.checks import InputError, choose
 from reachlab.config import RunConfig, configure
 from reachlab.env import Env, EnvState, Transition, merge
+from reachlab.streams import gymnasium_keys
 
 LARGEST_SEED = 2**32
 """Seeds are taken modulo this."""
@@ -192,7 +193,7 @@ class _Lanes:
         """New episodes in the lanes of `mask`: seeded, or the next of the lane's own stream."""
         fresh = [seed is not None or self._state is None for seed in seeds]
         drawn = [int(random.integers(LARGEST_SEED)) if seed is None else seed % LARGEST_SEED for seed in seeds]
-        keys = jax.vmap(jax.random.key)(np.array(drawn, np.uint32))
+        keys = gymnasium_keys(np.array(drawn, np.uint32))
         mask = np.ones(len(seeds), bool) if mask is None else mask
         if self._state is None:
             self._state = self._init(keys)

@@ -15,12 +15,9 @@ from reachlab import ppo
 from reachlab.compilation import jit
 from reachlab.config import RunConfig
 from reachlab.env import Env, EnvState
-from reachlab.evaluation import episode_keys
 from reachlab.policy import Policy, make_policy
 from reachlab.rollout import Collect, Rollout, collect, episode_statistics, host_collector
-
-TRAINING_STREAM = 0
-"""Random stream of the lanes; those of `evaluate` differ."""
+from reachlab.streams import LEARNER_STREAM, TRAINING_STREAM, episode_keys, stream_key
 
 
 @jax.tree_util.register_dataclass
@@ -90,7 +87,7 @@ def make_initial_policy(config: RunConfig, env: Env, key: Array) -> Policy:
 
 def initial_state(env: Env, config: RunConfig, seed: int | Array) -> TrainState:
     """State before the first iteration."""
-    key, for_policy = jax.random.split(jax.random.fold_in(jax.random.key(seed), TRAINING_STREAM))
+    key, for_policy = jax.random.split(stream_key(seed, LEARNER_STREAM))
     lanes = episode_keys(seed, TRAINING_STREAM, 0, config.ppo.lanes)
     learner = env.traced(lambda key: ppo.make_learner(config.ppo, make_initial_policy(config, env, key)))(for_policy)
     return TrainState(learner, env.init(lanes), key)

@@ -47,6 +47,9 @@ SUGIHARA = 0.1
 MAX_SOLVER_STEP = 1.0
 """Largest joint displacement of one step of the solver [rad or m]; its damping does the rest."""
 
+LIMIT_PASSES = 4
+"""Times that a step of the position alone is solved, each time without the joints that have met their limits."""
+
 MAX_TURN = 0.1
 """Largest orientation error handed to one linearised step [rad]; more is turned over several steps."""
 
@@ -162,13 +165,29 @@ def ik_displace(chain: Chain, q: Array, displacement: Array, quaternion: Array) 
     return _single_step(chain, q, lanes, Vec(*_lanes(displacement)), angular, _columns(chain, frames))
 
 
-def ik_point_step(chain: Chain, q: Array, displacement: Array) -> Array:
-    """Joint displacement `[..., n]` for a tool displacement `[..., 3]` m at `q [..., n]`, its orientation left free.
+def ik_point_step(chain: Chain, q: Array, command: Array, displacement: Array) -> Array:
+    """Displacement `[..., n]` of a joint command that moves the tool by `displacement [..., 3]` m, in any orientation.
 
-    The damped least-squares step of `ik_step` for the position alone; joint limits are not looked at.
+    The damped least-squares step of `ik_step` for the position alone, linearised at the joints `q [..., n]`. Added to
+    `command [..., n]` it keeps the joint limits: a joint that would pass one stops there, and the step is solved again
+    for the others, `LIMIT_PASSES` times in all.
     """
     columns = [column[:3] for column in _columns(chain, _frames(chain, _lanes(q)))]
-    return _stack(_least_squares(columns, _lanes(displacement), POINT_DAMPING), q)
+    stopped = step = [jnp.zeros(q.shape[:-1])] * chain.n
+    free = [jnp.ones(q.shape[:-1])] * chain.n
+    for _ in range(LIMIT_PASSES):
+        left = [
+            sub(wanted, total([mul(column[row], s) for column, s in zip(columns, stopped, strict=True)]))
+            for row, wanted in enumerate(_lanes(displacement))
+        ]
+        masked = once([tuple(mul(f, c) for c in column) for f, column in zip(free, columns, strict=True)])
+        solved = _least_squares(masked, left, POINT_DAMPING)
+        wanted = once([add(c, add(a, b)) for c, a, b in zip(_lanes(command), stopped, solved, strict=True)])
+        allowed = once(_clip(chain, wanted))
+        free = once([jnp.where(a == w, f, 0.0) for a, w, f in zip(allowed, wanted, free, strict=True)])
+        step = [sub(a, c) for a, c in zip(allowed, _lanes(command), strict=True)]
+        stopped = once([jnp.where(f > 0, 0.0, s) for f, s in zip(free, step, strict=True)])
+    return _stack(step, q)
 
 
 def _single_step(

@@ -19,7 +19,7 @@ from reachlab.checks import InputError
 from reachlab.compilation import jit
 from reachlab.config import RunConfig
 from reachlab.env import Env
-from reachlab.evaluation import VALIDATION_STREAM, Runner, episode_keys, make_runner, run_episodes
+from reachlab.evaluation import Runner, make_runner, run_episodes
 from reachlab.interrupts import Interrupted, Interrupts
 from reachlab.iteration import PPO, Method, TrainState
 from reachlab.manifest import Counters
@@ -27,6 +27,7 @@ from reachlab.metrics import Metrics
 from reachlab.policy import Policy
 from reachlab.rollout import EngineError
 from reachlab.storage import write_synced
+from reachlab.streams import VALIDATION_STREAM, episode_keys
 
 VALIDATE_FROM = 0.9
 """Success rate of the training episodes from which validations are worth their time."""

@@ -12,8 +12,9 @@ from jax import Array
 
 from reachlab import task
 from reachlab.env import Env, EnvState, Transition
-from reachlab.evaluation import REPORT_STREAM, compile_agent, episode_keys
+from reachlab.evaluation import compile_agent
 from reachlab.policy import Policy
+from reachlab.streams import AGENT_STREAM, REPORT_STREAM, episode_keys
 
 Advance = Callable[[Policy | None, EnvState, Array], tuple[EnvState, Transition, Array]]
 
@@ -53,8 +54,9 @@ class Player:
         self._env = env
         self._advances: dict[str, Advance] = {}
         self._begin = env.compile(lambda state: env.reset(state, np.ones(1, bool)))
-        self._state: EnvState = env.compile(env.init)(episode_keys(seed, REPORT_STREAM, 0, 1))
-        self._key = jax.random.key(seed)
+        keys = episode_keys(seed, REPORT_STREAM, 0, 1)
+        self._state: EnvState = env.compile(env.init)(keys)
+        self._key = jax.random.fold_in(keys[0], AGENT_STREAM)
         self._held = self._touched = self.over = False
         self.steps = self.episodes = self.successes = 0
         self.moment = self._look(reached=False)

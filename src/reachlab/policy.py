@@ -163,12 +163,12 @@ def make_policy(
     picture, vector = parts(observation_bounds[0])
     k, a = 0 if vector is None else len(vector), len(low)
     inputs = k + (0 if picture is None else FEATURES)
-    for_actor, for_critic = jax.random.split(key)
+    for_actor, for_critic, for_encoder = jax.random.split(key, 3)
     parameters = Parameters(
         actor=_layers(for_actor, (inputs, *hidden, a), ACTOR_OUTPUT_GAIN),
         critic=_layers(for_critic, (inputs, *hidden, 1), 1.0),
         log_std=jnp.full(a, math.log(initial_std), jnp.float32),
-        encoder=None if picture is None else make_encoder(jax.random.fold_in(key, 1), len(picture)),
+        encoder=None if picture is None else make_encoder(for_encoder, len(picture)),
     )
     normaliser = Normaliser(jnp.zeros(k), jnp.ones(k), jnp.zeros(()))
     return Policy(parameters, normaliser, (low + high) / 2, (high - low) / 2)

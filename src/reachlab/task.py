@@ -17,7 +17,7 @@ from jax import Array
 
 from reachlab.checks import choose
 from reachlab.config import TaskConfig
-from reachlab.kinematics import ik_displace, ik_point_step
+from reachlab.kinematics import forward_kinematics, ik_displace, ik_point_step
 from reachlab.policy import Observed
 from reachlab.robots import Robot
 from reachlab.views import SIZE
@@ -41,10 +41,19 @@ ObservationBounds = tuple[Any, Any]
 
 @dataclass(frozen=True)
 class Reach:
-    """The task on a robot; constants known while tracing."""
+    """The task on a robot; constants known while tracing.
+
+    Attributes:
+        config: the rules.
+        robot: the arm.
+        period: from one command to the next [s].
+        lag: time by which each joint follows its command `[n]` [s].
+    """
 
     config: TaskConfig
     robot: Robot
+    period: float
+    lag: tuple[float, ...]
 
 
 class Situation(NamedTuple):
@@ -248,14 +257,15 @@ class Action:
     Attributes:
         summary: what it moves.
         bounds: its box, lower and upper bounds `[a]`.
-        command: next joint command `[B, n]` from the last one and an action `[B, a]`; within the joint limits.
-        towards: the action `[B, a]` with which inverse kinematics goes straight to the target.
+        command: next joint command `[B, n]` in a situation for an action `[B, a]`; within the joint limits.
+        towards: the action `[B, a]` with which inverse kinematics goes to the target, in a situation and in what it
+            believes of that situation.
     """
 
     summary: str
     bounds: Callable[[Reach], Bounds]
-    command: Callable[[Reach, Array, Array], Array]
-    towards: Callable[[Reach, Situation], Array]
+    command: Callable[[Reach, Situation, Array], Array]
+    towards: Callable[[Reach, Situation, Situation], Array]
 
 
 def _tool_box(reach: Reach) -> Bounds:
@@ -264,16 +274,17 @@ def _tool_box(reach: Reach) -> Bounds:
     return np.array([-0.4, -0.4, -0.6], np.float32), np.array([0.4, 0.4, 0.3], np.float32)
 
 
-def _move_tool(reach: Reach, target_q: Array, action: Array) -> Array:
+def _move_tool(reach: Reach, now: Situation, action: Array) -> Array:
     """Joint command whose tool point is displaced by the action, the tool held in its orientation."""
     displacement = action * reach.config.tool_scale
     held = jnp.broadcast_to(jnp.array(reach.robot.held_quaternion), (*action.shape[:-1], 4))
-    return ik_displace(reach.robot.chain, target_q, displacement, held)
+    return ik_displace(reach.robot.chain, now.target_q, displacement, held)
 
 
-def _tool_towards(reach: Reach, now: Situation) -> Array:
+def _tool_towards(reach: Reach, now: Situation, believed: Situation) -> Array:
     """Straight line to the target at the box's full speed."""
-    wanted = (now.target - now.tool_position) / reach.config.tool_scale
+    del now
+    wanted = (believed.target - believed.tool_position) / reach.config.tool_scale
     low, high = _tool_box(reach)
     excess = jnp.where(wanted > 0, wanted / high, wanted / low).max(axis=-1, keepdims=True)
     return wanted / jnp.maximum(excess, 1.0)
@@ -284,37 +295,94 @@ def _joint_box(reach: Reach) -> Bounds:
     return -ones, ones
 
 
-def _move_joints(reach: Reach, target_q: Array, action: Array) -> Array:
+def _move_joints(reach: Reach, now: Situation, action: Array) -> Array:
     """Joint command displaced by the action."""
     chain = reach.robot.chain
-    return jnp.clip(target_q + action * reach.config.joint_scale, jnp.array(chain.lower), jnp.array(chain.upper))
+    return jnp.clip(now.target_q + action * reach.config.joint_scale, jnp.array(chain.lower), jnp.array(chain.upper))
 
 
-JOINT_GAIN = 0.1
-"""Share of the way to the target that inverse kinematics commands in a step: with more, an arm whose servos lag by a
-tenth of a second swings about the target."""
+NEAR_GAIN, FAR_GAIN = 0.5, 2.5
+"""Shares of the way to the target that inverse kinematics command in a time of the servos' lag: at the target and from
+`APPROACH` on. With more at the target an arm whose servos lag swings about it; far from it their lag is foreseen."""
+
+APPROACH = 0.05
+"""Distance from which on the gain falls to that at the target, and the lag is foreseen less and less [m]: it is found
+from measured speeds, whose noise would be felt at the target."""
+
+TOOL_SPEED = 1.5
+"""Speed at which inverse kinematics send the tool at most [m/s]: with more, most joints are at their own limit, and the
+arm jerks for little gain."""
 
 
-def _joints_towards(reach: Reach, now: Situation) -> Array:
-    """Joint displacement that brings the tool a share of its way to the target, in whatever orientation."""
-    wanted = JOINT_GAIN * ik_point_step(reach.robot.chain, now.q, now.target - now.tool_position)
-    wanted /= reach.config.joint_scale
-    return wanted / jnp.maximum(jnp.abs(wanted).max(axis=-1, keepdims=True), 1.0)
+def _joints_towards(reach: Reach, now: Situation, believed: Situation) -> Array:
+    """Joint displacement that brings the tool to the target in whatever orientation, by resolved-rate control.
+
+    Each step goes a share of the way (Whitney, "Resolved motion rate control of manipulators and human prostheses",
+    IEEE Trans. Man-Machine Systems 10(2), 1969) from where the arm will be once it has caught up with its command.
+    """
+    del now
+    chain, lag, period = reach.robot.chain, np.array(reach.lag), reach.period
+    way = believed.target - believed.tool_position
+    far = jnp.minimum(jnp.linalg.norm(way, axis=-1, keepdims=True) / APPROACH, 1.0)
+    caught_up = believed.q + far * jnp.array(lag) * believed.qd
+    way = believed.target - forward_kinematics(chain, caught_up).position
+    share = jnp.minimum((NEAR_GAIN + far * (FAR_GAIN - NEAR_GAIN)) * period / max(lag.max(), TINY), 1.0)
+    wanted = share * way
+    wanted *= jnp.minimum(TOOL_SPEED * period / (jnp.linalg.norm(wanted, axis=-1, keepdims=True) + TINY), 1.0)
+    step = ik_point_step(chain, caught_up, believed.target_q, wanted) / reach.config.joint_scale
+    return jnp.clip(step, *_joint_box(reach))
+
+
+CORRECTION_FADE = 0.02
+"""Distance from which on a correction fades, to nothing at the target [m]."""
+
+
+def _fade(now: Situation) -> Array:
+    """Share `[B, 1]` of a correction that counts."""
+    distance = jnp.linalg.norm(now.target - now.tool_position, axis=-1, keepdims=True)
+    return jnp.minimum(distance / CORRECTION_FADE, 1.0)
+
+
+def _correct_joints(reach: Reach, now: Situation, action: Array) -> Array:
+    """Joint command displaced by what inverse kinematics would do, and by the action, which fades at the target.
+
+    Residual policy learning: Silver et al., arXiv:1812.06298; Johannink et al., arXiv:1812.03201.
+    """
+    corrected = _joints_towards(reach, now, now) + _fade(now) * action
+    return _move_joints(reach, now, jnp.clip(corrected, *_joint_box(reach)))
+
+
+def _correction_towards(reach: Reach, now: Situation, believed: Situation) -> Array:
+    """Nothing, but where the situation is believed to be another."""
+    correction = _joints_towards(reach, believed, believed) - _joints_towards(reach, now, now)
+    return jnp.clip(correction / jnp.maximum(_fade(now), TINY), *_joint_box(reach))
+
+
+TINY = 1e-6
+"""Divides in place of a smaller number."""
 
 
 ACTIONS: dict[str, Action] = {
     "tool_delta": Action("a displacement of the tool, its orientation held", _tool_box, _move_tool, _tool_towards),
     "joint_delta": Action("a displacement of every joint", _joint_box, _move_joints, _joints_towards),
+    "joint_residual": Action(
+        "a displacement of every joint, added to that of inverse kinematics and fading at the target",
+        _joint_box,
+        _correct_joints,
+        _correction_towards,
+    ),
 }
 """Action designs by name."""
 
 
-def command(reach: Reach, target_q: Array, action: Array) -> Array:
-    """Next joint command `[B, n]` from the last one `[B, n]` and an action `[B, a]`."""
-    design = ACTIONS[reach.config.action]
-    if reach.config.clip_actions:
-        action = jnp.clip(action, *design.bounds(reach))
-    return design.command(reach, target_q, action)
+def bounded(reach: Reach, action: Array) -> Array:
+    """The action `[B, a]` that is taken: clipped to its box, where the task clips."""
+    return jnp.clip(action, *ACTIONS[reach.config.action].bounds(reach)) if reach.config.clip_actions else action
+
+
+def command(reach: Reach, now: Situation, action: Array) -> Array:
+    """Next joint command `[B, n]` in a situation, for a bounded action `[B, a]`."""
+    return ACTIONS[reach.config.action].command(reach, now, action)
 
 
 # --- rewards and end ------------------------------------------------------------------------------
@@ -396,7 +464,7 @@ def nothing_held(reach: Reach, lanes: int) -> Array | None:
     return jnp.full((lanes, reach.config.hold_steps), jnp.inf) if reach.config.hold_steps else None
 
 
-def make_reach(config: TaskConfig, robot: Robot) -> Reach:
+def make_reach(config: TaskConfig, robot: Robot, period: float, lag: tuple[float, ...]) -> Reach:
     """The task on a robot.
 
     Raises:
@@ -409,4 +477,4 @@ def make_reach(config: TaskConfig, robot: Robot) -> Reach:
         ("targets", config.targets, TARGETS),
     ):
         choose(kind, name, table)
-    return Reach(config, robot)
+    return Reach(config, robot, period, lag)

@@ -18,8 +18,9 @@ from PIL import Image
 from reachlab.caption import Caption, captioned, inset
 from reachlab.checks import InputError, choose
 from reachlab.env import Env, EnvState
-from reachlab.evaluation import REPORT_STREAM, compile_agent, episode_keys
+from reachlab.evaluation import compile_agent
 from reachlab.policy import Policy
+from reachlab.streams import AGENT_STREAM, REPORT_STREAM, episode_keys
 
 BEGIN_PAUSE, END_PAUSE = 0.4, 1.2
 """Times for which an episode's first and last picture stand [s]."""
@@ -131,7 +132,7 @@ def episode_player(env: Env, agent: str, policy: Policy | None, stride: int) -> 
     begin = env.compile(env.init)
 
     def play(keys: jax.Array) -> Iterator[Moment]:
-        state, key = begin(keys), jax.random.fold_in(keys[0], 1)
+        state, key = begin(keys), jax.random.fold_in(keys[0], AGENT_STREAM)
         step, done = 0, False
         yield Moment(state, step, done=False, success=False)
         while not done:

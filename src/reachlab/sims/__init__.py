@@ -43,10 +43,12 @@ Lanes = Array | np.ndarray
 class Simulator(Protocol):
     """A batch of arms that follow joint commands.
 
-    `pure` says that all its state is the `ArmState`, so that `reset` and `step` can be traced by JAX.
+    `pure` says that all its state is the `ArmState`, so that `reset` and `step` can be traced by JAX. `lag [n]` is the
+    time by which each joint follows a steadily moving command [s]: 0 where joints are set.
     """
 
     pure: bool
+    lag: tuple[float, ...]
 
     def reset(
         self, state: ArmState | None, q: Lanes, target: Lanes, mask: Lanes | None, chance: Lanes | None = None

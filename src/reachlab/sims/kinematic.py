@@ -22,6 +22,7 @@ class KinematicSimulator(Drawn):
         del batch_size
         self._robot = robot
         self._period = config.control_period
+        self.lag = (0.0,) * robot.chain.n
 
     def reset(
         self, state: ArmState | None, q: Lanes, target: Lanes, mask: Lanes | None, chance: Lanes | None = None

@@ -48,6 +48,7 @@ class MujocoSimulator(Drawn):
         joints = list(robot.chain.joints)
         self._positions, self._speeds = self._model.jnt_qposadr[joints], self._model.jnt_dofadr[joints]
         self._servos = _servos(self._model, robot)
+        self.lag = _lag(self._model, self._servos, self._speeds)
         self._arms = _Arms(self._batch, self._servos, self._speeds) if config.perturb else None
         self._begin = self._batch.state[0].copy()
         self._pose = jit(lambda q: forward_kinematics(robot.chain, q))
@@ -169,6 +170,12 @@ def physics_model(robot: Robot, config: SimConfig) -> mujoco.MjModel:
             if np.isfinite(torque):
                 servo.forcerange = [-torque, torque]
     return spec.compile()
+
+
+def _lag(model: mujoco.MjModel, servos: np.ndarray, joints: np.ndarray) -> tuple[float, ...]:
+    """Time by which each joint follows its servo's moving command [s]: damping, the joint's own too, by stiffness."""
+    damping = model.dof_damping[joints] - model.actuator_biasprm[servos, 2]
+    return tuple((damping / model.actuator_gainprm[servos, 0]).tolist())
 
 
 def _servos(model: mujoco.MjModel, robot: Robot) -> np.ndarray:

@@ -86,6 +86,7 @@ class PybulletSimulator:
         self._period, self._pace = config.control_period, SLOW_STEP if config.slow else 0.0
         urdf = URDFS[robot.name]
         self._offset = urdf.tools[robot.tool]
+        self.lag = (0.0,) * robot.chain.n
         self._worlds = [
             _World(self._bullet, robot, urdf, config.control_period, gui=config.gui and lane == 0)
             for lane in range(batch_size)
