@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from reachlab.chain import chain_from_model
 from reachlab.compilation import jit
-from reachlab.kinematics import Pose, forward_kinematics, ik_step, inverse_kinematics, jacobian
+from reachlab.kinematics import Pose, forward_kinematics, ik_point_step, ik_step, inverse_kinematics, jacobian
 from reachlab.robots import load_robot
 from reference import Arm, angle_between, quaternion, random_quaternions, rotation_matrix
 
@@ -279,6 +279,25 @@ def test_ik_step_keeps_limits_and_stays_finite_wherever_the_target_is(arm, compi
     assert np.isfinite(stepped).all()
     assert (stepped >= lower).all()
     assert (stepped <= upper).all()
+
+
+def test_a_joint_at_its_limit_leaves_its_share_to_the_others(arm, robot):
+    chain, step = robot.chain, jit(functools.partial(ik_point_step, robot.chain))
+    lower, upper = np.array(chain.lower), np.array(chain.upper)
+    random = np.random.default_rng(0)
+    q = random.uniform(lower + 0.2, upper - 0.2, (500, chain.n)).astype(np.float32)
+    way = random.normal(0, 0.01, (500, 3)).astype(np.float32)
+    jacobians = arm.jacobian(q)[:, :3]
+    free = np.asarray(step(q, q, way))
+    stopped = np.abs(free).argmax(axis=1)
+    command = q.copy()
+    rows = np.arange(len(q))
+    command[rows, stopped] = np.where(free > 0, upper, lower)[rows, stopped]  # it cannot go where it would
+    held = np.asarray(step(q, command, way))
+    assert (held[rows, stopped] * np.sign(free[rows, stopped]) <= 1e-6).all()
+    assert ((command + held >= lower - 1e-5) & (command + held <= upper + 1e-5)).all()
+    left = np.linalg.norm(way - np.einsum("bij,bj->bi", jacobians, held), axis=1) / np.linalg.norm(way, axis=1)
+    assert np.median(left) < 0.05
 
 
 def test_ik_step_stays_finite_half_a_turn_away(arm, compiled):

@@ -100,6 +100,18 @@ def test_an_episode_lasts_two_seconds_whatever_happens(env):
         assert not np.asarray(transition.terminated).any()
 
 
+def test_a_clipped_action_is_the_clipped_one_in_command_observation_and_reward(env):
+    state, box = env.init(lane_keys(0, LANES)), np.ones((LANES, 7), np.float32)
+    after, expected = env.step(state, box)
+    for beyond in (2.0, 1e30):
+        clipped, transition = env.step(state, beyond * box)
+        assert np.array_equal(clipped.target_q, after.target_q)
+        assert np.array_equal(transition.observation, expected.observation)
+        assert np.array_equal(transition.reward, expected.reward)
+    low, high = env.observation_bounds
+    assert ((np.asarray(expected.observation) >= low) & (np.asarray(expected.observation) <= high)).all()
+
+
 @pytest.fixture(scope="module")
 def reports(env: Env) -> dict[str, Report]:
     return {agent: evaluate(env, agent, seed=3, episodes=LANES) for agent in ("ik", "ik_open")}
@@ -110,6 +122,12 @@ def test_a_closed_loop_beats_gravity_and_a_solution_solved_once_does_not(reports
     assert closed["1"] == 1.0
     assert once["5"] <= 0.1
     assert once["50"] >= 0.95
+
+
+def test_solving_once_is_the_same_whatever_the_policy_would_command(reports):
+    plain = Env(configure("precise", action="joint_delta"), LANES)
+    report = evaluate(plain, "ik_open", seed=3, episodes=LANES)
+    assert report.final_error_mm["median"] == pytest.approx(reports["ik_open"].final_error_mm["median"], rel=1e-3)
 
 
 def test_no_joint_goes_faster_than_it_may(env, reports):
@@ -185,6 +203,7 @@ def test_the_suite_compares_all_agents_on_nominal_and_perturbed_arms(monkeypatch
         "precise", lanes=8, rollout_steps=20, total_steps=160, hidden=(8,), minibatches=2, report_episodes=8
     )
     monkeypatch.setattr(bench_precise, "configure", {"precise": tiny}.__getitem__)
+    monkeypatch.setattr(bench_precise, "POLICIES", {"trained": {}, "trained without ik": {"action": "joint_delta"}})
     monkeypatch.setattr(bench_precise, "SEEDS", range(2))
     monkeypatch.setattr(bench_precise, "HELD_OUT", 20)
     monkeypatch.setattr(bench_precise, "LANES", 20)
@@ -193,11 +212,11 @@ def test_the_suite_compares_all_agents_on_nominal_and_perturbed_arms(monkeypatch
     assert values["held within 2 mm/ik"] > 0.8 > values["held within 2 mm/ik_open"]
     assert "held within 2 mm/trained, perturbed" in values
     assert {name.partition("/")[2] for name in values} == {
-        agent + kind for agent in ("trained", "ik", "ik_open") for kind in ("", ", perturbed")
+        agent + kind for agent in ("trained", "trained without ik", "ik", "ik_open") for kind in ("", ", perturbed")
     }
     table = to_markdown(rows)
     heading, _, *lines = table.splitlines()
-    assert heading.split(" | ")[1:3] == ["trained", "ik"]
+    assert heading.split(" | ")[1:4] == ["trained", "trained without ik", "ik"]
     assert any(line.startswith("| held within 2 mm | ") for line in lines)
     assert "jax" in lines[-1]
     assert "lowest seed" in lines[-1]

@@ -17,14 +17,14 @@ from reachlab.checkpoint import RunDirectory
 from reachlab.compilation import jit
 from reachlab.config import configure, distillation, in_simulator, override
 from reachlab.env import Env, EnvState, Transition
-from reachlab.evaluation import Report, evaluate
+from reachlab.evaluation import FRESH_SEED, Report, evaluate
 from reachlab.policy import Policy
 from reachlab.sims import Lanes
 from reachlab.streams import lane_keys
 from reachlab.training import distil, load_policy, train
 
-SEEDS, HELD_OUT, HELD_OUT_SEED = range(3), 1000, 1000
-"""Seeds that are distilled; each is evaluated on so many targets of seed 1000 + s."""
+SEEDS, HELD_OUT = range(3), 1000
+"""Seeds that are distilled; each is evaluated on so many targets of seed `FRESH_SEED` + s."""
 
 EPISODES_FROM_NOTHING = 200
 """Episodes of the evaluation that counts to the time from nothing."""
@@ -109,7 +109,7 @@ def _success(name: str, run: Path, sim: str, episodes: int, lanes: int, seed: in
 def _evaluated(run: Path, sim: str, episodes: int, lanes: int, seed: int) -> Report:
     env, policy = _seeing(run, sim, lanes)
     try:
-        return evaluate(env, "trained", policy, seed=HELD_OUT_SEED + seed, episodes=episodes)
+        return evaluate(env, "trained", policy, seed=FRESH_SEED + seed, episodes=episodes)
     finally:
         env.close()
 
@@ -173,7 +173,7 @@ def spoilt(run: Path) -> Iterator[Row]:
     assert isinstance(env, SpoiltEnv)  # noqa: S101
     for name, spoil in {"none": None, **SPOILT}.items():
         env.lens = Lens(spoil, np.random.default_rng(0))
-        report = evaluate(env, "trained", policy, seed=HELD_OUT_SEED, episodes=SPOILT_EPISODES)
+        report = evaluate(env, "trained", policy, seed=FRESH_SEED, episodes=SPOILT_EPISODES)
         yield row(f"camera/spoilt/{name}", report.success_rate, "rate", episodes=SPOILT_EPISODES)
     env.close()
 

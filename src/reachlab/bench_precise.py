@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
@@ -12,19 +13,22 @@ import numpy as np
 from reachlab.bench_sims import Row, row
 from reachlab.config import RunConfig, configure, override
 from reachlab.env import Env
-from reachlab.evaluation import LANES, Episodes, Report, examine, make_runner, summarise
+from reachlab.evaluation import FRESH_SEED, LANES, Episodes, Report, examine, make_runner, summarise
 from reachlab.policy import Policy
 from reachlab.robots import load_robot
 from reachlab.training import TrainResult, train
 
 SEEDS, HELD_OUT = range(5), 2000
-"""Trainings, and held-out targets of each."""
+"""Trainings, and held-out targets of each: seed s has those of seed `FRESH_SEED` + s."""
 
-HELD_OUT_SEED = 1000
-"""Seed s is evaluated on the targets of seed 1000 + s."""
+PLAIN = {"action": "joint_delta", "initial_std": 0.4, "total_steps": 4_500_000, "anneal_steps": 4_500_000}
+"""Settings of a policy that inverse kinematics do not help: it takes more steps to learn."""
 
-AGENTS = ("trained", "ik", "ik_open")
-"""What is compared on the same targets."""
+POLICIES: dict[str, dict[str, Any]] = {"trained": {}, "trained without ik": PLAIN}
+"""Policies that are compared, by the name of their column, and what they change of the preset."""
+
+BASELINES = ("ik", "ik_open")
+"""Agents that they are compared with, on the same targets."""
 
 PERTURBED = ", perturbed"
 """What the name of a column ends in where every episode has an arm of its own."""
@@ -32,35 +36,41 @@ PERTURBED = ", perturbed"
 
 def precise() -> Iterator[Row]:
     """The rows of suite `precise`: measurement/agent, over all seeds, with the lowest or highest seed beside it."""
-    config = configure("precise")
+    configs = {name: override(configure("precise"), **settings) for name, settings in POLICIES.items()}
     with tempfile.TemporaryDirectory() as folder:
-        trained = [train(override(config, seed=seed), Path(folder) / str(seed)) for seed in SEEDS]
-    yield from _training(trained)
+        trained = {
+            name: [train(override(config, seed=seed), Path(folder) / name / str(seed)) for seed in SEEDS]
+            for name, config in configs.items()
+        }
+    for name, results in trained.items():
+        yield from _training(name, results)
     for perturb in (False, True):
-        for agent in AGENTS:
-            column = agent + PERTURBED * perturb
-            yield from _accuracy(column, _reports(override(config, perturb=perturb), agent, trained))
+        for name, config in configs.items():
+            reports = _reports(override(config, perturb=perturb), "trained", [one.policy for one in trained[name]])
+            yield from _accuracy(name + PERTURBED * perturb, reports)
+        for agent in BASELINES:
+            reports = _reports(override(configs["trained"], perturb=perturb), agent, [None for _ in SEEDS])
+            yield from _accuracy(agent + PERTURBED * perturb, reports)
 
 
-def _training(trained: list[TrainResult]) -> Iterator[Row]:
+def _training(name: str, trained: list[TrainResult]) -> Iterator[Row]:
     walls, speeds = [one.train_wall_s for one in trained], [one.steps_per_second for one in trained]
-    yield row("training time, longest of the seeds/trained", max(walls), "s", by_seed=walls, steps=trained[0].steps)
-    yield row("training speed, slowest of the seeds/trained", min(speeds), "1/s", by_seed=speeds)
+    yield row(f"training time, longest of the seeds/{name}", max(walls), "s", by_seed=walls, steps=trained[0].steps)
+    yield row(f"training speed, slowest of the seeds/{name}", min(speeds), "1/s", by_seed=speeds)
 
 
-def _reports(config: RunConfig, agent: str, trained: list[TrainResult]) -> tuple[Report, list[Report]]:
+def _reports(config: RunConfig, agent: str, policies: Sequence[Policy | None]) -> tuple[Report, list[Report]]:
     """Report of an agent on the targets of all seeds together, and the reports of the seeds."""
     env = Env(config, LANES)
     runner = make_runner(env, agent)
-    policies: list[Policy | None] = [one.policy if agent == "trained" else None for one in trained]
     results = [
-        examine(env, agent, policy, seed=HELD_OUT_SEED + seed, episodes=HELD_OUT, runner=runner)
+        examine(env, agent, policy, seed=FRESH_SEED + seed, episodes=HELD_OUT, runner=runner)
         for seed, policy in zip(SEEDS, policies, strict=True)
     ]
     env.close()
     together: Episodes = jax.tree.map(lambda *x: np.concatenate(x), *(episodes for _, episodes in results))
     wall = sum(report.wall_s for report, _ in results)
-    return summarise(env, agent, together, HELD_OUT_SEED, wall), [report for report, _ in results]
+    return summarise(env, agent, together, FRESH_SEED, wall), [report for report, _ in results]
 
 
 def _accuracy(column: str, reports: tuple[Report, list[Report]]) -> Iterator[Row]:

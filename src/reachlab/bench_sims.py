@@ -15,7 +15,7 @@ from mujoco.batch import Batch
 from reachlab.compilation import jit
 from reachlab.config import configure, in_simulator
 from reachlab.env import Env
-from reachlab.evaluation import LANES, evaluate
+from reachlab.evaluation import FRESH_SEED, LANES, evaluate
 from reachlab.kinematics import forward_kinematics
 from reachlab.robots import Robot, load_robot
 from reachlab.sims import make_simulator
@@ -26,8 +26,8 @@ from reachlab.training import train
 
 Row = dict[str, Any]
 
-TRANSFER_SEEDS, TRANSFER_EPISODES, TRANSFER_SEED = range(3), 1000, 500
-"""Policies, held-out episodes for each, and the seed of the first one's targets."""
+TRANSFER_SEEDS, TRANSFER_EPISODES = range(3), 1000
+"""Policies, and held-out episodes for each."""
 
 LANES_OF = {"kinematic": LANES, "mujoco": LANES, "pybullet": 8}
 """Lanes of an evaluation in each simulator."""
@@ -65,7 +65,7 @@ def transfer() -> Iterator[Row]:
             trained = train(config, Path(folder) / str(seed))
             for name, lanes in LANES_OF.items():
                 env = Env(in_simulator(config, name), lanes)
-                report = evaluate(env, "trained", trained.policy, seed=TRANSFER_SEED + seed, episodes=TRANSFER_EPISODES)
+                report = evaluate(env, "trained", trained.policy, seed=FRESH_SEED + seed, episodes=TRANSFER_EPISODES)
                 env.close()
                 yield row(f"transfer/{name}", report.success_rate, "rate", seed=seed, episodes=TRANSFER_EPISODES)
 

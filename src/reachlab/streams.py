@@ -38,7 +38,7 @@ def lane_keys(seed: int, batch_size: int) -> Array:
 
 def gymnasium_keys(seeds: np.ndarray) -> Array:
     """Keys `[B]` of the first episodes of seeds `[B]` uint32."""
-    return jax.vmap(stream_key, (0, None))(seeds, GYMNASIUM_STREAM)
+    return jax.vmap(lambda seed: stream_key(seed, GYMNASIUM_STREAM))(seeds)
 
 
 def noise_keys(keys: Array, clock: Array) -> Array:
