@@ -17,7 +17,7 @@ SOURCE = Path(reachlab.__file__).parent
 
 LAYERS = (
     {"lanes", "compilation"},
-    {"checks"},
+    {"checks", "names"},
     {"config", "interrupts", "chain", "kinematics", "views", "encoder"},
     {"policy"},
     {"storage"},
@@ -58,6 +58,7 @@ LEAVES = {
     "lanes": set(),
     "compilation": set(),
     "checks": set(),
+    "names": set(),
     "config": {"checks"},
     "chain": {"lanes"},
     "kinematics": {"lanes", "chain"},
