@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.stats import binomtest
 
 from reachlab.checks import InputError
 from reachlab.config import configure
@@ -24,6 +26,7 @@ from reachlab.evaluation import (
     Runner,
     episode_keys,
     evaluate,
+    examine,
     make_runner,
     run_episodes,
     summarise,
@@ -90,6 +93,23 @@ def whole(ik: Runner) -> Episodes:
 )
 def test_wilson_intervals_are_the_published_ones(successes: int, trials: int, low: float, high: float) -> None:
     assert wilson_interval(successes, trials) == pytest.approx((low, high), abs=6e-5)
+
+
+@pytest.mark.parametrize("trials", [1, 3, 10, 1000, 12_345])
+def test_wilson_intervals_are_scipys_and_exact_at_their_ends(trials: int) -> None:
+    for successes in {0, 1, trials // 3, trials - 1, trials}:
+        known = binomtest(successes, trials).proportion_ci(method="wilson")
+        assert wilson_interval(successes, trials) == pytest.approx((known.low, known.high), abs=1e-12)
+    assert wilson_interval(0, trials)[0] == 0
+    assert wilson_interval(trials, trials)[1] == 1
+
+
+@pytest.mark.parametrize("sim", ["kinematic", "mujoco"])
+def test_whoever_watches_an_evaluation_is_told_of_all_episodes(sim: str) -> None:
+    env, told = Env(configure(sim=sim, max_steps=5), 4), list[int]()
+    examine(env, "zero", seed=1, episodes=7, runner=replace(make_runner(env, "zero"), lanes=4), watch=told.append)
+    assert told == sorted(told)
+    assert told[-1] == 7
 
 
 @settings(max_examples=25, deadline=None)

@@ -155,7 +155,6 @@ class TrainDisplay:
 
     def __enter__(self) -> Self:
         """Begin to show."""
-        note(explained(self._config))
         self._bar.start()
         return self
 
@@ -167,6 +166,8 @@ class TrainDisplay:
 
     def __call__(self, progress: TrainProgress) -> None:
         """Show where training stands."""
+        if not self.loop_s:  # only now is it known that nothing is refused
+            note(explained(self._config))
         self.loop_s = progress.metrics["wall_s"]
         self._ended.add(progress.metrics)
         if notes.is_terminal:
