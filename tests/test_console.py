@@ -7,7 +7,7 @@ import re
 import pytest
 
 from reachlab.config import RunConfig, configure
-from reachlab.console import TrainDisplay, asked, explained, train_line
+from reachlab.console import TrainDisplay, asked, explained, parts_of_time, train_line
 from reachlab.loop import Progress
 
 
@@ -27,14 +27,25 @@ def lines_of(config: RunConfig, seen: list[Progress], capsys: pytest.CaptureFixt
 
 
 def test_the_speed_of_a_line_is_its_steps_over_its_time() -> None:
-    line = train_line(progress(300_000, 5.0), configure(), "")
+    line = train_line(progress(300_000, 5.0), progress(8192, 2.0), configure(), "")
     assert line == "0.30M steps  60k steps/s  5 s"
 
 
 def test_time_left_is_told_only_where_all_steps_are_taken() -> None:
-    config = configure(stop_early=False, total_steps=4_000_000)
-    assert train_line(progress(1_000_000, 11.0), config, "").endswith("11 s  about 30 s left")
-    assert "left" not in train_line(progress(1_000_000, 11.0), configure(), "")
+    config = configure(stop_early=False, lanes=100, rollout_steps=100)
+    first, now = progress(10_000, 6.0), progress(1_010_000, 16.0)
+    assert train_line(now, first, config, "").endswith("16 s  about 30 s left"), "the first, compiled, is left out"
+    assert "left" not in train_line(first, first, config, "")
+    assert "left" not in train_line(now, first, configure(), "")
+
+
+def test_the_parts_of_a_trainings_time_add_up_to_it() -> None:
+    first = progress(8192, 6.0, steps_per_second=8192 / 2.0)
+    last = progress(108_192, 16.0, steps_per_second=108_192 / 10.0)
+    assert parts_of_time(first, last, 16.5) == (
+        "6.5 s of compiling and the first 8,192 steps, 8.0 s of training (12,500 steps/s),"
+        " 2.0 s of validations and saving"
+    )
 
 
 def test_success_of_a_line_is_of_all_training_episodes_since_the_last_line(capsys: pytest.CaptureFixture[str]) -> None:

@@ -150,8 +150,9 @@ class TrainDisplay:
         self._printed = -1
         self._ended, self._success = _Ended(), ""
         self._validated: dict[str, float] = {}
-        self.loop_s = 0.0
-        """Time of the iterations so far [s]."""
+        self.first: TrainProgress | None = None
+        self.last: TrainProgress | None = None
+        """Where training stood after this session's first and last iteration."""
 
     def __enter__(self) -> Self:
         """Begin to show."""
@@ -166,29 +167,30 @@ class TrainDisplay:
 
     def __call__(self, progress: TrainProgress) -> None:
         """Show where training stands."""
-        if not self.loop_s:  # only now is it known that nothing is refused
+        if self.first is None:  # only now is it known that nothing is refused
             note(explained(self._config))
-        self.loop_s = progress.metrics["wall_s"]
+            self.first = progress
+        self.last = progress
         self._ended.add(progress.metrics)
         if notes.is_terminal:
-            self._draw(progress)
+            self._draw(progress, self.first)
         else:
-            self._print(progress)
+            self._print(progress, self.first)
 
-    def _draw(self, progress: TrainProgress) -> None:
+    def _draw(self, progress: TrainProgress, first: TrainProgress) -> None:
         if self._ended.episodes >= SHOWN_EPISODES:
             self._success, self._ended = self._ended.said(self._config.rules), _Ended()
         self._validated |= {name: x for name, x in progress.metrics.items() if name == "validation_success"}
         shown = replace(progress, metrics=progress.metrics | self._validated)
         total = None if self._config.ppo.stop_early else progress.total_steps
-        status = train_line(shown, self._config, self._success, timed=False)
+        status = train_line(shown, first, self._config, self._success, timed=False)
         self._bar.update(self._task, description="training", completed=progress.steps, total=total, status=status)
 
-    def _print(self, progress: TrainProgress) -> None:
+    def _print(self, progress: TrainProgress, first: TrainProgress) -> None:
         due = LINES * progress.steps // progress.total_steps
         if due > self._printed or "validation_success" in progress.metrics:
             self._printed = due
-            note(train_line(progress, self._config, self._ended.said(self._config.rules)))
+            note(train_line(progress, first, self._config, self._ended.said(self._config.rules)))
             self._ended = _Ended()
 
 
@@ -206,40 +208,68 @@ def explained(config: RunConfig) -> str:
     )
 
 
-def train_line(progress: TrainProgress, config: RunConfig, success: str, *, timed: bool = True) -> str:
+def train_line(
+    progress: TrainProgress, first: TrainProgress, config: RunConfig, success: str, *, timed: bool = True
+) -> str:
     """Where training stands.
 
     Args:
         progress: steps, time and metrics.
+        first: the same after the first iteration of this session.
         config: settings of the run.
         success: what the training episodes came to.
         timed: whether to say the time, which a bar shows itself.
     """
-    now, seconds, all_steps = progress.metrics, progress.elapsed_s, not config.ppo.stop_early
-    of = f" of {progress.total_steps / MILLION:.2f}M" if all_steps else ""
+    now, seconds = progress.metrics, progress.elapsed_s
+    # Only whole iterations are made.
+    total = -(-progress.total_steps // config.ppo.iteration_steps) * config.ppo.iteration_steps
+    of = "" if config.ppo.stop_early else f" of {total / MILLION:.2f}M"
     parts = [f"{progress.steps / MILLION:.2f}M{of} steps", success]
     if "validation_success" in now:
         parts.append(f"validation {100 * now['validation_success']:.1f} %")
-    parts.append(f"{progress.steps / seconds / THOUSAND:.0f}k steps/s")
+    parts.append(f"{_speed(progress.steps / seconds)} steps/s")
     if timed:
         parts.append(_duration(seconds))
-    if all_steps and progress.steps < progress.total_steps:
-        left = now["wall_s"] * (progress.total_steps - progress.steps) / progress.steps
-        parts.append(f"about {_duration(left)} left")
+    if of and first.steps < progress.steps < total:  # the first iteration may have been compiled too
+        took = (now["wall_s"] - first.metrics["wall_s"]) / (progress.steps - first.steps)
+        parts.append(f"about {_duration(took * (total - progress.steps))} left")
     return "  ".join(part for part in parts if part)
 
 
-def print_training(result: TrainResult, config: RunConfig, loop_s: float) -> None:
-    """The result of a training: its report, and its time in parts that add up."""
+def _speed(steps_per_second: float) -> str:
+    if steps_per_second < 10 * THOUSAND:
+        return f"{steps_per_second:,.0f}"
+    return f"{steps_per_second / THOUSAND:.0f}k"
+
+
+def print_training(result: TrainResult, config: RunConfig, display: TrainDisplay, *, resumed: bool) -> None:
+    """The result of a training: its report, and its time."""
     print_reports([result.report.to_json()], config)
-    busy = result.steps / result.steps_per_second if result.steps_per_second else 0.0
-    parts = {f"of training ({result.steps_per_second:,.0f} steps/s)": busy}
-    if loop_s > busy:
-        parts |= {"of validations and saving": loop_s - busy, "of compiling": result.train_wall_s - loop_s}
+    first, last = display.first, display.last
+    if resumed or first is None or last is None or first.steps == last.steps:
+        speed = f", {result.steps / result.train_wall_s:,.0f} steps/s with compilation and validations."
     else:
-        parts |= {"of compiling, validations and saving": result.train_wall_s - busy}
-    said = ", ".join(f"{seconds:.1f} s {what}" for what, seconds in parts.items())
-    say(f"{result.steps:,} steps in {result.train_wall_s:.1f} s: {said}.")
+        speed = f": {parts_of_time(first, last, result.train_wall_s)}."
+    say(f"{result.steps:,} steps in {result.train_wall_s:.1f} s{speed}")
+
+
+def parts_of_time(first: TrainProgress, last: TrainProgress, train_s: float) -> str:
+    """What a training of `train_s` seconds took its time for, from its progress after its first and last iteration.
+
+    Where the simulator steps outside JAX the first iteration is compiled while it is made, so it stands apart.
+    """
+    looped = last.metrics["wall_s"] - first.metrics["wall_s"]
+    busy = _busy_s(last) - _busy_s(first)
+    return (
+        f"{train_s - looped:.1f} s of compiling and the first {first.steps:,} steps,"
+        f" {busy:.1f} s of training ({(last.steps - first.steps) / busy:,.0f} steps/s),"
+        f" {looped - busy:.1f} s of validations and saving"
+    )
+
+
+def _busy_s(progress: TrainProgress) -> float:
+    """Time of collecting and updating [s]."""
+    return progress.steps / progress.metrics["steps_per_second"]
 
 
 # --- evaluation -----------------------------------------------------------------------------------
@@ -307,7 +337,9 @@ def print_reports(reports: Sequence[dict[str, Any]], config: RunConfig) -> None:
     say(f"Success: {succeeded(config)}.")
     table = Table("agent", "simulator")
     # Where touching ends the episode, how far the tool is then is the success distance, and says nothing.
-    last = ("median error", "p99 error", "≤ 2 mm", "≤ 1 mm", "time") if held else ("mean steps", "time")
+    last = (
+        ("median error", "p99 error", "≤ 2 mm", "≤ 1 mm", "time to reach") if held else ("mean steps", "time to reach")
+    )
     for heading in ("success", "95 % interval", *last):
         table.add_column(heading, justify="right")
     for report in reports:

@@ -80,7 +80,7 @@ def _learn(arguments: Train | Distil, config: RunConfig, verb: str) -> None:
     if arguments.json:
         print(jsonlib.dumps(result.to_json()))
     else:
-        print_training(result, config, display.loop_s)
+        print_training(result, config, display, resumed=arguments.resume is not None)
         say(f"Written: {out}: report.json, curve.png, checkpoints. With the report: {result.total_wall_s:.1f} s.")
     if result.validated is False:
         note(
