@@ -7,7 +7,8 @@ import re
 import pytest
 
 from reachlab.config import RunConfig, configure
-from reachlab.console import TrainDisplay, asked, explained, parts_of_time, train_line
+from reachlab.console import asked
+from reachlab.displays import TrainDisplay, explained, parts_of_time, train_line
 from reachlab.loop import Progress
 
 

@@ -95,8 +95,8 @@ FLAT = 1e-3
 ABOVE, FRONT = (1, 0), (1, 2)
 """Views of the workspace: the target's coordinates across and up."""
 
-MOST_MAPS, MAP_TITLE = 2, 36
-"""Maps beside the errors, and characters in a line above one."""
+MOST_MAPS, MAP_TITLE, MAP_FONT = 2, 38, 9
+"""Maps beside the errors, characters in a line above one, and their size [points]."""
 
 Evaluated = tuple[Group, list[Evaluation]]
 """A group and what it was tried on."""
@@ -296,7 +296,8 @@ def _draw_map(axes: Axes, title: str, evaluation: Evaluation, across: int, up: i
     failed = points[~evaluation.success]
     came = f"{len(failed):,} of {len(points):,} missed" if len(failed) else f"all {len(points):,} reached"
     axes.set(xlabel=f"target's {'xyz'[across]} [m]", ylabel=f"target's {'xyz'[up]} [m]", aspect="equal")
-    axes.set_title("\n".join([*wrap(title, MAP_TITLE), f"{evaluation.label}: {came}"]))
+    lines = [*wrap(title, MAP_TITLE), *wrap(f"{evaluation.label}: {came}", MAP_TITLE)]
+    axes.set_title("\n".join(lines), fontsize=MAP_FONT)
     axes.grid(visible=False)
     if not len(failed):
         axes.scatter(*points.T, s=4, color=PALETTE[0], alpha=0.4, linewidths=0)

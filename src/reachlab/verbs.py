@@ -21,7 +21,7 @@ from reachlab.names import AGENTS
 
 if TYPE_CHECKING:
     from reachlab.checkpoint import RunDirectory
-    from reachlab.console import EvalDisplay
+    from reachlab.displays import EvalDisplay
 
 EVALUATION_LANES = {"pybullet": 8}
 """Lanes of an evaluation where they are dear."""
@@ -64,7 +64,8 @@ def _learn(arguments: Train | Distil, config: RunConfig, verb: str) -> None:
     if arguments.resume and _told_that_finished(arguments, config, arguments.resume):
         return
     _prepare()
-    from reachlab.console import TrainDisplay, note, print_training, say
+    from reachlab.console import note, say
+    from reachlab.displays import TrainDisplay, print_training
     from reachlab.plots import plot as draw
     from reachlab.training import distil as run_distillation
     from reachlab.training import train as run_training
@@ -123,7 +124,8 @@ def evaluate(arguments: Eval) -> None:
         choose("agent", agent, AGENTS)
     _prepare()
     from reachlab.checkpoint import RunDirectory
-    from reachlab.console import EvalDisplay, note
+    from reachlab.console import note
+    from reachlab.displays import EvalDisplay
     from reachlab.sims import SIMULATORS
 
     run = RunDirectory(arguments.run)
