@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass, replace
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -15,14 +17,16 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from reachlab import cli
+from reachlab import bench, cli, sims
 from reachlab.checkpoint import RunDirectory
+from reachlab.checks import InputError
 from reachlab.config import TASKS, RunConfig, configure
 from reachlab.env import Env
 from reachlab.evaluation import AGENTS
 from reachlab.iteration import initial_state
 from reachlab.robots import ROBOTS
 from reachlab.sims import SIMULATORS
+from reachlab.sims.mujoco import MujocoSimulator
 from reachlab.task import ACTIONS, OBSERVATIONS, REWARDS
 
 TINY = ["--lanes", "16", "--rollout-steps", "16", "--total-steps", "1024", "--no-stop-early", "--report-episodes", "10"]
@@ -127,10 +131,41 @@ def test_list_prints_the_tables_as_json(reachlab: Shell) -> None:
 
 def test_list_shows_a_person_every_name(reachlab: Shell) -> None:
     said = reachlab("list")
-    assert (said.status, said.out) == (0, "")
+    assert (said.status, said.err) == (0, "")
     for table in TABLES.values():
         for name in table:
-            assert name in said.err
+            assert name in said.out
+
+
+def test_list_tells_what_a_task_asks_for(reachlab: Shell) -> None:
+    tasks = json.loads(reachlab("list", "--json").out)["tasks"]
+    assert tasks["tutorial"].startswith("touch a point on the table: the tool comes within 100 mm of it")
+    assert tasks["precise"].startswith("hold a point in the box from")
+    assert "within 10 mm for 10 steps (0.2 s)" in tasks["precise"]
+
+
+def test_the_version_is_told(reachlab: Shell) -> None:
+    assert reachlab("--version") == Said(0, f"reachlab {version('reachlab')}\n", "")
+
+
+@pytest.mark.parametrize(
+    ("verb", "names"), [("eval", AGENTS), ("video", AGENTS), ("view", AGENTS), ("bench", bench.SUITES)]
+)
+def test_help_lists_every_name_of_the_table(reachlab: Shell, verb: str, names: dict[str, object]) -> None:
+    text = " ".join(reachlab(verb, "--help").out.replace("│", " ").split())
+    assert f": {', '.join(names)}." in text
+
+
+@pytest.mark.parametrize("words", [["--help"], ["train", "--help"], ["list"], ["list", "--json"]], ids=" ".join)
+def test_a_reader_who_has_gone_ends_a_command_silently(words: list[str]) -> None:
+    reader, writer = os.pipe()
+    os.close(reader)
+    try:
+        command = [sys.executable, "-m", "reachlab", *words]
+        done = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, text=True, check=False)
+    finally:
+        os.close(writer)
+    assert (done.returncode, done.stderr) == (cli.UNREAD, "")
 
 
 # --- wrong input ----------------------------------------------------------------------------------
@@ -185,6 +220,8 @@ WRONG = {
     "plot of nothing": ("plot", "run"),
     "plot of no run": ("plot nothing", "'nothing' holds no metrics.jsonl"),
     "plot to an unknown ending": ("plot young --out curve.xyz", "cannot be written to 'curve.xyz'"),
+    "plot to a folder": ("plot young --out .", "cannot be written to '.': name a file that ends in .png or .svg"),
+    "plot to no ending": ("plot young --out curve", "cannot be written to 'curve': name a file that ends in"),
     "plot into no folder": ("plot young --out no/curve.png", "cannot be written to 'no/curve.png'"),
 }
 
@@ -254,6 +291,10 @@ def test_train_prints_one_json_object_and_nothing_else(trained: tuple[Path, Said
     assert result["agent"] == "trained"
     assert "Traceback" not in said.err
     assert "Next: reachlab eval" in said.err
+    assert "Success: the tool comes within 100 mm of the target" in said.err
+    lines = [line for line in said.err.splitlines() if "M steps" in line]
+    assert lines
+    assert all(re.match(r"0\.00M of 0\.00M steps  .*\d+ steps/s  \d+ s", line) for line in lines)
 
 
 def test_flags_reach_the_configuration(trained: tuple[Path, Said]) -> None:
@@ -331,10 +372,56 @@ def test_eval_repeats_itself_and_seeds_differ(reachlab: Shell, untrained: Path) 
     assert first["final_error_mm"] != other["final_error_mm"]
 
 
-def test_eval_shows_a_person_a_table_and_prints_nothing(reachlab: Shell, untrained: Path) -> None:
+def test_eval_shows_a_person_a_table_on_standard_output_and_progress_beside_it(
+    reachlab: Shell, untrained: Path
+) -> None:
     said = reachlab("eval", untrained, "--episodes", 20, "--agent", "ik")
-    assert (said.status, said.out) == (0, "")
-    assert "100.00 %" in said.err
+    assert said.status == 0
+    assert "100.00 %" in said.out
+    assert "Success: the tool comes within 100 mm of the target" in said.out
+    assert said.err.splitlines()[-1].startswith("ik in kinematic: 20 of 20 episodes, ")
+
+
+def test_of_all_simulators_the_others_are_shown_where_one_is_missing(
+    reachlab: Shell, untrained: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "pybullet", None)
+    said = reachlab("eval", untrained, "--sim", "all", "--agent", "ik", "--episodes", 8, "--json")
+    assert said.status == cli.WRONG_INPUT
+    assert [report["sim"] for report in json.loads(said.out)] == ["kinematic", "mujoco"]
+    lines = said.err.splitlines()
+    assert lines[0].startswith("pybullet: "), "before time is spent on the others"
+    assert "pip install" in lines[0]
+    assert lines[-1] == "reachlab: no result in pybullet: the reason is above."
+
+
+def test_what_there_is_is_shown_where_a_later_simulator_fails(
+    reachlab: Shell, untrained: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise FloatingPointError("the engine's state is not finite")
+
+    monkeypatch.setattr(MujocoSimulator, "step", fail)
+    monkeypatch.setattr(sims, "SIMULATORS", {name: SIMULATORS[name] for name in ("kinematic", "mujoco")})
+    said = reachlab("eval", untrained, "--sim", "all", "--agent", "ik", "--episodes", 9)
+    assert said.status == cli.WRONG_INPUT
+    assert "│ ik    │ kinematic │" in said.out
+    assert "mujoco: the engine's state is not finite" in said.err
+    assert json.loads((untrained / "reports" / "kinematic-ik-1.json").read_text())["episodes"] == 9
+
+
+@pytest.mark.parametrize("json_wanted", [True, False], ids=["json", "table"])
+def test_a_run_that_cannot_be_written_shows_its_result_and_warns(
+    reachlab: Shell, untrained: Path, monkeypatch: pytest.MonkeyPatch, json_wanted: bool
+) -> None:
+    def read_only(self: RunDirectory, name: str, *_: object) -> None:
+        raise InputError(f"report '{self.reports / name}.json' cannot be written: Read-only file system.")
+
+    monkeypatch.setattr(RunDirectory, "write_report", read_only)
+    said = reachlab("eval", untrained, "--agent", "ik", "--episodes", 5, *["--json"] * json_wanted)
+    assert said.status == 0
+    assert ('"success_rate": 1.0' if json_wanted else "100.00 %") in said.out
+    assert re.search("Warning: report .* cannot be written: Read-only file system", said.err)
 
 
 # --- video ----------------------------------------------------------------------------------------
@@ -348,4 +435,4 @@ def test_video_tells_what_it_filmed(reachlab: Shell, untrained: Path) -> None:
     assert (said.status, clip["out"], clip["episodes"], clip["successes"]) == (0, "film.gif", 1, 1)
     with Image.open("film.gif") as picture:
         assert (picture.format, picture.n_frames) == ("GIF", clip["frames"])  # type: ignore[attr-defined]
-    assert "1 of 1 episodes reach the target" in said.err
+    assert said.err == ""

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.stats import spearmanr
+from scipy.stats import binomtest, rankdata
 
 from reachlab.checks import InputError
 from reachlab.config import configure
@@ -23,6 +23,7 @@ from reachlab.evaluation import (
     Report,
     Runner,
     evaluate,
+    examine,
     make_runner,
     run_episodes,
     summarise,
@@ -103,6 +104,23 @@ def test_wilson_intervals_are_the_published_ones(successes: int, trials: int, lo
     assert wilson_interval(successes, trials) == pytest.approx((low, high), abs=6e-5)
 
 
+@pytest.mark.parametrize("trials", [1, 3, 10, 1000, 12_345])
+def test_wilson_intervals_are_scipys_and_exact_at_their_ends(trials: int) -> None:
+    for successes in {0, 1, trials // 3, trials - 1, trials}:
+        known = binomtest(successes, trials).proportion_ci(method="wilson")
+        assert wilson_interval(successes, trials) == pytest.approx((known.low, known.high), abs=1e-12)
+    assert wilson_interval(0, trials)[0] == 0
+    assert wilson_interval(trials, trials)[1] == 1
+
+
+@pytest.mark.parametrize("sim", ["kinematic", "mujoco"])
+def test_whoever_watches_an_evaluation_is_told_of_all_episodes(sim: str) -> None:
+    env, told = Env(configure(sim=sim, max_steps=5), 4), list[int]()
+    examine(env, "zero", seed=1, episodes=7, runner=replace(make_runner(env, "zero"), lanes=4), watch=told.append)
+    assert told == sorted(told)
+    assert told[-1] == 7
+
+
 @settings(max_examples=25, deadline=None)
 @given(trials=st.integers(1, 100_000), share=st.floats(0, 1))
 def test_an_interval_holds_its_rate_and_mirrors(trials: int, share: float) -> None:
@@ -164,7 +182,7 @@ def test_measurement_noise_says_nothing_of_starts_and_targets() -> None:
     noise = [np.asarray(env.situation(replace(state, clock=state.clock + step)).q - state.arm.q) for step in range(5)]
     drawn = np.concatenate([np.asarray(x) for s in (state, after) for x in (s.arm.q, s.target)], axis=1)
     columns = np.concatenate([*noise, drawn], axis=1)
-    correlation, own = spearmanr(columns).statistic, sum(rows.shape[1] for rows in noise)
+    correlation, own = np.corrcoef(rankdata(columns, axis=0), rowvar=False), sum(rows.shape[1] for rows in noise)
     assert np.abs(correlation[:own, own:]).max() < 0.15
 
 

@@ -17,7 +17,7 @@ SOURCE = Path(reachlab.__file__).parent
 
 LAYERS = (
     {"lanes", "compilation"},
-    {"checks"},
+    {"checks", "names"},
     {"config", "interrupts", "chain", "kinematics", "views", "encoder", "streams"},
     {"policy"},
     {"storage"},
@@ -36,6 +36,7 @@ LAYERS = (
     {"training"},
     {
         "console",
+        "displays",
         "bench",
         "bench_camera",
         "bench_precise",
@@ -58,6 +59,7 @@ LEAVES = {
     "lanes": set(),
     "compilation": set(),
     "checks": set(),
+    "names": set(),
     "config": {"checks"},
     "chain": {"lanes"},
     "kinematics": {"lanes", "chain"},
@@ -77,7 +79,8 @@ LEAVES = {
 ONLY_FROM = {
     "scene": {"sims", "stage", "camera"},
     "camera": {"sims"},
-    "console": {"verbs"},
+    "console": {"verbs", "displays"},
+    "displays": {"verbs"},
     "cli": {"__main__"},
 }
 """Modules that only these import."""
@@ -158,7 +161,7 @@ def test_every_module_has_its_place() -> None:
 def test_the_graph_is_read_right() -> None:
     assert {"config", "env", "iteration", "rollout"} <= GRAPH["loop"].top
     assert {"training", "console", "checkpoint"} <= GRAPH["verbs"].inner - GRAPH["verbs"].top
-    assert "loop" in GRAPH["console"].types - GRAPH["console"].run
+    assert "loop" in GRAPH["displays"].types - GRAPH["displays"].run
     assert "sims" in GRAPH["sims.kinematic"].top
 
 

@@ -296,8 +296,9 @@ def test_a_joint_at_its_limit_leaves_its_share_to_the_others(arm, robot):
     held = np.asarray(step(q, command, way))
     assert (held[rows, stopped] * np.sign(free[rows, stopped]) <= 1e-6).all()
     assert ((command + held >= lower - 1e-5) & (command + held <= upper + 1e-5)).all()
-    left = np.linalg.norm(way - np.einsum("bij,bj->bi", jacobians, held), axis=1) / np.linalg.norm(way, axis=1)
-    assert np.median(left) < 0.05
+    clipped = np.where(np.arange(chain.n) == stopped[:, None], 0, free)
+    left, lost = (np.linalg.norm(way - np.einsum("bij,bj->bi", jacobians, moved), axis=1) for moved in (held, clipped))
+    assert np.median(left / lost) < 0.3
 
 
 def test_ik_step_stays_finite_half_a_turn_away(arm, compiled):

@@ -16,6 +16,7 @@ from reachlab.checkpoint import RunDirectory
 from reachlab.checks import InputError
 from reachlab.config import RunConfig, configure, to_json
 from reachlab.curves import band, group_runs, read_evaluations
+from reachlab.names import AGENTS
 from reachlab.plots import plot
 
 
@@ -135,12 +136,12 @@ def test_a_run_without_metrics_is_refused(tmp_path: Path) -> None:
     assert not (tmp_path / "curve.png").exists()
 
 
-@pytest.mark.parametrize("name", ["curve.xyz", "missing/curve.png"])
+@pytest.mark.parametrize("name", ["curve.xyz", "missing/curve.png", ".", ".png", "curve"])
 def test_a_picture_that_cannot_be_written_is_refused(run: Path, tmp_path: Path, name: str) -> None:
     with pytest.raises(InputError, match="the picture cannot be written to") as refused:
         plot([run], tmp_path / name)
     assert "\n" not in str(refused.value)
-    assert not (tmp_path / name).exists()
+    assert list(tmp_path.iterdir()) == [run]
 
 
 def test_metrics_that_are_none_are_refused(tmp_path: Path) -> None:
@@ -232,7 +233,9 @@ def test_seeds_are_drawn_as_one_curve_with_its_interval(tmp_path: Path, figures:
 SIDE = 20
 
 
-def evaluate(run: Path, agent: str = "trained", *, spread: bool = False, **changed: object) -> None:
+def evaluate(
+    run: Path, agent: str = "trained", sim: str = "kinematic", *, spread: bool = False, **changed: object
+) -> None:
     """Keep 400 episodes of a grid of targets, of which the farthest row fails."""
     x, y = (axis.ravel() for axis in np.meshgrid(np.linspace(0.3, 0.7, SIDE), np.linspace(-0.3, 0.3, SIDE)))
     failed = x > 0.69
@@ -242,7 +245,7 @@ def evaluate(run: Path, agent: str = "trained", *, spread: bool = False, **chang
         "success": ~failed,
         **changed,
     }
-    RunDirectory(run).write_report(f"kinematic-{agent}-1", {"sim": "kinematic", "agent": agent}, rows)
+    RunDirectory(run).write_report(f"{sim}-{agent}-1", {"sim": sim, "agent": agent}, rows)
 
 
 @pytest.fixture
@@ -262,10 +265,10 @@ def test_perturbed_arms_and_random_views_are_evaluations_of_their_own(evaluated:
         report = {"sim": "kinematic", "agent": "trained", name: True}
         RunDirectory(evaluated).write_report(f"kinematic-trained-1-{name}", report, rows)
     found = read_evaluations(group_runs([evaluated])[0])
-    assert {(evaluation.agent, len(evaluation.target)) for evaluation in found} == {
-        ("trained", 400),
-        ("trained (perturbed)", 1),
-        ("trained (random views)", 1),
+    assert {(evaluation.label, len(evaluation.target)) for evaluation in found} == {
+        ("trained, kinematic", 400),
+        ("trained (perturbed), kinematic", 1),
+        ("trained (random views), kinematic", 1),
     }
 
 
@@ -282,7 +285,7 @@ def test_errors_are_drawn_as_the_share_of_episodes_within(
 
 def test_every_failure_is_marked_where_its_target_was(evaluated: Path, tmp_path: Path, figures: list[Figure]) -> None:
     plot([evaluated], tmp_path / "all.png")
-    name = "Workspace from above\n20 failures in 400 episodes"
+    name = "Workspace from above\ntrained, kinematic: 20 of 400 missed"
     cells, marks = figures[0].axes[titles(figures[0]).index(name)].collections
     where = np.asarray(marks.get_offsets())
     assert len(where) == SIDE
@@ -307,7 +310,7 @@ def test_of_two_groups_each_has_its_map(evaluated: Path, tmp_path: Path, figures
     other = make_run(tmp_path / "other", [row(1)], configure(reward="sparse"))
     evaluate(other)
     plot([evaluated, other], tmp_path / "two.png")
-    assert [title.split("\n")[0] for title in titles(figures[0]) if "failures" in title] == [
+    assert [title.split("\n")[0] for title in titles(figures[0]) if "missed" in title] == [
         "reward dense",
         "reward sparse",
     ]
@@ -322,6 +325,71 @@ def test_evaluations_of_a_groups_seeds_are_pooled_and_the_trained_agent_comes_fi
     assert [evaluation.agent for evaluation in found] == ["trained", "ik"]
     assert found[0].target.shape == (2 * SIDE**2, 3)
     assert found[0].error.max() == pytest.approx(250)
+
+
+def errors_of(figure: Figure) -> dict[str, tuple[object, str]]:
+    """Colour and kind of each named line among the errors."""
+    axes = figure.axes[titles(figure).index("Error on held-out targets")]
+    lines = {str(line.get_label()): (line.get_color(), str(line.get_linestyle())) for line in axes.get_lines()}
+    return {label: look for label, look in lines.items() if "," in label or ":" in label}
+
+
+def test_every_agent_and_simulator_of_a_run_is_drawn_and_told_apart(
+    evaluated: Path, tmp_path: Path, figures: list[Figure]
+) -> None:
+    sims = ("kinematic", "mujoco", "pybullet")
+    for agent in AGENTS:
+        for sim in sims:
+            evaluate(evaluated, agent, sim)
+    assert plot([evaluated], tmp_path / "all.png") == []
+    looks = errors_of(figures[0])
+    assert {f"{agent}, {sim}" for agent in AGENTS for sim in sims} <= looks.keys()
+    assert len(set(looks.values())) == len(looks)
+    for agent in AGENTS:
+        assert len({looks[f"{agent}, {sim}"][0] for sim in sims}) == 1, "an agent has one colour"
+
+
+def test_an_agent_has_the_same_colour_whatever_else_was_evaluated(tmp_path: Path, figures: list[Figure]) -> None:
+    for name, agents in (("some", ["ik"]), ("all", list(AGENTS))):
+        run = make_run(tmp_path / name, [row(1)], configure())
+        for agent in agents:
+            evaluate(run, agent)
+        plot([run], tmp_path / f"{name}.png")
+    some, everything = map(errors_of, figures)
+    assert some["ik, kinematic"] == everything["ik, kinematic"]
+
+
+def test_a_group_has_one_colour_though_another_was_not_evaluated(tmp_path: Path, figures: list[Figure]) -> None:
+    runs = [make_run(tmp_path / f"{seed}", [row(1), row(2)], configure(gamma=0.9 + seed / 100)) for seed in range(3)]
+    for run in (runs[0], runs[2]):
+        evaluate(run)
+    evaluate(runs[0], "ik")
+    left_out = plot(runs, tmp_path / "three.png")
+    learning = {str(line.get_label()): line.get_color() for line in figures[0].axes[0].get_lines()}
+    errors = {label.partition(":")[0]: look[0] for label, look in errors_of(figures[0]).items()}
+    assert {label: learning[label] for label in ("gamma 0.9", "gamma 0.92")} == {
+        label: errors[label] for label in ("gamma 0.9", "gamma 0.92")
+    }
+    assert left_out == [
+        "of gamma 0.9: ik, kinematic (plot that run alone).",
+        "errors of gamma 0.91: `reachlab eval` has kept none.",
+    ]
+
+
+def test_a_map_without_a_failure_says_so_in_words(tmp_path: Path, figures: list[Figure]) -> None:
+    run = make_run(tmp_path / "all", [row(1)], configure())
+    evaluate(run, success=np.ones(SIDE**2, bool))
+    plot([run], tmp_path / "all.png")
+    name = "Workspace from above\ntrained, kinematic: all 400 reached"
+    (targets,) = figures[0].axes[titles(figures[0]).index(name)].collections
+    assert len(np.asarray(targets.get_offsets())) == SIDE**2
+
+
+def test_the_legend_speaks_of_validations_only_where_there_are_some(tmp_path: Path, figures: list[Figure]) -> None:
+    for name, more in (("with", {"validation_success": 1.0}), ("without", {})):
+        plot([make_run(tmp_path / name, [row(1), row(2, **more)])], tmp_path / f"{name}.png")
+    texts = [[text.get_text() for text in figure.subfigs[0].legends[0].get_texts()] for figure in figures]
+    assert texts == [["with", "validation"], ["without"]]
 
 
 @pytest.mark.parametrize("episodes", [1, 2])

@@ -251,15 +251,14 @@ def test_a_correction_is_added_to_inverse_kinematics_and_fades_at_the_target(rea
         moved = ACTIONS["joint_residual"].command(reach, now, action) - now.target_q
         return np.asarray(moved) / reach.config.joint_scale
 
-    expected = np.clip(np.asarray(classical + correction), -1, 1)
+    expected = np.clip(np.asarray(classical + 2 * correction), -1, 1)
     assert displacement(far, correction) == pytest.approx(expected, abs=1e-4)
     tool = tuple(np.asarray(far.tool_position)[0].tolist())
     reached = at_home(reach, tool)
     assert displacement(reached, correction) == pytest.approx(displacement(reached, nothing), abs=1e-4)
-    near = at_home(reach, (tool[0] - 0.01, *tool[1:]))  # half of the distance at which corrections begin to fade
-    assert displacement(near, correction) - displacement(near, nothing) == pytest.approx(
-        np.asarray(correction) / 2, abs=1e-3
-    )
+    near = at_home(reach, (tool[0] - 0.004, *tool[1:]))  # a tenth of the distance at which corrections begin to fade
+    added = displacement(near, correction) - displacement(near, nothing)
+    assert added == pytest.approx(np.asarray(2 * correction) / 10, abs=1e-3)
 
 
 def test_inverse_kinematics_need_no_correction_but_for_what_they_wrongly_believe(reach: Reach) -> None:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import math
 import subprocess
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from decimal import Decimal
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +18,7 @@ from reachlab.checks import InputError
 from reachlab.config import configure, to_json
 from reachlab.env import Env
 from reachlab.evaluation import LANES, evaluate
-from reachlab.loop import Progress
+from reachlab.loop import ENOUGH_EPISODES, Loop, Progress
 from reachlab.training import TrainResult, load_policy, train
 
 TINY = {
@@ -124,6 +126,52 @@ def test_times_and_speed_fit_together(tutorial: Trained) -> None:
     result = tutorial.result
     assert 0 < result.train_wall_s < result.total_wall_s
     assert result.steps / result.steps_per_second < result.train_wall_s
+
+
+# --- validations ----------------------------------------------------------------------------------
+
+
+def loop_of(tmp_path: Path, **settings: object) -> Loop:
+    config = configure(lanes=8, **settings)  # type: ignore[arg-type]
+    return Loop(config, Env(config, 8), RunDirectory(tmp_path / "run"), lambda _: None, 0.0)
+
+
+def end_episodes(loop: Loop, episodes: int, successes: int) -> None:
+    """What an iteration leaves in which so many training episodes ended."""
+    loop.now = replace(loop.now, steps=2 * loop.config.ppo.iteration_steps)
+    loop._count({"episodes": float(episodes), "success_rate": successes / max(episodes, 1)})
+
+
+@pytest.mark.parametrize("stop_success", [0.9, 0.7, 0.98, 0.1])
+@pytest.mark.parametrize("episodes", [1000, 200, 50, 10])
+def test_a_validation_that_just_reaches_its_success_rate_holds(
+    tmp_path: Path, stop_success: float, episodes: int
+) -> None:
+    loop = loop_of(tmp_path, stop_success=stop_success, validation_episodes=episodes)
+    allowed = math.floor(episodes * (1 - Decimal(str(stop_success))))
+    assert loop._can_hold(allowed)
+    assert not loop._can_hold(allowed + 1)
+
+
+def test_one_lucky_episode_brings_no_validation_and_no_rank(tmp_path: Path) -> None:
+    loop = loop_of(tmp_path)
+    end_episodes(loop, 1, 1)
+    assert not loop._due()
+    assert loop.now.success == 0
+    end_episodes(loop, ENOUGH_EPISODES, ENOUGH_EPISODES)
+    assert loop._due()
+    assert loop.now.success == 1
+    end_episodes(loop, 1, 0)
+    assert loop.now.success == 1, "one unlucky episode says as little"
+
+
+@pytest.mark.parametrize(("stop_success", "due"), [(0.5, True), (0.6, True), (0.7, False), (1.0, False)])
+def test_validations_begin_where_training_is_as_good_as_is_asked_for(
+    tmp_path: Path, stop_success: float, due: bool
+) -> None:
+    loop = loop_of(tmp_path, stop_success=stop_success)
+    end_episodes(loop, 50, 30)
+    assert loop._due() is due
 
 
 # --- the run directory ----------------------------------------------------------------------------

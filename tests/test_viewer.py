@@ -326,8 +326,8 @@ def test_other_machines_are_let_in_with_a_warning_only(
 def test_ctrl_c_ends_it_quietly(run: RunDirectory) -> None:
     words = [sys.executable, "-m", "reachlab", "view", str(run.path), "--port", str(free_port())]
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        assert process.stderr
-        assert process.stderr.readline().startswith("Viewer: http://127.0.0.1:")
+        assert process.stdout
+        assert process.stdout.readline().startswith("Viewer: http://127.0.0.1:")
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=30)
     assert (process.returncode, out, err) == (0, "", "")

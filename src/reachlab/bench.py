@@ -19,6 +19,7 @@ import mujoco
 import numpy as np
 from jax import Array
 
+from reachlab import names
 from reachlab.bench_camera import camera, pixels
 from reachlab.bench_precise import precise
 from reachlab.bench_sims import Row, row, simulators
@@ -277,17 +278,11 @@ def _processor() -> str:
     return next(iter(names), platform.machine())
 
 
-SUITES: dict[str, Callable[[], Iterator[Row]]] = {
-    "speed": speed,
-    "kinematics": kinematics,
-    "learning": learning,
-    "start": start,
-    "simulators": simulators,
-    "precise": precise,
-    "soak": soak,
-    "trust": trust,
-    "camera": camera,
-    "pixels": pixels,
-    "viewer": viewer,
-}
+SUITES: dict[str, Callable[[], Iterator[Row]]] = dict(
+    zip(
+        names.SUITES,
+        (speed, kinematics, learning, start, simulators, precise, soak, trust, camera, pixels, viewer),
+        strict=True,
+    )
+)
 """Suites by name."""

@@ -86,9 +86,9 @@ def _start(page: Page, run: RunDirectory) -> tuple[float, float]:
 
     words = [sys.executable, "-m", "reachlab", "view", str(run.path), "--port", str(free_port())]
     started = time.perf_counter()
-    with subprocess.Popen(words, stderr=subprocess.PIPE, text=True) as process:  # noqa: S603 (our own program)
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:  # noqa: S603 (our own program)
         try:
-            said = process.stderr.readline() if process.stderr else ""
+            said = process.stdout.readline() if process.stdout else ""
             served = time.perf_counter() - started
             if not said.startswith("Viewer: "):
                 raise InputError(f"the viewer does not start: {said.strip()}")

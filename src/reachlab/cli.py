@@ -5,9 +5,11 @@ from __future__ import annotations
 import contextlib
 import io
 import itertools
+import os
 import re
 import sys
 from collections.abc import Sequence
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -21,19 +23,51 @@ from reachlab.verbs import VERBS
 DONE, WRONG_INPUT, NOT_FINITE, INTERRUPTED = 0, 2, 3, 130
 """Exit statuses."""
 
+UNREAD = 141
+"""Exit status where the reader of the results has gone, as in `reachlab list | head -1`: that of SIGPIPE."""
+
+
+MORE: dict[type, str] = {
+    Train: "\n\nNo flag is needed. The first group is enough for most runs, with --reward and --total-steps; the other"
+    " groups change the rules of the task, the physics and the training."
+}
+"""What the help of some commands says beside their docstring."""
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Exit status of the command line; see `DONE`, `WRONG_INPUT`, `NOT_FINITE`, `INTERRUPTED`."""
-    words = list(sys.argv[1:] if arguments is None else arguments)
+    """Exit status of the command line; see `DONE`, `WRONG_INPUT`, `NOT_FINITE`, `INTERRUPTED`, `UNREAD`."""
+    try:
+        try:
+            return _run(list(sys.argv[1:] if arguments is None else arguments))
+        finally:
+            sys.stdout.flush()
+    except BrokenPipeError:
+        # What is left in the buffers has no reader either: it must not fail again as Python ends.
+        for stream in (sys.stdout, sys.stderr):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+        return UNREAD
+
+
+def _run(words: list[str]) -> int:
+    """Exit status of a command.
+
+    Raises:
+        BrokenPipeError: nobody reads what it says.
+    """
     try:
         if not words or words[0] in ("-h", "--help"):
             print(_overview())
+            return DONE
+        if words[0] == "--version":
+            print(f"reachlab {version('reachlab')}")
             return DONE
         verb = VERBS[choose("command", words[0], VERBS)]
         verb.run(_parse(words[0], verb.flags, words[1:]))
     except InputError as error:
         print(f"reachlab: {error}", file=sys.stderr)
         return WRONG_INPUT
+    except BrokenPipeError:
+        raise
     except OSError as error:
         print(f"reachlab: {error.filename or 'a file'} cannot be used: {error.strerror or error}.", file=sys.stderr)
         return WRONG_INPUT
@@ -51,7 +85,8 @@ def _overview() -> str:
     verbs = "\n".join(f"  {name:{width}}  {verb.flags.__doc__}" for name, verb in VERBS.items())
     return (
         "usage: reachlab COMMAND [OPTIONS]\n\nTrains robot arms to reach, and proves how well they do it.\n\n"
-        f"commands:\n{verbs}\n\n`reachlab COMMAND --help` shows a command's options. A first run: reachlab train"
+        f"commands:\n{verbs}\n\n`reachlab COMMAND --help` shows a command's options, `reachlab --version` the version."
+        " A first run: reachlab train"
     )
 
 
@@ -71,7 +106,12 @@ def _parse(verb: str, flags: type, words: list[str]) -> Any:
     try:
         with contextlib.redirect_stderr(said):
             return tyro.cli(
-                flags, prog=f"reachlab {verb}", args=words, default=default, config=(tyro.conf.OmitArgPrefixes,)
+                flags,
+                prog=f"reachlab {verb}",
+                description=f"{flags.__doc__}{MORE.get(flags, '')}",
+                args=words,
+                default=default,
+                config=(tyro.conf.OmitArgPrefixes,),
             )
     except SystemExit as end:
         if not end.code:

@@ -38,11 +38,11 @@ class TaskConfig(Checked):
     tool: str = "link_7"
     """Tool frame: a site or body of the robot whose position has to reach the target."""
     observation: str = "target+tool"
-    """What the policy sees; see `reachlab list`."""
+    """What the policy observes; see `reachlab list`."""
     action: str = "tool_delta"
     """What the policy commands; see `reachlab list`."""
     reward: str = "dense"
-    """What the policy is paid for; see `reachlab list`."""
+    """Reward; see `reachlab list`."""
     clip_actions: bool = True
     """Clip actions to their box. The tutorial's own code does not."""
     tool_scale: Positive = 0.005
@@ -88,55 +88,56 @@ class SimConfig(Checked):
     collisions: bool = False
     """MuJoCo: the arm meets the table. With the tutorial's targets its flange would enter it."""
     gravity_compensation: bool = False
-    """MuJoCo: the arm weighs nothing."""
+    """MuJoCo: gravity does not pull at the arm."""
     gui: bool = False
-    """PyBullet: open its window, on the first lane."""
+    """PyBullet: open its window, on the first environment."""
     slow: bool = False
     """PyBullet: slow down to be followed by eye."""
     perturb: bool = False
-    """Every episode has an arm of its own: servo gains within 15 %, joint damping within 30 %, a payload of 0 to 2 kg
-    at the tool (MuJoCo); and its joints are measured with noise of 0.5 mrad and 0.01 rad/s."""
+    """Vary the arm from episode to episode, and measure joints with noise of 0.5 mrad and 0.01 rad/s: in MuJoCo, servo
+    gains within 15 %, joint damping within 30 %, and a payload of 0 to 2 kg at the tool."""
     randomise_view: bool = False
-    """Train in views that differ from episode to episode: light, colours, and the camera's pose within 2 cm and 2
-    degrees; the report is in the view as it is."""
+    """Vary light, colours and the camera's pose (within 2 cm and 2 degrees) from episode to episode of training; the
+    report is without that."""
 
 
 @dataclass(frozen=True)
 class PPOConfig(Checked):
-    """Proximal policy optimisation and its loop."""
+    """Training by PPO (proximal policy optimisation)."""
 
     total_steps: Steps = 20_000_000
-    """Environment steps after which training ends in any case."""
+    """Environment steps after which training ends in any case. With `action_repeat` all repeats of an action count,
+    also those after an episode's end, which are not stepped: about 2 % of all at 8, 5 % at 16."""
     stop_early: bool = True
-    """End training once `stop_streak` validations in a row hold `stop_success`."""
+    """End training once `stop_streak` validations in a row reach `stop_success`."""
     stop_streak: Count = 3
-    """Validations in a row that have to hold: a policy that only just does is brittle in other simulators."""
+    """Validations in a row that have to reach it: a policy that only just does often fails in other simulators."""
     stop_success: Fraction = 1.0
-    """Success rate of the deterministic policy that a validation has to reach."""
+    """Success rate that a validation has to reach, of the policy without noise."""
     validation_episodes: Count = 3000
-    """Episodes of a validation, from a random stream of its own."""
+    """Episodes of a validation; their targets are neither those of training nor those of the report."""
     validation_interval: Count = 2
-    """Iterations between validations, once the training episodes themselves come near."""
+    """Iterations between validations, once 90 % of the training episodes succeed, or `stop_success` if that is less."""
     report_episodes: Count = 1000
     """Held-out episodes of the report at the end of training."""
     lanes: Annotated[int, Range(1, 2**17)] = 128
     """Environments stepped together."""
     rollout_steps: Count = 64
-    """Actions of each lane between two updates."""
+    """Actions in each environment between two updates."""
     action_repeat: Count = 1
-    """Steps for which an action is held in training; the trained policy acts at every step."""
+    """In training, steps for which each action is repeated; the trained policy acts at every step."""
     epochs: Count = 8
     """Passes over a rollout."""
     minibatches: Count = 2
     """Parts of a rollout, one gradient step each."""
     learning_rate: Positive = 1e-3
-    """Adam's step size at the start."""
+    """Learning rate of Adam at the start."""
     final_learning_rate: NonNegative = 1e-4
-    """Step size after `anneal_steps`, reached on a straight line."""
+    """Learning rate after `anneal_steps`; it falls on a straight line."""
     anneal_steps: Steps = 2_000_000
     """Environment steps over which the learning rate falls."""
     gamma: Fraction = 0.98
-    """Discount from one action to the next."""
+    """Discount of the reward from one action to the next."""
     gae_lambda: Fraction = 0.95
     """Decay of generalised advantage estimation."""
     clip_ratio: Positive = 0.2
@@ -150,15 +151,15 @@ class PPOConfig(Checked):
     hidden: Annotated[tuple[Count, ...], Length(16)] = (64, 64)
     """Widths of the hidden layers of actor and critic."""
     initial_std: Positive = 0.4
-    """Standard deviation of the first policy, in halves of the action box."""
+    """Noise of the actions at the start: standard deviation, where 1 is half the range of an action."""
     final_std: Positive | None = None
-    """Standard deviation after `anneal_steps`, its logarithm on a straight line until then; without, it is learnt."""
+    """The same after `anneal_steps`, with the logarithm falling on a straight line; without it the noise is learnt."""
     checkpoint_interval: NonNegative = 20.0
     """Time from one checkpoint to the next [s]; longer if saving took more than 2 % of it, and 0 saves always."""
     keep_checkpoints: Count = 3
     """Newest checkpoints that are kept; the best one is kept too."""
     randomise: bool = False
-    """Train on perturbed arms, see `perturb`; the report is on arms as they are."""
+    """Train with `perturb`; the report is without it."""
     deterministic: bool = False
     """Compute on one thread: the same weights on any number of cores."""
 
@@ -190,20 +191,20 @@ class RunConfig(Checked):
 
 @dataclass(frozen=True)
 class DistilConfig(Checked):
-    """Learning to see from a teacher that knows the state."""
+    """Learning from camera pictures, by a teacher that gets the positions themselves."""
 
     guided: NonNegativeInt = 8
     """Iterations at the start in which the teacher acts, before the student does."""
     noise: NonNegative = 0.2
-    """Noise of the actions taken, in halves of the action box, so that the student learns to come back."""
+    """Noise of the actions, to learn to come back: standard deviation, where 1 is half the range of an action."""
     updates: Count = 48
     """Gradient steps of an iteration."""
     batch: Count = 256
     """Pictures of a gradient step."""
     capacity: Annotated[int, Range(1, 10**6)] = 60_000
-    """Pictures that are remembered, of 7 kB each."""
+    """Pictures that are kept to learn from, of 7 kB each."""
     place_weight: NonNegative = 4.0
-    """Weight of learning where target and tool are, beside what to do."""
+    """Weight of predicting where target and tool are, beside that of predicting the action."""
 
 
 @dataclass(frozen=True)

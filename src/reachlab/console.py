@@ -1,109 +1,122 @@
-"""What a person sees in the terminal: progress and tables, on standard error."""
+"""What a person reads in the terminal: results on standard output, progress and warnings on standard error."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
-from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-if TYPE_CHECKING:
-    from reachlab.loop import Progress as TrainProgress
-
-LINES = 20
-"""Plain progress lines printed of a run that uses all its steps."""
+from reachlab.config import RunConfig, TaskConfig
 
 PLAIN_WIDTH = 100
-"""Width of tables and lines where there is no terminal [characters]."""
-
-console = Console(stderr=True, highlight=False)
-if not console.is_terminal:
-    console = Console(stderr=True, highlight=False, width=PLAIN_WIDTH)
+"""Width of tables where there is no terminal [characters]."""
 
 
-class TrainDisplay:
-    """Shows training: a bar on a terminal, plain lines elsewhere."""
+class _Console(Console):
+    """A stream of the terminal. Results that nobody reads any more end the command; progress does not."""
 
-    def __init__(self) -> None:
-        """Display that shows nothing yet."""
-        self._bar = Progress(
-            SpinnerColumn(),
-            TextColumn("{task.description}"),
-            BarColumn(bar_width=24),
-            TextColumn("{task.fields[status]}"),
-            TimeElapsedColumn(),
-            console=console,
-            transient=True,
-            disable=not console.is_terminal,
-        )
-        self._task = self._bar.add_task("compiling", total=None, status="")
-        self._printed = -1
-
-    def __enter__(self) -> Self:
-        """Begin to show."""
-        self._bar.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Take the bar away."""
-        self._bar.stop()
-
-    def __call__(self, progress: TrainProgress) -> None:
-        """Show where training stands."""
-        now = progress.metrics
-        left = max(progress.total_steps - progress.steps, 0) / max(now["steps_per_second"], 1.0)
-        ended = f"success {100 * now['success_rate']:5.1f} %  {1000 * now['final_distance']:.1f} mm off"
-        status = (
-            f"{progress.steps / 1e6:.2f}M steps  {ended if now['episodes'] else 'no episode to count'}"
-            f"  {now['steps_per_second'] / 1e3:.0f}k steps/s  at most {left:.0f} s left"
-        )
-        if "validation_success" in now:
-            status += f"  validation {100 * now['validation_success']:.1f} %"
-        self._bar.update(
-            self._task, description="training", completed=progress.steps, total=progress.total_steps, status=status
-        )
-        due = LINES * progress.steps // progress.total_steps
-        if not console.is_terminal and (due > self._printed or "validation_success" in now):
-            self._printed = due
-            console.print(status)
+    def on_broken_pipe(self) -> None:
+        """See `Console`; called when a reader of the stream has gone."""
+        os.dup2(os.open(os.devnull, os.O_WRONLY), self.file.fileno())
+        if not self.stderr:
+            raise BrokenPipeError
 
 
-def print_reports(reports: Sequence[dict[str, Any]]) -> None:
-    """One table with a row for each report."""
-    first = reports[0]
+def _make_console(*, stderr: bool) -> Console:
+    made = _Console(stderr=stderr, highlight=False, markup=False)
+    if not made.is_terminal:
+        made.width = PLAIN_WIDTH
+    return made
+
+
+console = _make_console(stderr=False)
+"""Results."""
+
+notes = _make_console(stderr=True)
+"""Progress and warnings."""
+
+
+def say(text: str) -> None:
+    """Print a line of a result, which no width of a terminal breaks."""
+    console.print(text, soft_wrap=True)
+
+
+def note(text: str) -> None:
+    """Print a line of progress, or a warning."""
+    notes.print(text, soft_wrap=True)
+
+
+# --- words ----------------------------------------------------------------------------------------
+
+
+def asked(config: RunConfig) -> str:
+    """What a task asks for."""
+    rules, period = config.rules, config.physics.control_period
+    steps = f"{rules.max_steps:,} steps ({rules.max_steps * period:.2g} s)"
+    low, high = rules.target_low, rules.target_high
+    where = f"in the box from {low} to {high} m" if rules.targets == "box" else f"on the {rules.targets}"
+    if not rules.hold_steps:
+        return f"touch a point {where}: the tool comes within {success_mm(rules)} of it, in at most {steps}"
+    return f"hold a point {where}: {_held(rules, period)}; an episode has {steps}"
+
+
+def succeeded(config: RunConfig) -> str:
+    """What an episode has to come to, to count as a success."""
+    if config.rules.hold_steps:
+        return f"at the end {_held(config.rules, config.physics.control_period)}"
+    return f"the tool comes within {success_mm(config.rules)} of the target, which ends the episode"
+
+
+def _held(rules: TaskConfig, period: float) -> str:
+    return (
+        f"the tool has been within {success_mm(rules)} for {rules.hold_steps} steps"
+        f" ({rules.hold_steps * period:.2g} s), no joint faster than {rules.hold_speed:g} rad/s"
+    )
+
+
+def success_mm(rules: TaskConfig) -> str:
+    """Distance of success in words."""
+    return f"{1000 * rules.success_distance:g} mm"
+
+
+# --- tables ---------------------------------------------------------------------------------------
+
+
+def print_reports(reports: Sequence[dict[str, Any]], config: RunConfig) -> None:
+    """One table with a row for each report of a run's agents, and above it what counts as a success."""
+    first, held = reports[0], config.rules.hold_steps > 0
     perturbed = ", perturbed" * first["perturb"] + ", random views" * first["perturb_view"]
     what = f"{first['task']} task, {first['robot']}{perturbed}"
-    title = f"{what}: {first['episodes']:,} held-out targets of seed {first['seed']}"
-    held = first["success_within"] is not None
-    table = Table(title=title, title_justify="left")
-    for heading in ("agent", "simulator"):
-        table.add_column(heading)
-    last = ("≤ 2 mm", "≤ 1 mm", "time") if held else ("steps",)
-    for heading in ("success", "95 % interval", "median", "p99", *last):
+    say(f"{what}: {first['episodes']:,} held-out targets of seed {first['seed']}.")
+    say(f"Success: {succeeded(config)}.")
+    table = Table("agent", "simulator")
+    # Where touching ends the episode, how far the tool is then is the success distance, and says nothing.
+    last = (
+        ("median error", "p99 error", "≤ 2 mm", "≤ 1 mm", "time to reach") if held else ("mean steps", "time to reach")
+    )
+    for heading in ("success", "95 % interval", *last):
         table.add_column(heading, justify="right")
     for report in reports:
         low, high = report["success_interval"]
-        error = report["final_error_mm"]
+        time_s = report["time_to_reach_s"]
         table.add_row(
             report["agent"],
             report["sim"],
             f"{100 * report['success_rate']:.2f} %",
             f"{100 * low:.1f} to {100 * high:.1f}",
-            _millimetres(error["median"]),
-            _millimetres(error["p99"]),
             *(_precision(report) if held else [f"{report['steps_mean']:.0f}"]),
+            "" if time_s is None else f"{time_s:.2f} s",
         )
     console.print(table)
 
 
 def _precision(report: dict[str, Any]) -> list[str]:
-    shares, time = report["success_within"], report["time_to_reach_s"]
-    return [*(f"{100 * shares[limit]:.2f} %" for limit in ("2", "1")), "" if time is None else f"{time:.2f} s"]
+    error, shares = report["final_error_mm"], report["success_within"]
+    errors = [_millimetres(error[name]) for name in ("median", "p99")]
+    return [*errors, *(f"{100 * shares[limit]:.2f} %" for limit in ("2", "1"))]
 
 
 def _millimetres(error: float | None) -> str:

@@ -49,8 +49,8 @@ class Band:
     high: np.ndarray | None
 
 
-PERTURBED = {"perturb": " (perturbed)", "perturb_view": " (random views)"}
-"""What the name of an agent ends in where every episode had an arm, or a view, of its own."""
+CONDITIONS = {"perturb": " (perturbed)", "perturb_view": " (random views)"}
+"""What is said of an evaluation in which arms, or views, varied from episode to episode."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,8 @@ class Evaluation:
     """Held-out episodes of a group's runs, by one agent in one simulator.
 
     Attributes:
-        sim, agent: names; that of an agent on perturbed arms or in random views says so.
+        sim, agent: names.
+        condition: that arms were perturbed or views random; empty where neither was.
         target: `[N, 3]` [m].
         error: tool to target at the end `[N]` [mm], infinite where it had to be held and was not.
         success: `[N]`.
@@ -66,9 +67,15 @@ class Evaluation:
 
     sim: str
     agent: str
+    condition: str
     target: np.ndarray
     error: np.ndarray
     success: np.ndarray
+
+    @property
+    def label(self) -> str:
+        """What tells it from a group's other evaluations."""
+        return f"{self.agent}{self.condition}, {self.sim}"
 
 
 def group_runs(runs: Sequence[Path]) -> list[Group]:
@@ -174,14 +181,14 @@ def band(curves: Sequence[Sequence[Mapping[str, float]]], x: str, y: str, most: 
 def read_evaluations(group: Group) -> list[Evaluation]:
     """Evaluations of a group's runs whose episodes were kept; the trained agent in the runs' own simulator first."""
     own = read_settings(group.runs[0]).get("sim")
-    parts: dict[tuple[str, str], list[dict[str, np.ndarray]]] = {}
+    parts: dict[tuple[str, str, str], list[dict[str, np.ndarray]]] = {}
     for run in group.runs:
         for file in sorted((run / "reports").glob("*.safetensors")):
             report = _read_json(file.with_suffix(".json"))
-            agent = report["agent"] + "".join(words for name, words in PERTURBED.items() if report.get(name))
-            parts.setdefault((report["sim"], agent), []).append(_read_episodes(file))
-    order = sorted(parts, key=lambda names: (names[1] != "trained", names[0] != own, names))
-    return [_join(sim, agent, parts[sim, agent]) for sim, agent in order]
+            condition = "".join(words for name, words in CONDITIONS.items() if report.get(name))
+            parts.setdefault((report["sim"], report["agent"], condition), []).append(_read_episodes(file))
+    order = sorted(parts, key=lambda names: (names[1] != "trained", names[2], names[0] != own, names))
+    return [_join(*names, parts[names]) for names in order]
 
 
 def _read_json(file: Path) -> dict[str, Any]:
@@ -191,9 +198,9 @@ def _read_json(file: Path) -> dict[str, Any]:
         raise InputError(f"'{file}' is missing or is not JSON that can be read.") from None
 
 
-def _join(sim: str, agent: str, parts: Sequence[dict[str, np.ndarray]]) -> Evaluation:
+def _join(sim: str, agent: str, condition: str, parts: Sequence[dict[str, np.ndarray]]) -> Evaluation:
     target, distance, success = (np.concatenate([part[name] for part in parts]) for name in FIELDS)
-    return Evaluation(sim, agent, target, 1000 * distance, success)
+    return Evaluation(sim, agent, condition, target, 1000 * distance, success)
 
 
 FIELDS = ("target", "distance", "success")

@@ -9,18 +9,26 @@ from typing import Annotated
 import tyro
 
 from reachlab.checks import Checked, Count, Positive, Range, Seed, Steps
-from reachlab.config import DISTIL_DEFAULTS, DistilConfig, RunConfig
+from reachlab.config import DISTIL_DEFAULTS, PICTURED, DistilConfig, RunConfig
+from reachlab.names import AGENTS, SUITES
+
+Optional = tyro.conf.arg(metavar="PATH", help_behavior_hint="")
+"""A path that may be left out."""
+
+Agent = Annotated[str, tyro.conf.arg(help=f"Agent: {', '.join(AGENTS)}.")]
+Agents = Annotated[tuple[str, ...], tyro.conf.arg(help=f"Agents: {', '.join(AGENTS)}.")]
 
 
 @dataclass(frozen=True)
 class Train(Checked):
     """Train a policy and report on held-out targets."""
 
-    run: RunConfig = field(default_factory=RunConfig)
-    out: Path | None = None
+    # Without a name its own settings stand among the first flags, and its parts are called by their own names.
+    run: Annotated[RunConfig, tyro.conf.arg(name="")] = field(default_factory=RunConfig)
+    out: Annotated[Path | None, Optional] = None
     """Run directory to make; by default a new one below runs/."""
-    resume: Path | None = None
-    """Run directory to go on in, from its newest checkpoint and with its own settings."""
+    resume: Annotated[Path | None, Optional] = None
+    """Run directory to resume: training continues from its newest checkpoint, with its own settings."""
     tensorboard: bool = False
     """Write TensorBoard's event file into the run directory too; needs the extra `tensorboard`."""
     json: bool = False
@@ -29,29 +37,27 @@ class Train(Checked):
 
 @dataclass(frozen=True)
 class Distil(Checked):
-    """Teach a policy that sees pictures, by one that knows the state."""
+    """Teach a policy that gets camera pictures, by one that gets the positions themselves."""
 
     teacher: Annotated[Path | None, tyro.conf.Positional] = None
     """Run directory of the teacher."""
-    observation: str = "image"
-    """What the student sees: image, image+tool."""
-    sim: str | None = None
+    observation: Annotated[str, tyro.conf.arg(help=f"What the student observes: {', '.join(PICTURED)}.")] = "image"
+    sim: Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")] = None
     """Simulator, kinematic or mujoco; by default the teacher's."""
     seed: Seed = 0
     """Seed of everything random."""
-    out: Path | None = None
+    out: Annotated[Path | None, Optional] = None
     """Run directory to make; by default a new one below runs/."""
-    resume: Path | None = None
-    """Run directory to go on in, from its newest checkpoint and with its own settings."""
+    resume: Annotated[Path | None, Optional] = None
+    """Run directory to resume: training continues from its newest checkpoint, with its own settings."""
     randomise_view: bool = False
-    """Learn in views that differ from episode to episode: light, colours, and the camera's pose within 2 cm and 2
-    degrees; the report is in the view as it is."""
+    """Vary light, colours and camera from episode to episode, see `randomise_view` of train."""
     total_steps: Steps = DISTIL_DEFAULTS["total_steps"]
-    """Environment steps after which it ends: 4,096 an iteration, more or less with another `--action-repeat`."""
+    """Environment steps after which training ends: 4,096 an iteration, other with another `--action-repeat`."""
     report_episodes: Count = DISTIL_DEFAULTS["report_episodes"]
     """Held-out episodes of the report at the end."""
     action_repeat: Count = DISTIL_DEFAULTS["action_repeat"]
-    """Steps from one picture to the next, over which the student's action is held; only while it learns."""
+    """While training, steps from one picture to the next; the action is the same in between."""
     deterministic: bool = False
     """Compute on one thread: the same weights on any number of cores."""
     settings: DistilConfig = field(default_factory=DistilConfig)
@@ -71,18 +77,17 @@ class Eval(Checked):
 
     run: Annotated[Path, tyro.conf.Positional]
     """Run directory."""
-    sim: str | None = None
+    sim: Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")] = None
     """Simulator, or `all` of them; by default the run's own."""
-    agent: tuple[str, ...] = ("trained",)
-    """Agents: trained, random, zero, ik, ik_open."""
+    agent: Agents = ("trained",)
     episodes: Count = 1000
     """Held-out episodes."""
     seed: Seed = 1
     """Seed of the targets."""
     perturb: bool = False
-    """Give every episode an arm of its own and noisy measurements; see `perturb` of train."""
+    """Vary the arm from episode to episode and measure with noise, see `perturb` of train."""
     perturb_view: bool = False
-    """Show every episode in a view of its own, to a policy that sees; see `randomise_view` of train."""
+    """For a policy that gets pictures: vary light, colours and camera, see `randomise_view` of train."""
     gui: bool = False
     """PyBullet: open its window."""
     slow: bool = False
@@ -97,12 +102,11 @@ class Video(Checked):
 
     run: Annotated[Path, tyro.conf.Positional]
     """Run directory."""
-    out: Path | None = None
+    out: Annotated[Path | None, Optional] = None
     """File to write (.webp, .gif, or .mp4 with the extra `video`); by default video.webp in the run."""
-    sim: str | None = None
+    sim: Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")] = None
     """Simulator; by default the run's own."""
-    agent: str = "trained"
-    """Agent: trained, random, zero, ik."""
+    agent: Agent = "trained"
     episodes: Count = 4
     """Episodes, one after the other: the first ones of `reachlab eval` with that seed."""
     seed: Seed = 1
@@ -121,10 +125,9 @@ class View(Checked):
 
     run: Annotated[Path, tyro.conf.Positional]
     """Run directory."""
-    sim: str | None = None
+    sim: Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")] = None
     """Simulator; by default the run's own."""
-    agent: str = "trained"
-    """Agent to begin with: trained, random, zero, ik, ik_open."""
+    agent: Agent = "trained"
     seed: Seed = 1
     """Seed of the targets."""
     host: str = "127.0.0.1"
@@ -133,7 +136,7 @@ class View(Checked):
     """Port to listen on; the next free one where it is taken."""
     open: bool = False
     """Open the page in the browser."""
-    save: Path | None = None
+    save: Annotated[Path | None, Optional] = None
     """Write recorded episodes as one page that needs no server and no network, and end."""
     episodes: Count = 5
     """Episodes of the saved page."""
@@ -145,7 +148,7 @@ class Plot(Checked):
 
     runs: Annotated[tuple[Path, ...], tyro.conf.Positional]
     """Run directories; those that differ by their seeds alone become one curve with its interval."""
-    out: Path | None = None
+    out: Annotated[Path | None, Optional] = None
     """Picture to write (.png or .svg); by default plots.png in the first run."""
 
 
@@ -153,8 +156,7 @@ class Plot(Checked):
 class Bench(Checked):
     """Measure speed, accuracy and learning on this machine."""
 
-    suite: str = "speed"
-    """Suite: speed, kinematics, learning, start, simulators, precise, soak, trust, viewer, camera, pixels."""
+    suite: Annotated[str, tyro.conf.arg(help=f"Suite: {', '.join(SUITES)}.")] = "speed"
     json: bool = False
     """Print the measurements as a JSON list on standard output."""
     markdown: bool = False

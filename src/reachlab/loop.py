@@ -30,7 +30,10 @@ from reachlab.storage import write_synced
 from reachlab.streams import VALIDATION_STREAM, episode_keys
 
 VALIDATE_FROM = 0.9
-"""Success rate of the training episodes from which validations are worth their time."""
+"""Success rate of training episodes from which validations are worth their time, or `stop_success` if it is lower."""
+
+ENOUGH_EPISODES = 20
+"""Training episodes from which on their success rate says something: a single one may succeed by chance."""
 
 SAVING_SHARE = 0.02
 """Checkpoints take at most this share of the time, on average."""
@@ -44,11 +47,12 @@ class NotFiniteError(FloatingPointError):
 
 @dataclass(frozen=True)
 class Progress:
-    """Where training stands: `steps` of `total_steps`, the metrics of the last iteration."""
+    """Where training stands: `steps` of `total_steps`, the metrics of the last iteration, and all time so far [s]."""
 
     steps: int
     total_steps: int
     metrics: dict[str, float]
+    elapsed_s: float
 
 
 class Loop:
@@ -152,29 +156,37 @@ class Loop:
             self.now,
             steps=self.now.steps + settings.iteration_steps,
             busy_s=self.now.busy_s + time.perf_counter() - tick,
-            success=row["success_rate"],
             validated=False,
         )
-        if self._due(row):
+        self._count(row)
+        if self._due():
             row["validation_success"] = self._validate(state, metrics)
         self.now = replace(self.now, loop_s=time.perf_counter() - self._loop_start)
         row |= {"steps": self.now.steps, "wall_s": self.now.loop_s, "steps_per_second": self.steps_per_second}
         metrics.write(row)
-        self.watch(Progress(self.now.steps, settings.total_steps, row))
+        self.watch(Progress(self.now.steps, settings.total_steps, row, time.perf_counter() - self.start))
         return state
 
-    def _due(self, row: dict[str, float]) -> bool:
+    def _count(self, row: dict[str, float]) -> None:
+        """Count the training episodes of an iteration; they are judged once there are enough."""
+        episodes = self.now.episodes + round(row["episodes"])
+        successes = self.now.successes + round(row["episodes"] * row["success_rate"])
+        rate = self.now.training_success
+        if episodes >= ENOUGH_EPISODES:
+            rate, episodes, successes = successes / episodes, 0, 0
+        self.now = replace(self.now, success=rate, training_success=rate, episodes=episodes, successes=successes)
+
+    def _due(self) -> bool:
         settings = self.config.ppo
         count = self.now.steps // settings.iteration_steps
-        return (
-            settings.stop_early and count % settings.validation_interval == 0 and row["success_rate"] >= VALIDATE_FROM
-        )
+        near = self.now.training_success >= min(VALIDATE_FROM, settings.stop_success)
+        return settings.stop_early and count % settings.validation_interval == 0 and near
 
     def _validate(self, state: TrainState, metrics: Metrics) -> float:
         """Success rate of the validation so far; it ends as soon as it can no longer hold."""
         settings, lanes = self.config.ppo, self.runner.lanes
-        failures, allowed, seen = 0, (1 - settings.stop_success) * settings.validation_episodes, 0
-        while seen < settings.validation_episodes and failures <= allowed:
+        failures, seen = 0, 0
+        while seen < settings.validation_episodes and self._can_hold(failures):
             count = min(lanes, settings.validation_episodes - seen)
             try:
                 result = run_episodes(
@@ -184,9 +196,15 @@ class Loop:
                 self._stop(state, metrics, f"in a validation {error}", None)
             seen, failures = seen + count, failures + int((~result.success).sum())
         success = 1 - failures / seen
-        streak = self.now.streak + 1 if failures <= allowed else 0
+        streak = self.now.streak + 1 if self._can_hold(failures) else 0
         self.now = replace(self.now, streak=streak, success=success, validated=True)
         return success
+
+    def _can_hold(self, failures: int) -> bool:
+        """Whether a validation holds if it has no more than these failures."""
+        settings = self.config.ppo
+        # As one quotient: 0.9 of 1000 is 900 then, where (1 - 0.9) * 1000 is less than 100.
+        return (settings.validation_episodes - failures) / settings.validation_episodes >= settings.stop_success
 
     # --- saving -----------------------------------------------------------------------------------
 

@@ -28,9 +28,15 @@ class Counters(Checked):
     streak: NonNegativeInt = 0
     """Validations in a row that have held."""
     success: Fraction = 0.0
-    """Success rate of this state's validation, or without one of the training episodes that led to it."""
+    """Success rate of this state's validation, or without one of the last training episodes, see `training_success`."""
     validated: bool = False
     """Whether `success` is of a validation."""
+    training_success: Fraction = 0.0
+    """Success rate of the last training episodes that were enough to say one."""
+    episodes: NonNegativeInt = 0
+    """Training episodes since then."""
+    successes: NonNegativeInt = 0
+    """Those of them that ended in success."""
     loop_s: NonNegative = 0.0
     """Time of the iterations so far, with validations [s]."""
     busy_s: NonNegative = 0.0

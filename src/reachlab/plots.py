@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, cast
+from textwrap import wrap
+from typing import Any, NamedTuple, cast
 
 import matplotlib as mpl
 import numpy as np
@@ -26,6 +27,7 @@ from reachlab.curves import (
     read_rows,
     read_settings,
 )
+from reachlab.names import AGENTS
 
 WIDTH, ROW = 10.0, 3.3
 """Width of the figure and height of a row of panels [inches]."""
@@ -65,8 +67,17 @@ HEADROOM = 1.03
 TICKS = 5
 """Numbers along an axis of steps."""
 
-MOST_COLUMNS = 4
-"""Names beside each other in the legend."""
+MOST_COLUMNS, LINE = 4, 0.2
+"""Names beside each other in a legend, and the height of a line of it [inches]."""
+
+STYLES = ("-", "--", ":", "-.")
+"""Lines that tell simulators apart, and more groups than there are colours."""
+
+WIDTHS = (1.6, 0.8)
+"""Widths of a line, and of one whose arms or views varied."""
+
+ENDINGS = (".png", ".svg")
+"""Pictures that can be written."""
 
 AXES_LABELS = {
     "steps": "environment steps",
@@ -84,6 +95,15 @@ FLAT = 1e-3
 ABOVE, FRONT = (1, 0), (1, 2)
 """Views of the workspace: the target's coordinates across and up."""
 
+MOST_MAPS, MAP_TITLE, MAP_FONT = 2, 38, 9
+"""Maps beside the errors, characters in a line above one, and their size [points]."""
+
+Evaluated = tuple[Group, list[Evaluation]]
+"""A group and what it was tried on."""
+
+Map = tuple[str, Evaluation, int, int]
+"""Title, episodes, and the target's coordinates across and up."""
+
 VIEWS = {"Workspace from above": ABOVE, "Workspace from the front": FRONT}
 """Maps of a single group."""
 
@@ -97,34 +117,58 @@ LEAST_ERROR = 1e-2
 """Errors below are drawn here on the logarithmic axis [mm]."""
 
 
-def plot(runs: Sequence[Path], out: Path) -> None:
+def plot(runs: Sequence[Path], out: Path) -> list[str]:
     """Draw runs into one picture: learning curves, and if `reachlab eval` has kept episodes, errors and failures.
 
-    Runs that differ by their seeds alone are one curve, their mean with its 95 % interval.
+    Runs that differ by their seeds alone are one curve, their mean with its 95 % interval. What there is no room for is
+    given back, in a sentence each.
 
     Raises:
         InputError: a run without metrics, or an ending that cannot be drawn.
     """
+    if out.suffix not in ENDINGS:
+        endings = " or ".join(ENDINGS)
+        raise InputError(f"the picture cannot be written to '{out}': name a file that ends in {endings}.")
     groups = group_runs(runs)
     found = [(group, read_evaluations(group)) for group in groups]
-    evaluated = [(group, evaluations) for group, evaluations in found if evaluations]
-    maps = _maps(evaluated)
+    limits = {read_settings(group.runs[0]).get("success_distance") for group in groups}
+    lines, maps = _lines(found), _maps(found)
     with mpl.rc_context(cast("Any", STYLE)):
-        rows = 2 if evaluated else 1
-        figure = Figure(figsize=(WIDTH, ROW * rows), layout="constrained")
+        heights = [ROW] + [ROW + LINE * (len(lines) // MOST_COLUMNS)] * bool(lines)
+        figure = Figure(figsize=(WIDTH, sum(heights)), layout="constrained")
         # Rows of their own, so that maps of equal scale do not narrow the panels above them.
-        upper, *lower = figure.subfigures(rows, 1, squeeze=False)[:, 0]
+        upper, *lower = figure.subfigures(len(heights), 1, squeeze=False, height_ratios=heights)[:, 0]
         _draw_learning(upper, groups)
         for row in lower:
             errors, *places = row.subplots(1, 1 + len(maps), squeeze=False)[0]
-            _draw_errors(errors, evaluated)
+            _draw_errors(errors, lines, limits.pop() if len(limits) == 1 else None)
+            row.legend(*errors.get_legend_handles_labels(), loc="outside lower center", ncols=MOST_COLUMNS)
             meshes = [_draw_map(axes, *entry) for axes, entry in zip(places, maps, strict=True)]
-            for mesh in meshes[-1:]:
+            for mesh in [mesh for mesh in meshes if mesh][-1:]:
                 _draw_bar(mesh, places)
         try:
             figure.savefig(out, dpi=DOTS_PER_INCH)
         except (OSError, ValueError) as error:
             raise InputError(f"the picture cannot be written to '{out}': {error}.") from None
+    return _left_out(found, maps)
+
+
+def _left_out(found: Sequence[Evaluated], maps: Sequence[Map]) -> list[str]:
+    """Sentences about what a picture of several groups has no room for."""
+    evaluated = [group.label for group, evaluations in found if evaluations]
+    if len(found) == 1 or not evaluated:
+        return []
+    more = [(group.label, [e.label for e in evaluations[1:]]) for group, evaluations in found if len(evaluations) > 1]
+    unmapped = evaluated[MOST_MAPS:] if len(maps) == MOST_MAPS else []
+    return [
+        *(f"of {label}: {'; '.join(rest)} (plot that run alone)." for label, rest in more),
+        *(
+            f"errors of {group.label}: `reachlab eval` has kept none."
+            for group, evaluations in found
+            if not evaluations
+        ),
+        *(f"the map of {label}: there is room for {MOST_MAPS}." for label in unmapped),
+    ]
 
 
 # --- learning -------------------------------------------------------------------------------------
@@ -132,14 +176,16 @@ def plot(runs: Sequence[Path], out: Path) -> None:
 
 def _draw_learning(row: SubFigure, groups: Sequence[Group]) -> None:
     panels: list[Axes] = list(row.subplots(1, len(LEARNING)))
+    validated = False
     for number, group in enumerate(groups):
         rows = [read_rows(run) for run in group.runs]
         curves = [pooled(run) for run in rows]
-        colour = PALETTE[number % len(PALETTE)]
+        colour, style = _group_look(number)
         for axes, (_, x, y, scale, most) in zip(panels, LEARNING, strict=True):
-            _draw_band(axes, band(curves, x, y, most), scale, colour, group.label)
+            _draw_band(axes, band(curves, x, y, most), scale, colour, style, group.label)
             if y == "success_rate" and len(rows) == 1:
                 held = [row for row in rows[0] if "validation_success" in row]
+                validated |= bool(held)
                 dots = [row[x] for row in held], [scale * row["validation_success"] for row in held]
                 axes.plot(*dots, ".", color=colour, ms=6, mec="white", mew=0.5)
     for axes, (title, x, y, scale, most) in zip(panels, LEARNING, strict=True):
@@ -155,13 +201,18 @@ def _draw_learning(row: SubFigure, groups: Sequence[Group]) -> None:
         if x == "steps":
             axes.xaxis.set_major_locator(MaxNLocator(TICKS, steps=[1, 2, 5, 10]))
             axes.xaxis.set_major_formatter(EngFormatter(sep=""))
-    if any(len(group.runs) == 1 for group in groups):
+    if validated:
         panels[0].plot([], [], ".", color="gray", ms=6, label="validation")
     row.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=MOST_COLUMNS)
 
 
-def _draw_band(axes: Axes, curve: Band, scale: float, colour: str, label: str) -> None:
-    axes.plot(curve.x, scale * curve.mean, color=colour, label=label)
+def _group_look(number: int) -> tuple[str, str]:
+    """Colour and line of a group, by its place among those that were given."""
+    return PALETTE[number % len(PALETTE)], STYLES[number // len(PALETTE) % len(STYLES)]
+
+
+def _draw_band(axes: Axes, curve: Band, scale: float, colour: str, style: str, label: str) -> None:
+    axes.plot(curve.x, scale * curve.mean, style, color=colour, label=label)
     if curve.low is not None and curve.high is not None:
         axes.fill_between(curve.x, scale * curve.low, scale * curve.high, color=colour, alpha=0.2, linewidth=0)
 
@@ -169,18 +220,51 @@ def _draw_band(axes: Axes, curve: Band, scale: float, colour: str, label: str) -
 # --- errors ---------------------------------------------------------------------------------------
 
 
-def _draw_errors(axes: Axes, evaluated: Sequence[tuple[Group, list[Evaluation]]]) -> None:
-    """Draw the share of episodes that end within a distance: of each group, or of all that one group was tried on."""
-    if len(evaluated) > 1:
-        lines = [(group.label, evaluations[0]) for group, evaluations in evaluated]
-    else:
-        lines = [(f"{e.agent}, {e.sim}", e) for e in evaluated[0][1]]
-    for (label, evaluation), colour in zip(lines, PALETTE, strict=False):
-        axes.ecdf(np.maximum(evaluation.error, LEAST_ERROR), label=label, color=colour)
-    limit = read_settings(evaluated[0][0].runs[0]).get("success_distance")
+class Line(NamedTuple):
+    """A curve of errors and how it is drawn."""
+
+    label: str
+    evaluation: Evaluation
+    colour: str
+    style: str
+    width: float
+
+
+def _lines(found: Sequence[Evaluated]) -> list[Line]:
+    """Curves of the first evaluation of each group, or of all that a single group was tried on."""
+    if len(found) == 1:
+        return _agents_lines(found[0][1])
+    return [
+        Line(f"{group.label}: {evaluation.label}", evaluation, *_group_look(number), WIDTHS[0])
+        for number, (group, evaluations) in enumerate(found)
+        for evaluation in evaluations[:1]
+    ]
+
+
+def _agents_lines(evaluations: Sequence[Evaluation]) -> list[Line]:
+    """Curves of agents, told apart by colour, in simulators, told apart by the kind of line."""
+    agents = list(dict.fromkeys([*AGENTS, *(e.agent for e in evaluations)]))
+    sims = list(dict.fromkeys(e.sim for e in evaluations))
+    return [
+        Line(
+            e.label,
+            e,
+            PALETTE[agents.index(e.agent) % len(PALETTE)],
+            STYLES[sims.index(e.sim) % len(STYLES)],
+            WIDTHS[bool(e.condition)],
+        )
+        for e in evaluations
+    ]
+
+
+def _draw_errors(axes: Axes, lines: Sequence[Line], limit: float | None) -> None:
+    """Draw the share of episodes that end within a distance, and the distance of success [m]."""
+    for label, evaluation, colour, style, width in lines:
+        error = np.maximum(evaluation.error, LEAST_ERROR)
+        axes.ecdf(error, label=label, color=colour, linestyle=style, linewidth=width)
     if limit:
-        axes.axvline(1000 * limit, color="gray", linewidth=0.8, linestyle="--")
-        axes.annotate(" success", (1000 * limit, 0.02), color="gray", fontsize=8)
+        label = f"success: {1000 * limit:g} mm"
+        axes.axvline(1000 * limit, color="gray", linewidth=0.8, linestyle="--", label=label)
     axes.set(title="Error on held-out targets", xlabel="tool to target at the end [mm]", ylabel="episodes within [%]")
     axes.set_xscale("log")
     low, high = axes.get_xlim()
@@ -188,39 +272,42 @@ def _draw_errors(axes: Axes, evaluated: Sequence[tuple[Group, list[Evaluation]]]
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.xaxis.set_minor_locator(NullLocator())
     axes.yaxis.set_major_formatter(PercentFormatter(1.0, symbol=""))
-    if len(evaluated) == 1:
-        axes.legend(loc="best", frameon=True, framealpha=0.8, edgecolor="none", fontsize=8)
 
 
 # --- maps -----------------------------------------------------------------------------------------
 
 
-Map = tuple[str, Evaluation, int, int]
-"""Title, episodes, and the target's coordinates across and up."""
-
-
-def _maps(evaluated: Sequence[tuple[Group, list[Evaluation]]]) -> list[Map]:
+def _maps(found: Sequence[Evaluated]) -> list[Map]:
     """Two maps at most: of two groups from above, or of one group from its two sides."""
-    if len(evaluated) > 1:
-        maps = [(group.label, evaluations[0], *ABOVE) for group, evaluations in evaluated[:2]]
+    firsts = [(group.label, evaluations[0]) for group, evaluations in found if evaluations]
+    if len(found) > 1:
+        maps = [(label, first, *ABOVE) for label, first in firsts[:MOST_MAPS]]
     else:
-        maps = [(title, evaluations[0], *view) for _, evaluations in evaluated for title, view in VIEWS.items()]
+        maps = [(title, first, *view) for _, first in firsts for title, view in VIEWS.items()]
     return [entry for entry in maps if np.ptp(entry[1].target[:, entry[2:]], axis=0).min() > FLAT]
 
 
-def _draw_map(axes: Axes, title: str, evaluation: Evaluation, across: int, up: int) -> QuadMesh:
-    """Draw the success rate in cells of the workspace, and every failure; gives the cells."""
+def _draw_map(axes: Axes, title: str, evaluation: Evaluation, across: int, up: int) -> QuadMesh | None:
+    """Draw the success rate in cells of the workspace, and every failure; gives the cells.
+
+    Without a failure all cells would be alike: the targets are drawn instead, and there are no cells.
+    """
     points = evaluation.target[:, [across, up]]
+    failed = points[~evaluation.success]
+    came = f"{len(failed):,} of {len(points):,} missed" if len(failed) else f"all {len(points):,} reached"
+    axes.set(xlabel=f"target's {'xyz'[across]} [m]", ylabel=f"target's {'xyz'[up]} [m]", aspect="equal")
+    lines = [*wrap(title, MAP_TITLE), *wrap(f"{evaluation.label}: {came}", MAP_TITLE)]
+    axes.set_title("\n".join(lines), fontsize=MAP_FONT)
+    axes.grid(visible=False)
+    if not len(failed):
+        axes.scatter(*points.T, s=4, color=PALETTE[0], alpha=0.4, linewidths=0)
+        return None
     edges = _edges(points)
     everything = np.ones(len(points), bool)
     counts, hits = (np.histogram2d(*points[some].T, bins=edges)[0] for some in (everything, evaluation.success))
     rates = np.divide(100 * hits, counts, out=np.full(counts.shape, np.nan), where=counts > 0)
     mesh = axes.pcolormesh(*edges, rates.T, cmap="Blues", vmin=0, vmax=100, edgecolors="white", linewidth=0.2)
-    failed = points[~evaluation.success]
     axes.scatter(*failed.T, s=14, marker="X", color=FAILURE, edgecolors="white", linewidths=0.4)
-    axes.set(xlabel=f"target's {'xyz'[across]} [m]", ylabel=f"target's {'xyz'[up]} [m]", aspect="equal")
-    axes.set_title(f"{title}\n{len(failed):,} failures in {len(points):,} episodes")
-    axes.grid(visible=False)
     return mesh
 
 

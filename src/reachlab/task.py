@@ -333,14 +333,15 @@ def _joints_towards(reach: Reach, now: Situation, believed: Situation) -> Array:
     return jnp.clip(step, *_joint_box(reach))
 
 
-CORRECTION_FADE = 0.02
-"""Distance from which on a correction fades, to nothing at the target [m]."""
+CORRECTION, CORRECTION_FADE = 2.0, 0.04
+"""Displacement that a correction of 1 adds, in those of inverse kinematics at most: enough to turn one round; and the
+distance from which on corrections fade, to nothing at the target [m]."""
 
 
 def _fade(now: Situation) -> Array:
-    """Share `[B, 1]` of a correction that counts."""
+    """What a correction of 1 is worth in a situation `[B, 1]`."""
     distance = jnp.linalg.norm(now.target - now.tool_position, axis=-1, keepdims=True)
-    return jnp.minimum(distance / CORRECTION_FADE, 1.0)
+    return CORRECTION * jnp.minimum(distance / CORRECTION_FADE, 1.0)
 
 
 def _correct_joints(reach: Reach, now: Situation, action: Array) -> Array:

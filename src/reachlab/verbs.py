@@ -7,16 +7,21 @@ import os
 import sys
 import time
 import webbrowser
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from reachlab.checks import InputError, choose
 from reachlab.config import TASKS, DistilRunConfig, RunConfig, distillation, in_simulator, override
 from reachlab.flags import LESSON, Bench, Distil, Eval, List, Plot, Train, Video, View
+from reachlab.names import AGENTS
+
+if TYPE_CHECKING:
+    from reachlab.checkpoint import RunDirectory
+    from reachlab.displays import EvalDisplay
 
 EVALUATION_LANES = {"pybullet": 8}
 """Lanes of an evaluation where they are dear."""
@@ -59,14 +64,15 @@ def _learn(arguments: Train | Distil, config: RunConfig, verb: str) -> None:
     if arguments.resume and _told_that_finished(arguments, config, arguments.resume):
         return
     _prepare()
-    from reachlab.console import TrainDisplay, console, print_reports
+    from reachlab.console import note, say
+    from reachlab.displays import TrainDisplay, print_training
     from reachlab.plots import plot as draw
     from reachlab.training import distil as run_distillation
     from reachlab.training import train as run_training
 
     out = arguments.resume or arguments.out or Path("runs") / f"{time.strftime('%Y%m%d-%H%M%S')}-{config.task}"
     settings = {"resume": arguments.resume is not None, "tensorboard": arguments.tensorboard}
-    with TrainDisplay() as display:
+    with TrainDisplay(config) as display:
         if isinstance(config, DistilRunConfig):
             result = run_distillation(config, out, display, **settings)
         else:
@@ -74,16 +80,15 @@ def _learn(arguments: Train | Distil, config: RunConfig, verb: str) -> None:
     draw([out], out / "curve.png")
     if arguments.json:
         print(jsonlib.dumps(result.to_json()))
-    print_reports([result.to_json()])
+    else:
+        print_training(result, config, display, resumed=arguments.resume is not None)
+        say(f"Written: {out}: report.json, curve.png, checkpoints. With the report: {result.total_wall_s:.1f} s.")
     if result.validated is False:
-        console.print(
-            f"No validation reached {config.ppo.stop_success:g} success within {config.ppo.total_steps:,} steps."
+        note(
+            f"Warning: validations did not reach {100 * config.ppo.stop_success:g} % success as often in a row as asked"
+            f" for ({config.ppo.stop_streak}) within {config.ppo.total_steps:,} steps."
         )
-    console.print(
-        f"{result.steps:,} steps in {result.train_wall_s:.1f} s, {result.steps_per_second:,.0f} steps/s;"
-        f" with the report {result.total_wall_s:.1f} s. Written to {out}: report.json, curve.png, checkpoint."
-    )
-    console.print(f"Next: reachlab eval {out} --agent trained random ik")
+    note(f"Next: reachlab eval {out} --agent trained random ik")
 
 
 def _told_that_finished(arguments: Train | Distil, config: RunConfig, folder: Path) -> bool:
@@ -108,41 +113,117 @@ def _told_that_finished(arguments: Train | Distil, config: RunConfig, folder: Pa
 
 
 def evaluate(arguments: Eval) -> None:
-    """Run `reachlab eval`."""
-    _prepare()
-    from reachlab.checkpoint import RunDirectory
-    from reachlab.console import print_reports
-    from reachlab.env import Env
-    from reachlab.evaluation import AGENTS, LANES, examine
-    from reachlab.sims import SIMULATORS
-    from reachlab.training import load_policy
+    """Run `reachlab eval`.
 
+    Of several simulators, one that fails keeps nothing from the others.
+
+    Raises:
+        InputError: a flag that does not fit, or a simulator that cannot be used: after the results of the others.
+    """
     for agent in arguments.agent:
         choose("agent", agent, AGENTS)
+    _prepare()
+    from reachlab.checkpoint import RunDirectory
+    from reachlab.console import note
+    from reachlab.displays import EvalDisplay
+    from reachlab.sims import SIMULATORS
+
     run = RunDirectory(arguments.run)
-    trained = run.read_config()
-    names = list(SIMULATORS) if arguments.sim == "all" else [arguments.sim or trained.sim]
-    reports = []
-    for name in names:
-        config = in_simulator(trained, choose("simulator", name, [*SIMULATORS, "all"]))
-        if (arguments.gui or arguments.slow) and name != "pybullet":
-            raise InputError(f"--gui and --slow are PyBullet's, and the simulator is {name!r}: add --sim pybullet.")
-        config = override(config, gui=arguments.gui, slow=arguments.slow, perturb=arguments.perturb)
-        config = override(config, randomise_view=arguments.perturb_view)
-        env = Env(config, 1 if arguments.gui else min(arguments.episodes, EVALUATION_LANES.get(name, LANES)))
+    trained, several = run.read_config(), arguments.sim == "all"
+    names = list(SIMULATORS) if several else [arguments.sim or trained.sim]
+    configs = {name: _evaluated_config(arguments, trained, name) for name in names}
+    reports: list[dict[str, Any]] = []
+    failed: list[str] = []
+    unsaved: list[str] = []
+    try:
+        with EvalDisplay(arguments.episodes) as display:
+            if several:  # known before minutes are spent on the others
+                failed += [name for name, config in configs.items() if not _can_be_used(config)]
+            for name in names:
+                if name in failed:
+                    continue
+                try:
+                    for report, warning in _evaluated(arguments, run, configs[name], display):
+                        reports.append(report)
+                        unsaved += warning
+                except (InputError, FloatingPointError) as error:
+                    if not several:
+                        raise
+                    note(f"{name}: {error}")
+                    failed.append(name)
+    finally:  # what there is, whatever ended it
+        _show_evaluation(reports, trained, as_list=len(names) * len(arguments.agent) > 1, json=arguments.json)
+    for warning in unsaved:
+        note(f"Warning: {warning}")
+    if failed:
+        raise InputError(f"no result in {', '.join(failed)}: the reason is above.")
+
+
+def _evaluated_config(arguments: Eval, trained: RunConfig, name: str) -> RunConfig:
+    """Settings of an evaluation in a simulator.
+
+    Raises:
+        InputError: there is no such simulator, or a flag is not for it.
+    """
+    from reachlab.sims import SIMULATORS
+
+    config = in_simulator(trained, choose("simulator", name, [*SIMULATORS, "all"]))
+    if (arguments.gui or arguments.slow) and name != "pybullet":
+        raise InputError(f"--gui and --slow are PyBullet's, and the simulator is {name!r}: add --sim pybullet.")
+    config = override(config, gui=arguments.gui, slow=arguments.slow, perturb=arguments.perturb)
+    return override(config, randomise_view=arguments.perturb_view)
+
+
+def _can_be_used(config: RunConfig) -> bool:
+    """Whether the simulator of a configuration can be used here; if it cannot, why was said."""
+    from reachlab.console import note
+    from reachlab.env import Env
+
+    try:
+        Env(config, 1).close()
+    except InputError as error:
+        note(f"{config.sim}: {error}")
+        return False
+    return True
+
+
+def _evaluated(
+    arguments: Eval, run: RunDirectory, config: RunConfig, display: EvalDisplay
+) -> Iterator[tuple[dict[str, Any], list[str]]]:
+    """Report of each agent in one simulator, and why it was not saved if it was not."""
+    from reachlab.env import Env
+    from reachlab.evaluation import LANES, examine
+    from reachlab.training import load_policy
+
+    name = config.sim
+    env = Env(config, 1 if arguments.gui else min(arguments.episodes, EVALUATION_LANES.get(name, LANES)))
+    try:
         policy = load_policy(run, config, env)
         for agent in arguments.agent:
-            result, played = examine(env, agent, policy, seed=arguments.seed, episodes=arguments.episodes)
+            display.begin(agent, name)
+            seed, episodes = arguments.seed, arguments.episodes
+            result, played = examine(env, agent, policy, seed=seed, episodes=episodes, watch=display)
             report = result.to_json()
             rows = {"target": played.target, "distance": played.distance, "success": played.success}
             kind = "-perturbed" * arguments.perturb + "-views" * arguments.perturb_view
-            run.write_report(f"{name}-{agent}-{arguments.seed}{kind}", report, rows)
-            reports.append(report)
+            try:
+                run.write_report(f"{name}-{agent}-{seed}{kind}", report, rows)
+            except InputError as error:
+                yield report, [str(error)]
+            else:
+                yield report, []
+    finally:
         env.close()
-    if arguments.json:
-        print(jsonlib.dumps(reports[0] if len(reports) == 1 else reports))
-    else:
-        print_reports(reports)
+
+
+def _show_evaluation(reports: list[dict[str, Any]], config: RunConfig, *, as_list: bool, json: bool) -> None:
+    """Print reports, if there are any: one alone as it is, or a list."""
+    from reachlab.console import print_reports
+
+    if reports and json:
+        print(jsonlib.dumps(reports if as_list else reports[0]))
+    elif reports:
+        print_reports(reports, config)
 
 
 def _as_it_is(trained: RunConfig, sim: str | None) -> RunConfig:
@@ -156,9 +237,8 @@ def video(arguments: Video) -> None:
     """Run `reachlab video`."""
     _prepare()
     from reachlab.checkpoint import RunDirectory
-    from reachlab.console import console
+    from reachlab.console import say
     from reachlab.env import Env
-    from reachlab.evaluation import AGENTS
     from reachlab.training import load_policy
     from reachlab.video import write_video
 
@@ -179,17 +259,18 @@ def video(arguments: Video) -> None:
     env.close()
     if arguments.json:
         print(jsonlib.dumps(vars(clip)))
-    console.print(
-        f"Written: {clip.out}, {clip.seconds:.1f} s, {clip.frames} pictures, {clip.bytes / 1e6:.2f} MB:"
-        f" {clip.successes} of {clip.episodes} episodes reach the target."
-    )
+    else:
+        say(
+            f"Written: {clip.out}, {clip.seconds:.1f} s, {clip.frames} pictures, {clip.bytes / 1e6:.2f} MB:"
+            f" {clip.successes} of {clip.episodes} episodes reach the target."
+        )
 
 
 def view(arguments: View) -> None:
     """Run `reachlab view`."""
     _prepare()
     from reachlab.checkpoint import RunDirectory
-    from reachlab.console import console
+    from reachlab.console import note, say
     from reachlab.env import Env
     from reachlab.interrupts import Interrupts
     from reachlab.stage import is_local
@@ -205,16 +286,16 @@ def view(arguments: View) -> None:
             env, arguments.agent, load_policy(run, config, env), arguments.seed, arguments.episodes, arguments.save
         )
         env.close()
-        console.print(f"Written: {arguments.save}")
+        say(f"Written: {arguments.save}")
         return
     load = partial(load_policy, run, config, env)
     with (
         Viewer(env, steps, load, arguments.agent, arguments.host, arguments.port) as viewer,
         Interrupts() as interrupts,
     ):
-        console.print(f"Viewer: {viewer.url}   Ctrl-C ends it.")
+        say(f"Viewer: {viewer.url}   Ctrl-C ends it.")
         if not is_local(arguments.host):
-            console.print(
+            note(
                 f"Warning: --host {arguments.host} lets other machines in, without a password: whoever reaches it can"
                 " watch and move the target."
             )
@@ -227,14 +308,16 @@ def view(arguments: View) -> None:
 
 def plot(arguments: Plot) -> None:
     """Run `reachlab plot`."""
-    from reachlab.console import console
+    from reachlab.console import note, say
     from reachlab.plots import plot as draw
 
     if not arguments.runs:
         raise InputError("plot needs at least one run directory.")
     out = arguments.out or arguments.runs[0] / "plots.png"
-    draw(arguments.runs, out)
-    console.print(f"Written: {out}")
+    left_out = draw(arguments.runs, out)
+    say(f"Written: {out}")
+    for sentence in left_out:
+        note(f"Not drawn: {sentence}")
 
 
 def bench(arguments: Bench) -> None:
@@ -256,7 +339,7 @@ def bench(arguments: Bench) -> None:
 def list_names(arguments: List) -> None:
     """Run `reachlab list`."""
     _prepare()
-    from reachlab.console import print_table
+    from reachlab.console import asked, print_table
     from reachlab.evaluation import AGENTS
     from reachlab.robots import ROBOTS
     from reachlab.sims import SIMULATORS
@@ -264,7 +347,8 @@ def list_names(arguments: List) -> None:
 
     names: dict[str, dict[str, str]] = {
         "tasks": {
-            name: f"{config.rules.observation}, {config.rules.action}, {config.rules.reward}; simulator {config.sim}"
+            name: f"{asked(config)}. Unless told otherwise: simulator {config.sim}, observation"
+            f" {config.rules.observation}, action {config.rules.action}, reward {config.rules.reward}"
             for name, config in TASKS.items()
         },
         "robots": {name: f"tool frames {', '.join(robot.tools)}" for name, robot in ROBOTS.items()},

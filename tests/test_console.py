@@ -1,0 +1,80 @@
+"""What a person reads in the terminal."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from reachlab.config import RunConfig, configure
+from reachlab.console import asked
+from reachlab.displays import TrainDisplay, explained, parts_of_time, train_line
+from reachlab.loop import Progress
+
+
+def progress(steps: int, elapsed_s: float, **metrics: float) -> Progress:
+    row = {"episodes": 0.0, "success_rate": 0.0, "final_distance": 0.0, "wall_s": elapsed_s - 1.0}
+    return Progress(steps, 4_000_000, row | metrics, elapsed_s)
+
+
+def lines_of(config: RunConfig, seen: list[Progress], capsys: pytest.CaptureFixture[str]) -> list[str]:
+    capsys.readouterr()
+    with TrainDisplay(config) as display:
+        for now in seen:
+            display(now)
+    out, err = capsys.readouterr()
+    assert out == ""
+    return [line for line in str(err).splitlines() if "M steps" in line]
+
+
+def test_the_speed_of_a_line_is_its_steps_over_its_time() -> None:
+    line = train_line(progress(300_000, 5.0), progress(8192, 2.0), configure(), "")
+    assert line == "0.30M steps  60k steps/s  5 s"
+
+
+def test_time_left_is_told_only_where_all_steps_are_taken() -> None:
+    config = configure(stop_early=False, lanes=100, rollout_steps=100)
+    first, now = progress(10_000, 6.0), progress(1_010_000, 16.0)
+    assert train_line(now, first, config, "").endswith("16 s  about 30 s left"), "the first, compiled, is left out"
+    assert "left" not in train_line(first, first, config, "")
+    assert "left" not in train_line(now, first, configure(), "")
+
+
+def test_the_parts_of_a_trainings_time_add_up_to_it() -> None:
+    first = progress(8192, 6.0, steps_per_second=8192 / 2.0)
+    last = progress(108_192, 16.0, steps_per_second=108_192 / 10.0)
+    assert parts_of_time(first, last, 16.5) == (
+        "6.5 s of compiling and the first 8,192 steps, 8.0 s of training (12,500 steps/s),"
+        " 2.0 s of validations and saving"
+    )
+
+
+def test_success_of_a_line_is_of_all_training_episodes_since_the_last_line(capsys: pytest.CaptureFixture[str]) -> None:
+    seen = [
+        progress(8192, 2.0),
+        progress(16384, 2.5, episodes=100.0, success_rate=0.5),
+        progress(24576, 3.0, episodes=300.0, success_rate=1.0, validation_success=0.75),
+    ]
+    first, last = lines_of(configure(), seen, capsys)
+    assert "success" not in first, "nothing is said of no episode"
+    assert "success (within 100 mm) 87.5 % of 400 training episodes  validation 75.0 %" in last
+
+
+def test_what_has_to_be_held_is_told_with_its_distance(capsys: pytest.CaptureFixture[str]) -> None:
+    seen = [progress(100_000, 3.0, episodes=10.0, success_rate=0.5, final_distance=0.0042)]
+    (line,) = lines_of(configure("precise"), seen, capsys)
+    assert "success (held within 10 mm) 50.0 % of 10 training episodes, 4.2 mm at their end" in line
+
+
+def test_a_training_explains_what_its_lines_speak_of() -> None:
+    tutorial, precise = explained(configure()), explained(configure("precise"))
+    assert "at most 20,000,000 steps, until 3 validations in a row reach 100 % success" in tutorial
+    assert "Training episodes explore with noise;" in tutorial
+    assert ": 4,500,000 steps." in precise
+    assert "noise and on perturbed arms" in precise
+
+
+@pytest.mark.parametrize(("distance", "said"), [(0.05, "within 50 mm"), (0.0125, "within 12.5 mm")])
+def test_what_a_task_asks_for_follows_from_its_settings(distance: float, said: str) -> None:
+    assert said in asked(configure(success_distance=distance))
+    assert re.match("touch a point in the box", asked(configure(targets="box")))
