@@ -335,13 +335,14 @@ def _joints_towards(reach: Reach, now: Situation, believed: Situation) -> Array:
 
 CORRECTION, CORRECTION_FADE = 2.0, 0.04
 """Displacement that a correction of 1 adds, in those of inverse kinematics at most: enough to turn one round; and the
-distance from which on corrections fade, to nothing at the target [m]."""
+distance from which on corrections fade, to nothing at the target [m]: with its square, so that near the target the pull
+of inverse kinematics, which is proportional to the distance, outweighs them."""
 
 
 def _fade(now: Situation) -> Array:
     """What a correction of 1 is worth in a situation `[B, 1]`."""
     distance = jnp.linalg.norm(now.target - now.tool_position, axis=-1, keepdims=True)
-    return CORRECTION * jnp.minimum(distance / CORRECTION_FADE, 1.0)
+    return CORRECTION * jnp.minimum(jnp.square(distance / CORRECTION_FADE), 1.0)
 
 
 def _correct_joints(reach: Reach, now: Situation, action: Array) -> Array:
