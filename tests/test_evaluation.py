@@ -39,6 +39,7 @@ REPORT_FIELDS = [
     "agent",
     "seed",
     "episodes",
+    "checkpoint",
     "perturb",
     "perturb_view",
     "success_rate",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import subprocess
 import sys
@@ -146,6 +147,11 @@ def test_the_configuration_and_the_report_are_on_disk(tutorial: Trained) -> None
     assert report == json.loads(json.dumps(tutorial.result.to_json()))
     extra = {"steps", "train_wall_s", "total_wall_s", "steps_per_second", "validated"}
     assert set(report) - set(tutorial.result.report.to_json()) == extra
+    (arrays,) = tutorial.out.glob("checkpoints/*/state.safetensors")
+    assert report["checkpoint"] == {
+        "steps": report["steps"],
+        "sha256": hashlib.sha256(arrays.read_bytes()).hexdigest(),
+    }
 
 
 def test_every_iteration_leaves_a_row(tutorial: Trained) -> None:

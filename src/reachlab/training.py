@@ -60,8 +60,29 @@ def load_policy(run: RunDirectory, config: RunConfig, env: Env, step: int | None
     Raises:
         InputError: see `RunDirectory.read_checkpoint`.
     """
-    template = jax.eval_shape(lambda key: make_initial_policy(config, env, key), jax.random.key(0))
-    return run.read_checkpoint("learner/policy", template, step)
+    return run.read_checkpoint("learner/policy", _policy_template(config, env), step)
+
+
+@dataclass(frozen=True)
+class Saved:
+    """A policy, and the identity of the checkpoint that it is from, see `Manifest.identity`."""
+
+    policy: Policy
+    checkpoint: dict[str, Any]
+
+
+def load_saved(run: RunDirectory, config: RunConfig, env: Env) -> Saved:
+    """Policy of a run's newest checkpoint, with that one's identity; it acts in every simulator.
+
+    Raises:
+        InputError: see `RunDirectory.read_checkpoint`.
+    """
+    checkpoint, policy = run.read_identified("learner/policy", _policy_template(config, env))
+    return Saved(policy, checkpoint)
+
+
+def _policy_template(config: RunConfig, env: Env) -> Policy:
+    return jax.eval_shape(lambda key: make_initial_policy(config, env, key), jax.random.key(0))
 
 
 def train(
@@ -198,11 +219,16 @@ def _train(loop: Loop, *, resume: bool, tensorboard: bool) -> TrainResult:
 def _report(loop: Loop, policy: Policy) -> Report:
     """Report on held-out targets, on arms and in the view as they are even where training had others."""
     config = override(loop.config, randomise_view=False)
-    seed, episodes = config.seed, config.ppo.report_episodes
+    newest = loop.run.newest_manifest()
+    asked: dict[str, Any] = {
+        "seed": config.seed,
+        "episodes": config.ppo.report_episodes,
+        "checkpoint": newest.identity if newest else None,
+    }
     if loop.env.config == config:
-        return evaluate(loop.env, "trained", policy, seed=seed, episodes=episodes, runner=loop.runner)
+        return evaluate(loop.env, "trained", policy, **asked, runner=loop.runner)
     env = Env(config, loop.env.batch_size)
     try:
-        return evaluate(env, "trained", policy, seed=seed, episodes=episodes)
+        return evaluate(env, "trained", policy, **asked)
     finally:
         env.close()

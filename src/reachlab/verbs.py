@@ -115,14 +115,14 @@ def evaluate(arguments: Eval) -> None:
     from reachlab.env import Env
     from reachlab.evaluation import AGENTS, LANES, examine
     from reachlab.sims import SIMULATORS
-    from reachlab.training import load_policy
+    from reachlab.training import load_saved
 
     for agent in arguments.agent:
         choose("agent", agent, AGENTS)
     run = RunDirectory(arguments.run)
     trained = run.read_config()
     names = list(SIMULATORS) if arguments.sim == "all" else [arguments.sim or trained.sim]
-    reports = []
+    reports, saved = [], None
     for name in names:
         config = in_simulator(trained, choose("simulator", name, [*SIMULATORS, "all"]))
         if (arguments.gui or arguments.slow) and name != "pybullet":
@@ -130,9 +130,10 @@ def evaluate(arguments: Eval) -> None:
         config = override(config, gui=arguments.gui, slow=arguments.slow, perturb=arguments.perturb)
         config = override(config, randomise_view=arguments.perturb_view)
         env = Env(config, 1 if arguments.gui else min(arguments.episodes, EVALUATION_LANES.get(name, LANES)))
-        policy = load_policy(run, config, env)
+        saved = saved or load_saved(run, config, env)  # one checkpoint for all, though training may write newer ones
+        asked = {"seed": arguments.seed, "episodes": arguments.episodes, "checkpoint": saved.checkpoint}
         for agent in arguments.agent:
-            result, played = examine(env, agent, policy, seed=arguments.seed, episodes=arguments.episodes)
+            result, played = examine(env, agent, saved.policy, **asked)
             report = result.to_json()
             rows = {"target": played.target, "distance": played.distance, "success": played.success}
             kind = "-perturbed" * arguments.perturb + "-views" * arguments.perturb_view
