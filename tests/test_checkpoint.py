@@ -202,7 +202,7 @@ DAMAGES: dict[str, tuple[Callable[[Path], None], str]] = {
     "a setting out of range": (edit_config(lambda c: c["ppo"].update(gamma=2.0)), "gamma must be at least 0 and"),
     "a section that is none": (edit_config(lambda c: c.update(rules=3)), "must be an object of settings, got int"),
     "a name that does not exist": (edit_config(lambda c: c["rules"].update(reward="gold")), "reward 'gold' is not one"),
-    "a robot that is gone": (edit_config(lambda c: c.update(robot="gone.xml")), "'gone.xml' does not exist"),
+    "a robot that is gone": (edit_config(lambda c: c.update(robot="gone.xml")), "gone.xml' does not exist"),
     "no checkpoint": (remove("checkpoints"), "holds no checkpoint"),
     "no run": (remove("."), "does not exist: train one with"),
 }

@@ -52,26 +52,34 @@ class RunDirectory:
         Raises:
             InputError: it exists, or cannot be made.
         """
+        self.refuse_existing()
         temporary = None
         try:
-            if self.path.exists() or self.path.is_symlink():
-                raise FileExistsError
             temporary = self.path.with_name(f".{self.path.name}.{os.getpid()}.tmp")
             temporary.mkdir(parents=True)
             write_json(temporary / self.config_file.name, to_json(config))
             os.rename(temporary, self.path)  # noqa: PTH104 (see `storage`)
             sync(self.path.parent)
-        except FileExistsError:
-            refuse_if_held(self.path)
-            raise InputError(
-                f"run directory '{self.path}' exists and is not overwritten: name another with --out."
-            ) from None
         except (OSError, ValueError) as error:  # a ValueError where the path has no name, as '.' in a removed folder
             if temporary:
                 with contextlib.suppress(OSError):
                     remove(temporary)
             why = error.strerror if isinstance(error, OSError) else error
             raise InputError(f"run directory '{self.path}' cannot be made: {why}.") from None
+
+    def refuse_existing(self) -> None:
+        """Refuse a path at which something is.
+
+        Raises:
+            InputError: something is there, or that cannot be found out.
+        """
+        try:
+            taken = self.path.exists() or self.path.is_symlink()
+        except OSError as error:
+            raise InputError(f"run directory '{self.path}' cannot be made: {error.strerror}.") from None
+        if taken:
+            refuse_if_held(self.path)
+            raise InputError(f"run directory '{self.path}' exists and is not overwritten: name another with --out.")
 
     def read_config(self) -> RunConfig:
         """The run's configuration.

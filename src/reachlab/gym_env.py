@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from reachlab.checks import InputError, choose
 from reachlab.config import RunConfig, configure
 from reachlab.env import Env, EnvState, Transition, merge
+from reachlab.validation import check
 
 LARGEST_SEED = 2**32
 """Seeds are taken modulo this."""
@@ -40,7 +41,7 @@ class ReachEnv(gymnasium.Env[Any, np.ndarray]):
             InputError: a task, setting or render mode that does not exist, or a value that is not allowed.
         """
         self.render_mode = _checked_render_mode(render_mode)
-        self._lanes = _Lanes(configure(task, **settings), 1)
+        self._lanes = _Lanes(_checked(configure(task, **settings)), 1)
         self.observation_space = _space(self._lanes.env.observation_bounds)
         self.action_space = _space(self._lanes.env.action_bounds)
 
@@ -102,7 +103,7 @@ class ReachVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         self.render_mode = _checked_render_mode(render_mode)
         self.metadata = {**ReachEnv.metadata, "autoreset_mode": self._mode}
         self.num_envs = num_envs
-        self._lanes = _Lanes(configure(task, **settings), num_envs)
+        self._lanes = _Lanes(_checked(configure(task, **settings)), num_envs)
         self.single_observation_space = _space(self._lanes.env.observation_bounds)
         self.single_action_space = _space(self._lanes.env.action_bounds)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -259,6 +260,12 @@ def _checked_actions(given: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
         lane, index = (int(i) for i in np.argwhere(~np.isfinite(actions))[0])
         raise InputError(f"action of lane {lane} is {actions[lane, index]} at index {index}: it must be finite.")
     return actions
+
+
+def _checked(config: RunConfig) -> RunConfig:
+    """The settings, which make sense together; see `validation.check`."""
+    check(config)
+    return config
 
 
 def _checked_render_mode(mode: str | None) -> str | None:

@@ -24,6 +24,7 @@ from reachlab.metrics import Metrics, cut_metrics, event_writer
 from reachlab.policy import Policy
 from reachlab.storage import write_json
 from reachlab.threads import set_threads
+from reachlab.validation import check, check_reach
 
 
 @dataclass(frozen=True)
@@ -153,13 +154,18 @@ def run_method(
 ) -> TrainResult:
     """Result of learning by a method; see `train`."""
     start = time.perf_counter()
-    _check(config)
+    inherited = resume or isinstance(config, DistilRunConfig)
+    check(config, config if inherited else None)
     if tensorboard:
         event_writer()
     run = RunDirectory(out)
     if resume:
         _check_unfinished(run, config)
+    else:
+        run.refuse_existing()
     _choose_threads(run, config)
+    if not resume:
+        check_reach(config)
     env = Env(override(config, perturb=True) if config.ppo.randomise else config, config.ppo.lanes)
     try:
         env.open_eyes()
@@ -169,14 +175,6 @@ def run_method(
             return _train(Loop(config, env, run, watch, start, method), resume=resume, tensorboard=tensorboard)
     finally:
         env.close()
-
-
-def _check(config: RunConfig) -> None:
-    settings = config.ppo
-    if settings.lanes % settings.minibatches:
-        raise InputError(
-            f"{settings.lanes} lanes cannot be divided among {settings.minibatches} minibatches: choose a divisor."
-        )
 
 
 def _check_unfinished(run: RunDirectory, config: RunConfig) -> None:

@@ -116,6 +116,7 @@ def evaluate(arguments: Eval) -> None:
     from reachlab.evaluation import AGENTS, LANES, examine
     from reachlab.sims import SIMULATORS
     from reachlab.training import load_saved
+    from reachlab.validation import in_evaluation
 
     for agent in arguments.agent:
         choose("agent", agent, AGENTS)
@@ -124,11 +125,8 @@ def evaluate(arguments: Eval) -> None:
     names = list(SIMULATORS) if arguments.sim == "all" else [arguments.sim or trained.sim]
     reports, saved = [], None
     for name in names:
-        config = in_simulator(trained, choose("simulator", name, [*SIMULATORS, "all"]))
-        if (arguments.gui or arguments.slow) and name != "pybullet":
-            raise InputError(f"--gui and --slow are PyBullet's, and the simulator is {name!r}: add --sim pybullet.")
-        config = override(config, gui=arguments.gui, slow=arguments.slow, perturb=arguments.perturb)
-        config = override(config, randomise_view=arguments.perturb_view)
+        physics = {"gui": arguments.gui, "slow": arguments.slow, "perturb": arguments.perturb}
+        config = in_evaluation(trained, name, **physics, randomise_view=arguments.perturb_view)
         env = Env(config, 1 if arguments.gui else min(arguments.episodes, EVALUATION_LANES.get(name, LANES)))
         saved = saved or load_saved(run, config, env)  # one checkpoint for all, though training may write newer ones
         asked = {"seed": arguments.seed, "episodes": arguments.episodes, "checkpoint": saved.checkpoint}

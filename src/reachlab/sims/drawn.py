@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 from jax import Array
 
@@ -18,10 +20,13 @@ class Drawn:
     def __init__(self, robot: Robot) -> None:
         """Nothing is loaded before the first picture."""
         self._camera, self._eye = LazyCamera(robot), Camera(robot)
+        # An OpenGL context belongs to one thread; pictures may be asked for from any.
+        self._painter = ThreadPoolExecutor(1)
 
     def render(self, state: ArmState, target: Array, lane: int) -> np.ndarray:
         """See `Simulator.render`."""
-        return self._camera.picture(np.asarray(state.q[lane]), np.asarray(target[lane]))
+        q, point = np.asarray(state.q[lane]), np.asarray(target[lane])
+        return self._painter.submit(self._camera.picture, q, point).result()
 
     def see(self, q: np.ndarray, target: np.ndarray, views: Views, lanes: np.ndarray) -> np.ndarray:
         """See `Simulator.see`."""
@@ -30,5 +35,5 @@ class Drawn:
 
     def close(self) -> None:
         """See `Simulator.close`."""
-        self._camera.close()
+        self._painter.submit(self._camera.close).result()
         self._eye.close()
