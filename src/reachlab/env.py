@@ -20,6 +20,7 @@ from reachlab.policy import Observed
 from reachlab.robots import load_robot
 from reachlab.sims import SIMULATORS, ArmState, Lanes, make_simulator
 from reachlab.task import Reach, Situation, make_reach
+from reachlab.threads import first_process
 from reachlab.views import CHANCES, SIZE, develop, make_views
 
 VIEW_STREAM = 2**32 - 1
@@ -107,6 +108,7 @@ class Env:
             InputError: a name in the configuration that does not exist.
         """
         dispatch_inline()
+        first_process()  # JAX starts in this one
         self.config = config
         self.batch_size = batch_size
         self.reach: Reach = make_reach(config.rules, load_robot(config.robot, config.rules.tool))

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from reachlab.checks import InputError, choose
 from reachlab.config import RunConfig, configure
 from reachlab.env import Env, EnvState, Transition, merge
+from reachlab.threads import refuse_fork
 from reachlab.validation import check
 
 LARGEST_SEED = 2**32
@@ -191,6 +192,7 @@ class _Lanes:
 
     def reset(self, seeds: Sequence[int | None], mask: np.ndarray | None, random: np.random.Generator) -> None:
         """New episodes in the lanes of `mask`: seeded, or the next of the lane's own stream."""
+        refuse_fork()
         fresh = [seed is not None or self._state is None for seed in seeds]
         drawn = [int(random.integers(LARGEST_SEED)) if seed is None else seed % LARGEST_SEED for seed in seeds]
         keys = jax.vmap(jax.random.key)(np.array(drawn, np.uint32))
@@ -207,6 +209,7 @@ class _Lanes:
 
     def step(self, actions: ArrayLike) -> Transition:
         """Transition of all lanes, checked first."""
+        refuse_fork()
         state = self.state
         self._state, done = self._step(state, _checked_actions(actions, state.last_action.shape))
         return done

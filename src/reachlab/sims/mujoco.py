@@ -40,7 +40,7 @@ class MujocoSimulator(Drawn):
 
     def __init__(self, robot: Robot, config: SimConfig, batch_size: int, threads: int = 0) -> None:
         """Simulator of `batch_size` arms on `threads` threads, 0 for one a core; results do not depend on them."""
-        super().__init__(robot)
+        super().__init__(robot, config, batch_size, threads)
         self._model = physics_model(robot, config)
         self._substeps = config.physics_steps
         self._batch = Batch(self._model, nsim=batch_size, nthread=threads)
