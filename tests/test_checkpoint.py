@@ -8,6 +8,8 @@ import os
 import re
 import shutil
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +17,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import safetensors
 import safetensors.numpy
 
-from reachlab import cli
+from reachlab import cli, sims
 from reachlab.checkpoint import RunDirectory
 from reachlab.checks import InputError
 from reachlab.config import RunConfig, configure
@@ -199,7 +202,7 @@ DAMAGES: dict[str, tuple[Callable[[Path], None], str]] = {
     "a setting out of range": (edit_config(lambda c: c["ppo"].update(gamma=2.0)), "gamma must be at least 0 and"),
     "a section that is none": (edit_config(lambda c: c.update(rules=3)), "must be an object of settings, got int"),
     "a name that does not exist": (edit_config(lambda c: c["rules"].update(reward="gold")), "reward 'gold' is not one"),
-    "a robot that is gone": (edit_config(lambda c: c.update(robot="gone.xml")), "'gone.xml' does not exist"),
+    "a robot that is gone": (edit_config(lambda c: c.update(robot="gone.xml")), "gone.xml' does not exist"),
     "no checkpoint": (remove("checkpoints"), "holds no checkpoint"),
     "no run": (remove("."), "does not exist: train one with"),
 }
@@ -218,6 +221,69 @@ def test_a_damaged_run_is_refused_in_one_sentence_and_nothing_is_written(
     assert said.err.startswith("reachlab: ")
     assert re.search(sentence, said.err), said.err
     assert contents(run.parent) == before
+
+
+# --- reports --------------------------------------------------------------------------------------
+
+
+def write_reports(run: Path, writers: range, times: int = 20) -> None:
+    for _ in range(times):
+        for writer in writers:
+            RunDirectory(run).write_report("same", {"writer": writer}, {"rows": np.full(1000, writer)})
+
+
+def test_reports_written_at_once_are_whole_and_of_one_writer(tmp_path: Path) -> None:
+    (tmp_path / "reports").mkdir()
+    write_reports(tmp_path, range(1), 1)
+    with ThreadPoolExecutor(3) as threads, ProcessPoolExecutor(2, get_context("spawn")) as processes:
+        jobs = [threads.submit(write_reports, tmp_path, range(i, i + 1)) for i in (1, 2, 3)]
+        jobs += [processes.submit(write_reports, tmp_path, range(i, i + 1)) for i in (4, 5)]
+        while not all(job.done() for job in jobs):
+            assert json.loads((tmp_path / "reports/same.json").read_text())["writer"] in range(6)
+            with safetensors.safe_open(tmp_path / "reports/same.safetensors", "numpy") as file:
+                report = json.loads(file.metadata()["report"])
+                assert set(file.get_tensor("rows")) == {report["writer"]}, "a report with the episodes of another"
+        for job in jobs:
+            job.result()
+    writer = json.loads((tmp_path / "reports/same.json").read_text())["writer"]
+    assert set(safetensors.numpy.load_file(tmp_path / "reports/same.safetensors")["rows"]) == {writer}
+    assert {path.name for path in (tmp_path / "reports").iterdir()} == {".lock", "same.json", "same.safetensors"}
+
+
+def test_what_a_killed_writer_of_a_report_left_is_removed(tmp_path: Path) -> None:
+    (tmp_path / "reports").mkdir()
+    (tmp_path / "reports/.same.json.0123.tmp").write_text("{")
+    write_reports(tmp_path, range(1), 1)
+    assert not list((tmp_path / "reports").glob("*.tmp"))
+    assert not list((tmp_path / "reports").glob(".*.tmp"))
+
+
+def test_a_report_names_the_checkpoint_of_its_policy(run: Path, state: TrainState) -> None:
+    evaluate = ["eval", str(run), "--episodes", "5", "--agent", "trained", "zero"]
+    file = run / "reports/kinematic-{}-1.json"
+    named = []
+    for step in (512, 600):
+        RunDirectory(run).write_checkpoint(step, state, keep=1)
+        assert cli.main(evaluate) == cli.DONE
+        named.append(json.loads(Path(str(file).format("trained")).read_text())["checkpoint"])
+        arrays = run / f"checkpoints/step_{step:012d}/state.safetensors"
+        assert named[-1] == {"steps": step, "sha256": hashlib.sha256(arrays.read_bytes()).hexdigest()}
+    assert json.loads(Path(str(file).format("zero")).read_text())["checkpoint"] is None
+
+
+def test_all_simulators_of_an_evaluation_judge_one_checkpoint(
+    run: Path, state: TrainState, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real, step = RunDirectory.write_report, iter(range(1000, 2000))
+
+    def while_training_goes_on(self: RunDirectory, *report: Any) -> None:
+        real(self, *report)
+        self.write_checkpoint(next(step), state, keep=1)
+
+    monkeypatch.setattr(RunDirectory, "write_report", while_training_goes_on)
+    monkeypatch.setattr(sims, "SIMULATORS", {name: sims.SIMULATORS[name] for name in ("kinematic", "mujoco")})
+    assert cli.main(["eval", str(run), "--sim", "all", "--episodes", "2", "--json"]) == cli.DONE
+    assert [report["checkpoint"]["steps"] for report in json.loads(capsys.readouterr().out)] == [512, 512]
 
 
 # --- writes that fail -----------------------------------------------------------------------------
@@ -256,6 +322,21 @@ def test_a_run_is_never_overwritten(finished: Path, config: RunConfig) -> None:
     with pytest.raises(InputError, match="exists and is not overwritten"):
         RunDirectory(finished).create(config)
     assert contents(finished) == before
+
+
+@pytest.mark.parametrize("out", [".", "", "/", ".."])
+def test_an_out_without_a_name_is_refused_in_one_sentence(
+    out: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["train", "--out", out, "--lanes", "8"]) == cli.WRONG_INPUT
+    assert re.fullmatch(r"reachlab: run directory '.*' exists and is not overwritten: .*\n", capsys.readouterr().err)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_name_that_is_too_long_is_refused(tmp_path: Path, config: RunConfig) -> None:
+    with pytest.raises(InputError, match="cannot be made: File name too long"):
+        RunDirectory(tmp_path / ("x" * 5000)).create(config)
 
 
 def test_a_directory_that_cannot_be_made_is_refused(tmp_path: Path, config: RunConfig) -> None:

@@ -51,6 +51,7 @@ REPORT_FIELDS = [
     "agent",
     "seed",
     "episodes",
+    "checkpoint",
     "perturb",
     "perturb_view",
     "success_rate",

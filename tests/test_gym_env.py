@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import copy
+import subprocess
+import sys
 import warnings
 from collections.abc import Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -364,3 +369,80 @@ def test_an_autoreset_mode_is_named_or_refused() -> None:
 def test_a_batch_without_lanes_is_refused(count: int) -> None:
     with pytest.raises(InputError, match="num_envs must be at least 1"):
         ReachVectorEnv(num_envs=count)
+
+
+# --- threads, processes and copies ----------------------------------------------------------------
+
+ASYNC = """
+import gymnasium, warnings
+if __name__ == "__main__":
+    warnings.simplefilter("ignore")
+    for sim in {sims}:
+        envs = gymnasium.make_vec(
+            "reachlab:reachlab/KukaReach-v0", num_envs=2, vectorization_mode="async", sim=sim, vector_kwargs={kwargs}
+        )
+        try:
+            envs.reset(seed=0)
+            print(sim, envs.step(envs.action_space.sample())[0].shape)
+        except ValueError as error:
+            print(sim, type(error).__name__, error)
+        envs.close()
+"""
+
+
+@pytest.mark.parametrize("context", ["fork", "spawn", "forkserver"])
+def test_asynchronous_environments_work_or_are_refused_in_one_sentence(tmp_path: Path, context: str) -> None:
+    sims = ("kinematic", "mujoco") if context == "fork" else ("kinematic",)
+    (tmp_path / "script.py").write_text(ASYNC.format(sims=sims, kwargs={"context": context}))
+    done = subprocess.run(
+        [sys.executable, str(tmp_path / "script.py")], capture_output=True, text=True, timeout=240, check=True
+    )
+    lines = done.stdout.splitlines()
+    assert len(lines) == len(sims), done.stderr
+    for sim, line in zip(sims, lines, strict=True):
+        if context == "fork":
+            assert line.startswith(f"{sim} InputError JAX cannot compute in this process, a fork of one that uses it")
+            assert "vector_kwargs={'context': 'spawn'}" in line
+        else:
+            assert line == f"{sim} (2, 3)"
+
+
+def test_pictures_are_drawn_in_whatever_thread(drawing: None) -> None:
+    del drawing
+    env = ReachEnv(render_mode="rgb_array")
+    env.reset(seed=0)
+    here = env.render()
+    for _ in range(2):
+        with ThreadPoolExecutor(1) as thread:
+            assert np.array_equal(thread.submit(env.render).result(), here)
+        assert np.array_equal(env.render(), here)
+        env.close()
+
+
+@pytest.mark.parametrize("sim", ["kinematic", "mujoco"])
+def test_a_copy_goes_on_as_the_original_and_leaves_it_alone(sim: str) -> None:
+    original = ReachEnv(sim=sim, clip_actions=False)
+    original.reset(seed=3)
+    push = np.array([0.3, -0.2, -0.5], np.float32)
+    original.step(push)
+    twin = copy.deepcopy(original)
+    for _ in range(3):
+        twin.step(-push)
+    again = copy.deepcopy(original)
+    for _ in range(3):
+        one, other = original.step(push), again.step(push)
+        assert np.array_equal(one[0], other[0])
+        assert one[1:4] == other[1:4]
+
+
+def test_pybullet_refuses_to_be_copied_and_to_be_used_after_its_end() -> None:
+    pytest.importorskip("pybullet")
+    env = ReachEnv(sim="pybullet")
+    env.reset(seed=0)
+    with pytest.raises(InputError, match="'pybullet' cannot be copied"):
+        copy.deepcopy(env)
+    env.close()
+    env.close()
+    for use in (lambda: env.step(np.zeros(3, np.float32)), lambda: env.reset(seed=1)):
+        with pytest.raises(InputError, match="the environment is closed: make another"):
+            use()

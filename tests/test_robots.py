@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import re
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -129,8 +131,12 @@ def test_workspace_of_an_own_file_is_a_box_the_tool_can_be_in(write, height):
     assert ((points >= low) & (points <= high)).all(1).mean() > 0.2
 
 
-def test_tool_of_an_own_file_is_by_default_its_last_body(write):
-    robot = load_robot(write())
+def test_tool_of_an_own_file_is_by_default_its_only_site(write):
+    assert load_robot(write()).tool == "grip"
+
+
+def test_tool_of_an_own_file_without_one_site_is_by_default_its_last_body(write):
+    robot = load_robot(write(text=re.sub("<site[^>]*/>", "", TWO_LINKS)))
     assert robot.tool == "hand"
     position = forward_kinematics(robot.chain, jnp.zeros(2)).position
     np.testing.assert_allclose(position, [0.7, 0, 0.5], atol=1e-6)
@@ -190,8 +196,9 @@ def test_broken_file_is_refused_in_one_line(write, text):
 
 
 def test_unknown_tool_is_refused():
-    with pytest.raises(InputError, match="robot 'iiwa14': tool 'gripper' is neither a site nor a body"):
+    with pytest.raises(InputError, match="robot 'iiwa14': tool 'gripper' is neither a site nor a body") as refused:
         load_robot("iiwa14", "gripper")
+    assert "sites link_7, flange and the bodies base, link_1" in str(refused.value)
 
 
 def test_arm_that_cannot_move_its_tool_is_refused(write):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import subprocess
@@ -194,6 +195,11 @@ def test_the_configuration_and_the_report_are_on_disk(tutorial: Trained) -> None
     assert report == json.loads(json.dumps(tutorial.result.to_json()))
     extra = {"steps", "train_wall_s", "total_wall_s", "steps_per_second", "validated"}
     assert set(report) - set(tutorial.result.report.to_json()) == extra
+    (arrays,) = tutorial.out.glob("checkpoints/*/state.safetensors")
+    assert report["checkpoint"] == {
+        "steps": report["steps"],
+        "sha256": hashlib.sha256(arrays.read_bytes()).hexdigest(),
+    }
 
 
 def test_every_iteration_leaves_a_row(tutorial: Trained) -> None:
@@ -251,7 +257,7 @@ def test_an_existing_directory_is_refused_and_left_as_it_is(tmp_path: Path) -> N
     [
         ({"lanes": 10, "rollout_steps": 7, "minibatches": 4}, "10.*4 minibatches"),
         ({"reward": "spars"}, "Did you mean 'sparse'"),
-        ({"robot": "nowhere.xml"}, "robot file 'nowhere.xml' does not exist"),
+        ({"robot": "nowhere.xml"}, "robot file '.*nowhere.xml' does not exist"),
         ({"sim": "kinematik"}, "Did you mean 'kinematic'"),
         ({"tool": "hand"}, "hand"),
     ],

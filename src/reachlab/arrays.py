@@ -33,8 +33,8 @@ UNREADABLE = (OSError, SafetensorError, KeyError, TypeError, ValueError, Attribu
 Tree = TypeVar("Tree")
 
 
-def to_bytes(tree: object) -> bytes:
-    """A pytree of arrays and random keys, in the format of a file.
+def to_bytes(tree: object, metadata: dict[str, str] | None = None) -> bytes:
+    """A pytree of arrays and random keys, in the format of a file, with words about it.
 
     Raises:
         InputError: it is larger than `SIZE_LIMIT`.
@@ -42,7 +42,7 @@ def to_bytes(tree: object) -> bytes:
     arrays = {name: _plain(leaf) for name, leaf in _named_leaves(tree)}
     if (size := sum(array.nbytes for array in arrays.values())) > SIZE_LIMIT - HEADER_LIMIT:
         raise InputError(f"a state of {size:,} bytes is larger than {SIZE_LIMIT:,}: choose fewer lanes or less width.")
-    return safetensors.numpy.save(arrays)
+    return safetensors.numpy.save(arrays, metadata)
 
 
 def digest(file: Path, size: int) -> str:

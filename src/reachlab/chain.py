@@ -88,7 +88,14 @@ def _tool_body(model: mujoco.MjModel, tool: str) -> tuple[int, np.ndarray]:
         return int(model.site_bodyid[site]), _transform(model.site_pos[site], model.site_quat[site])
     body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, tool)
     if body < 0:
-        raise ValueError(f"tool {tool!r} is neither a site nor a body of the model")
+        named = (
+            [str(of(i).name) for i in range(n)] for of, n in ((model.site, model.nsite), (model.body, model.nbody))
+        )
+        sites, bodies = (", ".join(name for name in names if name not in ("", "world")) for names in named)
+        raise ValueError(
+            f"tool {tool!r} is neither a site nor a body of the model, which has the sites {sites or '(none)'} and the"
+            f" bodies {bodies or '(none)'}"
+        )
     return body, np.eye(4)
 
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import glob
 import hashlib
+import json
 import logging
 import os
 import re
@@ -14,12 +16,15 @@ from typing import Any, TypeVar
 
 from reachlab.checks import InputError
 from reachlab.config import RunConfig, difference, from_json, to_json
-from reachlab.lock import refuse_if_held
+from reachlab.lock import in_turn, refuse_if_held
 from reachlab.manifest import ARRAYS, FORMAT, MANIFEST, Counters, Manifest, read_manifest, seal
-from reachlab.storage import read_json, remove, sync, write_json, write_synced
+from reachlab.storage import read_json, remove, sync, write_json, write_synced, write_whole
 
 KEEP = 3
 """Newest checkpoints that are kept, unless said otherwise."""
+
+REPORT = "report"
+"""Name under which a file of episodes holds their report, as JSON in its metadata."""
 
 Tree = TypeVar("Tree")
 T = TypeVar("T")
@@ -47,23 +52,34 @@ class RunDirectory:
         Raises:
             InputError: it exists, or cannot be made.
         """
-        temporary = self.path.with_name(f".{self.path.name}.{os.getpid()}.tmp")
+        self.refuse_existing()
+        temporary = None
         try:
-            if self.path.exists() or self.path.is_symlink():
-                raise FileExistsError
+            temporary = self.path.with_name(f".{self.path.name}.{os.getpid()}.tmp")
             temporary.mkdir(parents=True)
             write_json(temporary / self.config_file.name, to_json(config))
             os.rename(temporary, self.path)  # noqa: PTH104 (see `storage`)
             sync(self.path.parent)
-        except FileExistsError:
-            refuse_if_held(self.path)
-            raise InputError(
-                f"run directory '{self.path}' exists and is not overwritten: name another with --out."
-            ) from None
+        except (OSError, ValueError) as error:  # a ValueError where the path has no name, as '.' in a removed folder
+            if temporary:
+                with contextlib.suppress(OSError):
+                    remove(temporary)
+            why = error.strerror if isinstance(error, OSError) else error
+            raise InputError(f"run directory '{self.path}' cannot be made: {why}.") from None
+
+    def refuse_existing(self) -> None:
+        """Refuse a path at which something is.
+
+        Raises:
+            InputError: something is there, or that cannot be found out.
+        """
+        try:
+            taken = self.path.exists() or self.path.is_symlink()
         except OSError as error:
-            with contextlib.suppress(OSError):
-                remove(temporary)
             raise InputError(f"run directory '{self.path}' cannot be made: {error.strerror}.") from None
+        if taken:
+            refuse_if_held(self.path)
+            raise InputError(f"run directory '{self.path}' exists and is not overwritten: name another with --out.")
 
     def read_config(self) -> RunConfig:
         """The run's configuration.
@@ -151,9 +167,16 @@ class RunDirectory:
         Raises:
             InputError: no checkpoint, none that is whole, or one of another shape.
         """
-        if step is not None:
-            return self._load(self._checkpoint(step), part, template)
-        return self._newest(lambda folder: self._load(folder, part, template))
+        return self.read_identified(part, template, step)[1]
+
+    def read_identified(self, part: str, template: Tree, step: int | None = None) -> tuple[dict[str, Any], Tree]:
+        """A checkpoint's identity, see `Manifest.identity`, and its part; see `read_checkpoint`."""
+
+        def load(folder: Path) -> tuple[dict[str, Any], Tree]:
+            loaded = self._load(folder, part, template)
+            return read_manifest(folder).identity, loaded
+
+        return self._newest(load) if step is None else load(self._checkpoint(step))
 
     def read_state(self, template: Tree) -> tuple[Counters, Tree]:
         """Counters and whole state of the newest usable checkpoint; see `read_checkpoint`."""
@@ -268,7 +291,9 @@ class RunDirectory:
     def write_report(self, name: str, report: Mapping[str, Any], episodes: Mapping[str, Any]) -> None:
         """Save a report among the run's later ones, and arrays `[N, ...]` with a row for each of its episodes.
 
-        Earlier ones of the same name are replaced.
+        Earlier ones of the same name are replaced. Each file is whole at every moment, and whoever writes a name later
+        replaces both files of it. The file of the episodes holds the report that they belong to as well, so that who
+        reads it alone never mixes two evaluations.
 
         Raises:
             InputError: they cannot be written.
@@ -277,8 +302,12 @@ class RunDirectory:
 
         try:
             self.reports.mkdir(exist_ok=True)
-            write_json(self.reports / f"{name}.json", report)
-            write_synced(self.reports / f"{name}.safetensors", to_bytes(dict(episodes)))
+            with in_turn(self.reports):
+                for left in self.reports.glob(f".{glob.escape(name)}.*.tmp"):  # of a writer that was killed
+                    remove(left)
+                rows = to_bytes(dict(episodes), {REPORT: json.dumps(report)})
+                write_whole(self.reports / f"{name}.safetensors", rows)
+                write_json(self.reports / f"{name}.json", report)
         except OSError as error:
             raise InputError(f"report '{self.reports / name}.json' cannot be written: {error.strerror}.") from None
 

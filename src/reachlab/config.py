@@ -11,6 +11,7 @@ import dataclasses
 import typing
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Annotated, Any, ClassVar, TypeVar
 
 from reachlab.checks import (
@@ -35,14 +36,15 @@ from reachlab.checks import (
 class TaskConfig(Checked):
     """The rules of the reach task."""
 
-    tool: str = "link_7"
-    """Tool frame: a site or body of the robot whose position has to reach the target."""
+    tool: str | None = None
+    """Tool frame: a site or body of the robot whose position has to reach the target; by default the robot's own."""
     observation: str = "target+tool"
     """What the policy observes; see `reachlab list`."""
     action: str = "tool_delta"
     """What the policy commands; see `reachlab list`."""
     reward: str = "dense"
-    """Reward; see `reachlab list`."""
+    """Reward; see `reachlab list`. With `hold_steps`, `sparse` and `dense` pay for every step at which the target is
+    held, not once."""
     clip_actions: bool = True
     """Clip actions to their box. The tutorial's own code does not."""
     tool_scale: Positive = 0.005
@@ -188,6 +190,17 @@ class RunConfig(Checked):
     physics: SimConfig = field(default_factory=SimConfig)
     ppo: PPOConfig = field(default_factory=PPOConfig)
 
+    def __post_init__(self) -> None:
+        """Check every field, and remember a robot's file so that it is found from any folder."""
+        super().__post_init__()
+        if is_robot_file(self.robot):
+            object.__setattr__(self, "robot", str(Path(self.robot).absolute()))
+
+
+def is_robot_file(robot: str) -> bool:
+    """Whether a robot is named by the path of its model file, rather than by its name in the table."""
+    return Path(robot).suffix in (".xml", ".urdf")
+
 
 @dataclass(frozen=True)
 class DistilConfig(Checked):
@@ -324,11 +337,14 @@ PICTURED = ("image", "image+tool")
 
 
 def in_simulator(config: Config, sim: str) -> Config:
-    """A configuration in another simulator, with that one's defaults."""
+    """A configuration in another simulator, with that one's defaults; a control period of one's own is kept."""
     if sim == config.sim:
         return config
-    defaults = {"control_period": TASKS[config.task].physics.control_period} | SIM_DEFAULTS.get(sim, {})
-    return override(config, sim=sim, **defaults)
+    usual = {"control_period": TASKS[config.task].physics.control_period}
+    here, there = (usual | SIM_DEFAULTS.get(name, {}) for name in (config.sim, sim))
+    if config.physics.control_period != here["control_period"]:
+        there["control_period"] = config.physics.control_period
+    return override(config, sim=sim, **there)
 
 
 def preset(

@@ -184,7 +184,7 @@ def read_evaluations(group: Group) -> list[Evaluation]:
     parts: dict[tuple[str, str, str], list[dict[str, np.ndarray]]] = {}
     for run in group.runs:
         for file in sorted((run / "reports").glob("*.safetensors")):
-            report = _read_json(file.with_suffix(".json"))
+            report = _read_report(file) or _read_json(file.with_suffix(".json"))
             condition = "".join(words for name, words in CONDITIONS.items() if report.get(name))
             parts.setdefault((report["sim"], report["agent"], condition), []).append(_read_episodes(file))
     order = sorted(parts, key=lambda names: (names[1] != "trained", names[2], names[0] != own, names))
@@ -205,6 +205,17 @@ def _join(sim: str, agent: str, condition: str, parts: Sequence[dict[str, np.nda
 
 FIELDS = ("target", "distance", "success")
 """Arrays that an evaluation keeps of its episodes."""
+
+
+def _read_report(file: Path) -> dict[str, Any] | None:
+    """The report that a file of episodes holds itself: of the same evaluation, whoever writes meanwhile."""
+    from safetensors import SafetensorError, safe_open
+
+    try:
+        with safe_open(file, framework="numpy") as opened:
+            return dict(json.loads((opened.metadata() or {})["report"]))
+    except (OSError, SafetensorError, KeyError, ValueError, TypeError):
+        return None
 
 
 def _read_episodes(file: Path) -> dict[str, np.ndarray]:

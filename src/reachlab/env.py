@@ -21,6 +21,7 @@ from reachlab.robots import load_robot
 from reachlab.sims import SIMULATORS, ArmState, Lanes, make_simulator
 from reachlab.streams import PARTS, VIEW_STREAM, noise_keys
 from reachlab.task import Reach, Situation, make_reach
+from reachlab.threads import first_process
 from reachlab.views import CHANCES, SIZE, develop, make_views
 
 POSITION_NOISE, SPEED_NOISE = 0.0005, 0.01
@@ -100,6 +101,7 @@ class Env:
             InputError: a name in the configuration that does not exist.
         """
         dispatch_inline()
+        first_process()  # JAX starts in this one
         self.config = config
         self.batch_size = batch_size
         robot = load_robot(config.robot, config.rules.tool)

@@ -146,6 +146,7 @@ class Report:
 
     Attributes:
         task, robot, sim, agent, seed, episodes: what was evaluated, on which seed's held-out targets.
+        checkpoint: of the trained policy, `steps` and `sha256` of its file; None for the others, or without a file.
         perturb: whether every episode had a perturbed arm of its own, see `SimConfig.perturb`.
         perturb_view: whether every episode was seen in a view of its own, see `SimConfig.randomise_view`.
         success_rate: share of episodes that ended in success.
@@ -168,6 +169,7 @@ class Report:
     agent: str
     seed: int
     episodes: int
+    checkpoint: dict[str, Any] | None
     perturb: bool
     perturb_view: bool
     success_rate: float
@@ -318,9 +320,10 @@ def evaluate(
     seed: int,
     episodes: int,
     runner: Runner | None = None,
+    checkpoint: dict[str, Any] | None = None,
 ) -> Report:
     """Report of an agent on held-out targets; see `examine`."""
-    return examine(env, agent, policy, seed=seed, episodes=episodes, runner=runner)[0]
+    return examine(env, agent, policy, seed=seed, episodes=episodes, runner=runner, checkpoint=checkpoint)[0]
 
 
 def examine(
@@ -332,6 +335,7 @@ def examine(
     episodes: int,
     runner: Runner | None = None,
     watch: Watch = ignore,
+    checkpoint: dict[str, Any] | None = None,
 ) -> tuple[Report, Episodes]:
     """Report of an agent on held-out targets, and the episodes that it sums up.
 
@@ -343,6 +347,7 @@ def examine(
         episodes: how many.
         runner: of `make_runner`, if there is one already compiled.
         watch: called with the number of episodes that have ended, now and then.
+        checkpoint: what names the policy in the report, see `Manifest.identity`.
 
     Raises:
         InputError: no episodes, no such agent, or agent `trained` without a policy.
@@ -351,10 +356,12 @@ def examine(
         raise InputError(f"episodes must be at least 1, got {episodes}.")
     start = time.perf_counter()
     result = run_episodes(runner or make_runner(env, agent), policy, seed, REPORT_STREAM, episodes, watch=watch)
-    return summarise(env, agent, result, seed, time.perf_counter() - start), result
+    return summarise(env, agent, result, seed, time.perf_counter() - start, checkpoint), result
 
 
-def summarise(env: Env, agent: str, result: Episodes, seed: int, wall_s: float) -> Report:
+def summarise(
+    env: Env, agent: str, result: Episodes, seed: int, wall_s: float, checkpoint: dict[str, Any] | None = None
+) -> Report:
     """Report of finished episodes."""
     count, successes = len(result.done), int(result.success.sum())
     error = np.asarray(result.distance, np.float64) * 1000
@@ -367,6 +374,7 @@ def summarise(env: Env, agent: str, result: Episodes, seed: int, wall_s: float) 
         agent=agent,
         seed=seed,
         episodes=count,
+        checkpoint=checkpoint if AGENTS[agent] is _trained else None,
         perturb=env.config.physics.perturb,
         perturb_view=env.config.physics.randomise_view,
         success_rate=successes / count,

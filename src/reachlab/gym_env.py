@@ -19,6 +19,8 @@ from reachlab.checks import InputError, choose
 from reachlab.config import RunConfig, configure
 from reachlab.env import Env, EnvState, Transition, merge
 from reachlab.streams import gymnasium_keys
+from reachlab.threads import refuse_fork
+from reachlab.validation import check
 
 LARGEST_SEED = 2**32
 """Seeds are taken modulo this."""
@@ -41,7 +43,7 @@ class ReachEnv(gymnasium.Env[Any, np.ndarray]):
             InputError: a task, setting or render mode that does not exist, or a value that is not allowed.
         """
         self.render_mode = _checked_render_mode(render_mode)
-        self._lanes = _Lanes(configure(task, **settings), 1)
+        self._lanes = _Lanes(_checked(configure(task, **settings)), 1)
         self.observation_space = _space(self._lanes.env.observation_bounds)
         self.action_space = _space(self._lanes.env.action_bounds)
 
@@ -103,7 +105,7 @@ class ReachVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         self.render_mode = _checked_render_mode(render_mode)
         self.metadata = {**ReachEnv.metadata, "autoreset_mode": self._mode}
         self.num_envs = num_envs
-        self._lanes = _Lanes(configure(task, **settings), num_envs)
+        self._lanes = _Lanes(_checked(configure(task, **settings)), num_envs)
         self.single_observation_space = _space(self._lanes.env.observation_bounds)
         self.single_action_space = _space(self._lanes.env.action_bounds)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -191,6 +193,7 @@ class _Lanes:
 
     def reset(self, seeds: Sequence[int | None], mask: np.ndarray | None, random: np.random.Generator) -> None:
         """New episodes in the lanes of `mask`: seeded, or the next of the lane's own stream."""
+        refuse_fork()
         fresh = [seed is not None or self._state is None for seed in seeds]
         drawn = [int(random.integers(LARGEST_SEED)) if seed is None else seed % LARGEST_SEED for seed in seeds]
         keys = gymnasium_keys(np.array(drawn, np.uint32))
@@ -207,6 +210,7 @@ class _Lanes:
 
     def step(self, actions: ArrayLike) -> Transition:
         """Transition of all lanes, checked first."""
+        refuse_fork()
         state = self.state
         self._state, done = self._step(state, _checked_actions(actions, state.last_action.shape))
         return done
@@ -260,6 +264,12 @@ def _checked_actions(given: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
         lane, index = (int(i) for i in np.argwhere(~np.isfinite(actions))[0])
         raise InputError(f"action of lane {lane} is {actions[lane, index]} at index {index}: it must be finite.")
     return actions
+
+
+def _checked(config: RunConfig) -> RunConfig:
+    """The settings, which make sense together; see `validation.check`."""
+    check(config)
+    return config
 
 
 def _checked_render_mode(mode: str | None) -> str | None:

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from reachlab.checks import InputError
-from reachlab.storage import open_plain
+from reachlab.storage import MODE, open_plain
 
 NAME = ".lock"
 """File in the run directory that is locked; it holds the process of whoever locked it last."""
@@ -31,6 +31,21 @@ def locked(folder: Path) -> Iterator[None]:
         raise InputError(f"run directory '{folder}' cannot be locked: {_reason(error)}.") from None
     try:
         _acquire(descriptor, folder)
+        yield
+    finally:
+        os.close(descriptor)
+
+
+@contextmanager
+def in_turn(folder: Path) -> Iterator[None]:
+    """Hold a folder for this thread, after whoever holds it now.
+
+    Raises:
+        OSError: it cannot be locked.
+    """
+    descriptor = os.open(folder / NAME, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, MODE)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
         yield
     finally:
         os.close(descriptor)

@@ -59,6 +59,11 @@ class Manifest(Checked):
     sha256: dict[str, str]
 
     @property
+    def identity(self) -> dict[str, Any]:
+        """What names the checkpoint in a report: its environment steps and the SHA-256 of its arrays."""
+        return {"steps": Counters(**self.counters).steps, "sha256": self.sha256[ARRAYS]}
+
+    @property
     def rank(self) -> tuple[bool, float]:
         """Order of checkpoints from worse to better: a validation counts for more than training episodes."""
         counters = Counters(**self.counters)

@@ -14,6 +14,7 @@ import numpy as np
 
 from reachlab.chain import Chain, chain_from_model
 from reachlab.checks import InputError, choose
+from reachlab.config import is_robot_file
 from reachlab.kinematics import forward_kinematics
 
 ASSETS = Path(__file__).parent / "assets"
@@ -92,7 +93,7 @@ def load_robot(name: str, tool: str | None = None) -> Robot:
 
     Args:
         name: name in `ROBOTS` or path of a file.
-        tool: site or body; by default the robot's first tool frame, or the last body of the file.
+        tool: site or body; by default the robot's first tool frame, or of a file its only site, else its last body.
 
     Raises:
         InputError: unknown name or tool, missing or broken file, or an arm without hinge and slide joints.
@@ -103,13 +104,13 @@ def load_robot(name: str, tool: str | None = None) -> Robot:
 @functools.cache
 def _load(name: str, tool: str | None) -> Robot:
     known = ROBOTS.get(name)
-    if known is None and Path(name).suffix not in (".xml", ".urdf"):
+    if known is None and not is_robot_file(name):
         choose("robot", name, [*ROBOTS, "a path to an .xml or .urdf file"])
     file = known.file if known else Path(name)
     model = _compile(file)
-    if not tool and not known and not model.body(model.nbody - 1).name:
+    tool = tool or (known.tools[0] if known else _own_tool(model))
+    if not tool:
         raise InputError(f"robot file {str(file)!r} does not name its last body: say which site or body is the --tool.")
-    tool = tool or (known.tools[0] if known else str(model.body(model.nbody - 1).name))
     try:
         chain = chain_from_model(model, tool)
     except ValueError as error:
@@ -128,13 +129,21 @@ def _load(name: str, tool: str | None) -> Robot:
     )
 
 
+def _own_tool(model: mujoco.MjModel) -> str:
+    """The only site of a model, else its last body; empty where that has no name."""
+    return str(model.site(0).name if model.nsite == 1 else "") or str(model.body(model.nbody - 1).name)
+
+
 def _compile(file: Path) -> mujoco.MjModel:
     if not file.is_file():
-        raise InputError(f"robot file {str(file)!r} does not exist.")
+        raise InputError(f"robot file {str(file)!r} does not exist: put it there, or train with another --robot.")
     try:
         return mujoco.MjSpec.from_file(str(file)).compile()
     except ValueError as error:
-        raise InputError(f"robot file {str(file)!r} does not compile: {' '.join(str(error).split())}") from None
+        why = " ".join(str(error).split())
+        if "package:" in why:
+            why += ": meshes named as package:// are not found yet; name them relative to the file"
+        raise InputError(f"robot file {str(file)!r} does not compile: {why.rstrip('.')}.") from None
 
 
 def _home(model: mujoco.MjModel, chain: Chain) -> tuple[float, ...]:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
+import secrets
 import stat
 from pathlib import Path
 from typing import Any, NoReturn
@@ -23,9 +25,23 @@ def write_json(path: Path, data: object) -> None:
     Raises:
         OSError: it cannot be written; the old file is as it was.
     """
-    temporary = path.with_name(f".{path.name}.tmp")
-    write_synced(temporary, (json.dumps(data, indent=2) + "\n").encode())
-    os.rename(temporary, path)  # noqa: PTH104 (every step of a save is a call of `os`, which tests interrupt)
+    write_whole(path, (json.dumps(data, indent=2) + "\n").encode())
+
+
+def write_whole(path: Path, data: bytes) -> None:
+    """Write a file so that it is the old one or the new one, never half of it, however many write it at once.
+
+    Raises:
+        OSError: it cannot be written; the old file is as it was.
+    """
+    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
+    try:
+        write_synced(temporary, data)
+        os.rename(temporary, path)  # noqa: PTH104 (every step of a save is a call of `os`, which tests interrupt)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            os.unlink(temporary)  # noqa: PTH108
+        raise
     sync(path.parent)
 
 

@@ -391,7 +391,10 @@ def command(reach: Reach, now: Situation, action: Array) -> Array:
 
 
 def _sparse(config: TaskConfig, outcome: Outcome) -> dict[str, Array]:
-    """1 for reaching the target, -0.1 for leaving the workspace or running out of time: the tutorial's."""
+    """1 for reaching the target, -0.1 for leaving the workspace or running out of time: the tutorial's.
+
+    Where the target has to be held, 1 for every step at which it is, and -0.1 for running out of time nevertheless.
+    """
     del config
     return {
         "reach": SUCCESS_REWARD * outcome.success,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 from pathlib import Path
 
@@ -48,6 +49,28 @@ def threads() -> int:
     except OSError:
         names = []  # not Linux
     return names.count(WORKER) or int(os.environ.get(VARIABLE) or os.cpu_count() or 1)
+
+
+@functools.cache
+def first_process() -> int:
+    """Number of the process in which this was first asked for; forks of it are told the same."""
+    return os.getpid()
+
+
+def refuse_fork() -> None:
+    """Refuse to compute in a fork of the process in which JAX was started: it would wait for ever.
+
+    A fork takes over JAX's state, but not the threads that do its work.
+
+    Raises:
+        InputError: this is such a process.
+    """
+    if first_process() != os.getpid():
+        raise InputError(
+            "JAX cannot compute in this process, a fork of one that uses it: start it with the context 'spawn' or"
+            " 'forkserver' (in gymnasium.make_vec: vector_kwargs={'context': 'spawn'}), or let one process step all"
+            " environments with vectorization_mode='vector_entry_point', which is faster."
+        )
 
 
 def _started() -> bool:

@@ -24,6 +24,7 @@ from reachlab.metrics import Metrics, cut_metrics, event_writer
 from reachlab.policy import Policy
 from reachlab.storage import write_json
 from reachlab.threads import set_threads
+from reachlab.validation import check, check_reach
 
 
 @dataclass(frozen=True)
@@ -60,8 +61,29 @@ def load_policy(run: RunDirectory, config: RunConfig, env: Env, step: int | None
     Raises:
         InputError: see `RunDirectory.read_checkpoint`.
     """
-    template = jax.eval_shape(lambda key: make_initial_policy(config, env, key), jax.random.key(0))
-    return run.read_checkpoint("learner/policy", template, step)
+    return run.read_checkpoint("learner/policy", _policy_template(config, env), step)
+
+
+@dataclass(frozen=True)
+class Saved:
+    """A policy, and the identity of the checkpoint that it is from, see `Manifest.identity`."""
+
+    policy: Policy
+    checkpoint: dict[str, Any]
+
+
+def load_saved(run: RunDirectory, config: RunConfig, env: Env) -> Saved:
+    """Policy of a run's newest checkpoint, with that one's identity; it acts in every simulator.
+
+    Raises:
+        InputError: see `RunDirectory.read_checkpoint`.
+    """
+    checkpoint, policy = run.read_identified("learner/policy", _policy_template(config, env))
+    return Saved(policy, checkpoint)
+
+
+def _policy_template(config: RunConfig, env: Env) -> Policy:
+    return jax.eval_shape(lambda key: make_initial_policy(config, env, key), jax.random.key(0))
 
 
 def train(
@@ -132,13 +154,18 @@ def run_method(
 ) -> TrainResult:
     """Result of learning by a method; see `train`."""
     start = time.perf_counter()
-    _check(config)
+    inherited = resume or isinstance(config, DistilRunConfig)
+    check(config, config if inherited else None)
     if tensorboard:
         event_writer()
     run = RunDirectory(out)
     if resume:
         _check_unfinished(run, config)
+    else:
+        run.refuse_existing()
     _choose_threads(run, config)
+    if not resume:
+        check_reach(config)
     env = Env(override(config, perturb=True) if config.ppo.randomise else config, config.ppo.lanes)
     try:
         env.open_eyes()
@@ -148,14 +175,6 @@ def run_method(
             return _train(Loop(config, env, run, watch, start, method), resume=resume, tensorboard=tensorboard)
     finally:
         env.close()
-
-
-def _check(config: RunConfig) -> None:
-    settings = config.ppo
-    if settings.lanes % settings.minibatches:
-        raise InputError(
-            f"{settings.lanes} lanes cannot be divided among {settings.minibatches} minibatches: choose a divisor."
-        )
 
 
 def _check_unfinished(run: RunDirectory, config: RunConfig) -> None:
@@ -198,11 +217,16 @@ def _train(loop: Loop, *, resume: bool, tensorboard: bool) -> TrainResult:
 def _report(loop: Loop, policy: Policy) -> Report:
     """Report on held-out targets, on arms and in the view as they are even where training had others."""
     config = override(loop.config, randomise_view=False)
-    seed, episodes = config.seed, config.ppo.report_episodes
+    newest = loop.run.newest_manifest()
+    asked: dict[str, Any] = {
+        "seed": config.seed,
+        "episodes": config.ppo.report_episodes,
+        "checkpoint": newest.identity if newest else None,
+    }
     if loop.env.config == config:
-        return evaluate(loop.env, "trained", policy, seed=seed, episodes=episodes, runner=loop.runner)
+        return evaluate(loop.env, "trained", policy, **asked, runner=loop.runner)
     env = Env(config, loop.env.batch_size)
     try:
-        return evaluate(env, "trained", policy, seed=seed, episodes=episodes)
+        return evaluate(env, "trained", policy, **asked)
     finally:
         env.close()

@@ -22,6 +22,7 @@ from reachlab.names import AGENTS
 if TYPE_CHECKING:
     from reachlab.checkpoint import RunDirectory
     from reachlab.displays import EvalDisplay
+    from reachlab.training import Saved
 
 EVALUATION_LANES = {"pybullet": 8}
 """Lanes of an evaluation where they are dear."""
@@ -135,6 +136,7 @@ def evaluate(arguments: Eval) -> None:
     reports: list[dict[str, Any]] = []
     failed: list[str] = []
     unsaved: list[str] = []
+    loaded: list[Saved] = []
     try:
         with EvalDisplay(arguments.episodes) as display:
             if several:  # known before minutes are spent on the others
@@ -143,7 +145,7 @@ def evaluate(arguments: Eval) -> None:
                 if name in failed:
                     continue
                 try:
-                    for report, warning in _evaluated(arguments, run, configs[name], display):
+                    for report, warning in _evaluated(arguments, run, configs[name], loaded, display):
                         reports.append(report)
                         unsaved += warning
                 except (InputError, FloatingPointError) as error:
@@ -165,13 +167,10 @@ def _evaluated_config(arguments: Eval, trained: RunConfig, name: str) -> RunConf
     Raises:
         InputError: there is no such simulator, or a flag is not for it.
     """
-    from reachlab.sims import SIMULATORS
+    from reachlab.validation import in_evaluation
 
-    config = in_simulator(trained, choose("simulator", name, [*SIMULATORS, "all"]))
-    if (arguments.gui or arguments.slow) and name != "pybullet":
-        raise InputError(f"--gui and --slow are PyBullet's, and the simulator is {name!r}: add --sim pybullet.")
-    config = override(config, gui=arguments.gui, slow=arguments.slow, perturb=arguments.perturb)
-    return override(config, randomise_view=arguments.perturb_view)
+    physics = {"gui": arguments.gui, "slow": arguments.slow, "perturb": arguments.perturb}
+    return in_evaluation(trained, name, **physics, randomise_view=arguments.perturb_view)
 
 
 def _can_be_used(config: RunConfig) -> bool:
@@ -188,21 +187,28 @@ def _can_be_used(config: RunConfig) -> bool:
 
 
 def _evaluated(
-    arguments: Eval, run: RunDirectory, config: RunConfig, display: EvalDisplay
+    arguments: Eval, run: RunDirectory, config: RunConfig, loaded: list[Saved], display: EvalDisplay
 ) -> Iterator[tuple[dict[str, Any], list[str]]]:
-    """Report of each agent in one simulator, and why it was not saved if it was not."""
+    """Report of each agent in one simulator, and why it was not saved if it was not.
+
+    What is `loaded` is used: one checkpoint for all simulators, though a training may write newer ones meanwhile.
+    """
     from reachlab.env import Env
     from reachlab.evaluation import LANES, examine
-    from reachlab.training import load_policy
+    from reachlab.training import load_saved
 
     name = config.sim
     env = Env(config, 1 if arguments.gui else min(arguments.episodes, EVALUATION_LANES.get(name, LANES)))
     try:
-        policy = load_policy(run, config, env)
+        if not loaded:
+            loaded.append(load_saved(run, config, env))
+        policy, checkpoint = loaded[0].policy, loaded[0].checkpoint
         for agent in arguments.agent:
             display.begin(agent, name)
             seed, episodes = arguments.seed, arguments.episodes
-            result, played = examine(env, agent, policy, seed=seed, episodes=episodes, watch=display)
+            result, played = examine(
+                env, agent, policy, seed=seed, episodes=episodes, watch=display, checkpoint=checkpoint
+            )
             report = result.to_json()
             rows = {"target": played.target, "distance": played.distance, "success": played.success}
             kind = "-perturbed" * arguments.perturb + "-views" * arguments.perturb_view

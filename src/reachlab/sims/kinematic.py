@@ -18,8 +18,7 @@ class KinematicSimulator(Drawn):
 
     def __init__(self, robot: Robot, config: SimConfig, batch_size: int) -> None:
         """Simulator of `batch_size` arms; its functions take any batch."""
-        super().__init__(robot)
-        del batch_size
+        super().__init__(robot, config, batch_size)
         self._robot = robot
         self._period = config.control_period
         self.lag = (0.0,) * robot.chain.n

@@ -40,7 +40,7 @@ class MujocoSimulator(Drawn):
 
     def __init__(self, robot: Robot, config: SimConfig, batch_size: int, threads: int = 0) -> None:
         """Simulator of `batch_size` arms on `threads` threads, 0 for one a core; results do not depend on them."""
-        super().__init__(robot)
+        super().__init__(robot, config, batch_size, threads)
         self._model = physics_model(robot, config)
         self._substeps = config.physics_steps
         self._batch = Batch(self._model, nsim=batch_size, nthread=threads)
@@ -146,7 +146,7 @@ def physics_model(robot: Robot, config: SimConfig) -> mujoco.MjModel:
     """Compiled model of a robot with the options of a configuration.
 
     Raises:
-        InputError: the robot file has other actuators than one position servo for each joint.
+        InputError: the robot file does not compile with these options.
     """
     spec = mujoco.MjSpec.from_file(str(robot.file))
     spec.option.timestep = config.control_period / config.physics_steps
@@ -161,15 +161,20 @@ def physics_model(robot: Robot, config: SimConfig) -> mujoco.MjModel:
         for body in spec.bodies:
             body.gravcomp = 1.0
     if config.perturb:
+        spec.compiler.fusestatic = False  # of a URDF MuJoCo makes one body of those that are fixed to each other
         _add_payload(spec, robot.tool)
     if not spec.actuators:
-        names = [spec.joints[joint].name for joint in robot.chain.joints]
-        for name, torque in zip(names, robot.torque, strict=True):
+        for number, torque in zip(robot.chain.joints, robot.torque, strict=True):
+            joint = spec.joints[number]
+            name = joint.name = joint.name or f"reachlab_joint_{number}"
             servo = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
             servo.set_to_position(kp=SERVO_STIFFNESS, kv=SERVO_DAMPING)
             if np.isfinite(torque):
                 servo.forcerange = [-torque, torque]
-    return spec.compile()
+    try:
+        return spec.compile()
+    except ValueError as error:
+        raise InputError(f"robot {robot.name!r} does not compile in MuJoCo: {' '.join(str(error).split())}.") from None
 
 
 def _lag(model: mujoco.MjModel, servos: np.ndarray, joints: np.ndarray) -> tuple[float, ...]:

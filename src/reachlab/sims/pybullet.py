@@ -11,7 +11,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from types import ModuleType
-from typing import Any, cast
+from typing import Any, NoReturn, cast
 
 import jax
 import numpy as np
@@ -92,6 +92,22 @@ class PybulletSimulator:
             for lane in range(batch_size)
         ]
 
+    def __deepcopy__(self, memo: dict[int, Any]) -> NoReturn:
+        """Refuse to be copied: the falling objects are in PyBullet alone."""
+        del memo
+        raise InputError("an environment in 'pybullet' cannot be copied: make another, or choose another simulator.")
+
+    @property
+    def _lanes(self) -> list[_World]:
+        """The clients of all lanes.
+
+        Raises:
+            InputError: they are closed.
+        """
+        if not self._worlds:
+            raise InputError("the environment is closed: make another.")
+        return self._worlds
+
     def reset(
         self, state: ArmState | None, q: Lanes, target: Lanes, mask: Lanes | None, chance: Lanes | None = None
     ) -> ArmState:
@@ -100,8 +116,8 @@ class PybulletSimulator:
         wanted, points = np.asarray(q, np.float32), np.asarray(target, np.float64)
         lanes = np.ones(len(wanted), bool) if state is None or mask is None else np.asarray(mask)
         for lane in np.flatnonzero(lanes):
-            self._worlds[lane].drop(points[lane])
-            self._worlds[lane].set_joints(wanted[lane])
+            self._lanes[lane].drop(points[lane])
+            self._lanes[lane].set_joints(wanted[lane])
         now = self._arm(wanted, np.zeros_like(wanted))
         if state is None:
             return now
@@ -110,11 +126,11 @@ class PybulletSimulator:
     def step(self, state: ArmState, target_q: Lanes) -> ArmState:
         """See `Simulator.step`."""
         start = time.perf_counter()
-        for world in self._worlds:
+        for world in self._lanes:
             world.step()
         # Only now are the commands waited for: they may have been under way beside the falling objects.
         q = np.asarray(target_q, np.float32)
-        for world, joints in zip(self._worlds, q, strict=True):
+        for world, joints in zip(self._lanes, q, strict=True):
             world.set_joints(joints)
         if self._pace:
             time.sleep(max(0.0, self._pace - (time.perf_counter() - start)))
@@ -122,7 +138,7 @@ class PybulletSimulator:
 
     def _arm(self, q: np.ndarray, qd: np.ndarray) -> ArmState:
         """State of NumPy rows: what is compiled takes them in faster than JAX would convert them here."""
-        positions, quaternions = zip(*(world.link() for world in self._worlds), strict=True)
+        positions, quaternions = zip(*(world.link() for world in self._lanes), strict=True)
         position, quaternion = np.array(positions, np.float32), np.array(quaternions, np.float32)[:, [3, 0, 1, 2]]
         if self._offset:
             w, x, y, z = quaternion.T
@@ -132,7 +148,7 @@ class PybulletSimulator:
     def render(self, state: ArmState, target: Array, lane: int) -> np.ndarray:
         """See `Simulator.render`."""
         del target
-        world = self._worlds[lane]
+        world = self._lanes[lane]
         world.set_joints(np.asarray(state.q[lane]))
         return world.picture()
 
@@ -141,8 +157,8 @@ class PybulletSimulator:
         del target
         out = np.empty((len(q), SIZE, SIZE), np.uint8)
         for i, lane in enumerate(lanes):
-            self._worlds[lane].set_joints(q[i])
-            out[i] = self._worlds[lane].seen(Views(*(x[i] for x in views)))
+            self._lanes[lane].set_joints(q[i])
+            out[i] = self._lanes[lane].seen(Views(*(x[i] for x in views)))
         return out
 
     def close(self) -> None:

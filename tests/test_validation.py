@@ -1,0 +1,278 @@
+"""Settings that make no sense together are told before any time is spent."""
+
+from __future__ import annotations
+
+import itertools
+import logging
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from reachlab import cli, training
+from reachlab.checkpoint import RunDirectory
+from reachlab.checks import InputError
+from reachlab.config import TASKS, RunConfig, configure, in_simulator
+from reachlab.env import Env
+from reachlab.gym_env import ReachEnv
+from reachlab.reachability import survey
+from reachlab.robots import load_robot
+from reachlab.sims import SIMULATORS
+from reachlab.streams import lane_keys
+from reachlab.task import OBSERVATIONS, REWARDS, make_reach
+from reachlab.validation import NEEDS, check, check_reach, in_evaluation
+
+ARM = """
+<mujoco>
+  <worldbody>
+    <body name="upper" pos="0 0 0.5">
+      <joint axis="0 0 1" range="-90 90"/><geom size="0.02"/>
+      <body name="lower" pos="0.4 0 0"><joint axis="0 1 0" range="-60 60"/><geom size="0.02"/>
+        <body name="hand" pos="0.3 0 0"><geom size="0.02"/></body>
+      </body>
+    </body>
+  </worldbody>
+</mujoco>"""
+
+URDF = """
+<robot name="two">
+  <link name="base"/><link name="arm"><inertial><mass value="1"/>
+    <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="fore"><inertial><mass value="1"/>
+    <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="turn" type="revolute"><parent link="base"/><child link="arm"/><origin xyz="0 0 0.3"/>
+    <axis xyz="0 0 1"/><limit lower="-1" upper="2" effort="50" velocity="3"/></joint>
+  <joint name="bend" type="revolute"><parent link="arm"/><child link="fore"/><origin xyz="0.4 0 0"/>
+    <axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="50" velocity="3"/></joint>
+</robot>"""
+
+
+def said(caplog: pytest.LogCaptureFixture) -> list[str]:
+    return [record.getMessage() for record in caplog.records if record.name == "reachlab.validation"]
+
+
+# --- settings -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_presets_trouble_nobody_whatever_is_chosen_with_them(task: str, caplog: pytest.LogCaptureFixture) -> None:
+    for sim, observation, reward in itertools.product(SIMULATORS, OBSERVATIONS, REWARDS):
+        check(configure(task, sim=sim, observation=observation, reward=reward))
+    for sim in SIMULATORS:
+        check(in_simulator(configure(task), sim))
+        in_evaluation(configure(task), sim)
+    check_reach(configure(task))
+    assert said(caplog) == []
+
+
+WITHOUT_EFFECT: list[tuple[dict[str, Any], str]] = [
+    ({"joint_scale": 0.1}, "joint_scale has an effect only with an action of the joints, as joint_delta"),
+    ({"action": "joint_delta", "tool_scale": 0.1}, "tool_scale has an effect only with action tool_delta"),
+    ({"targets": "box", "target_height": 0.1}, "target_height has an effect only with targets table"),
+    ({"target_low": (0.4, 0.0, 0.2)}, "target_low has an effect only with targets box"),
+    ({"target_high": (0.4, 0.0, 0.2)}, "target_high has an effect only with targets box"),
+    ({"hold_speed": 0.1}, "hold_speed has an effect only with hold_steps above 0 or reward precise"),
+    ({"reward": "sparse", "approach_weight": 1.0}, "approach_weight has an effect only with reward dense or precise"),
+    ({"closeness_weight": 1.0}, "closeness_weight has an effect only with reward precise"),
+    ({"closeness_scale": 1.0}, "closeness_scale has an effect only with reward precise"),
+    ({"effort_weight": 1.0}, "effort_weight has an effect only with reward precise"),
+    ({"physics_steps": 2}, "physics_steps has an effect only with sim mujoco"),
+    ({"collisions": True}, "collisions has an effect only with sim mujoco"),
+    ({"gravity_compensation": True, "sim": "pybullet"}, "gravity_compensation has an effect only with sim mujoco"),
+    ({"gui": True}, "gui has an effect only with sim pybullet"),
+    ({"slow": True, "sim": "mujoco"}, "slow has an effect only with sim pybullet"),
+    ({"randomise_view": True}, "randomise_view has an effect only with an observation with a picture"),
+    ({"randomise": True, "perturb": True, "sim": "mujoco"}, "randomise has an effect only with arms that are not"),
+]
+
+CONTRADICTIONS: list[tuple[dict[str, Any], str]] = [
+    ({"hold_steps": 200, "max_steps": 100}, "cannot be held for hold_steps 200 in an episode of max_steps 100"),
+    ({"targets": "box", "target_low": (0.3, 0.5, 0.1)}, "target_low is above target_high in y, 0.5 against 0.4 m"),
+    ({"lanes": 10, "minibatches": 4}, "10 lanes cannot be divided among 4 minibatches"),
+    ({"action_repeat": 11, "max_steps": 10}, "an action cannot be held for action_repeat 11"),
+]
+
+
+@pytest.mark.parametrize(("settings", "sentence"), WITHOUT_EFFECT + CONTRADICTIONS, ids=str)
+def test_what_makes_no_sense_is_refused_in_one_sentence(settings: dict[str, Any], sentence: str) -> None:
+    for make in (lambda: check(configure(**settings)), lambda: ReachEnv(**settings)):
+        with pytest.raises(InputError) as refused:
+            make()
+        assert sentence in str(refused.value)
+        assert "\n" not in str(refused.value)
+
+
+def test_every_setting_with_a_need_is_tried() -> None:
+    tried = {name for settings, _ in WITHOUT_EFFECT for name in settings}
+    assert {name for name, need in NEEDS.items() if need.vital} <= tried
+
+
+def test_training_refuses_before_anything_is_written(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="collisions has an effect only with sim mujoco"):
+        training.train(configure(collisions=True), tmp_path / "run")
+    assert not list(tmp_path.iterdir())
+
+
+CONSEQUENCES: list[tuple[dict[str, Any], str]] = [
+    ({"perturb": True}, "perturb adds noise to what is measured and nothing else in simulator 'kinematic'"),
+    ({"randomise": True, "sim": "pybullet"}, "randomise adds noise to what is measured and nothing else"),
+    ({"total_steps": 1000, "anneal_steps": 2000}, "before the learning rate has fallen to its end after anneal_steps"),
+    ({"stop_early": False, "stop_success": 0.5}, "stop_success has an effect only with stop_early"),
+]
+
+
+@pytest.mark.parametrize(("settings", "sentence"), CONSEQUENCES, ids=str)
+def test_what_follows_is_said_once(settings: dict[str, Any], sentence: str, caplog: pytest.LogCaptureFixture) -> None:
+    check(configure(**settings))
+    (only,) = said(caplog)
+    assert sentence in only
+
+
+@pytest.mark.parametrize(
+    ("sim", "flags", "sentence"),
+    [
+        ("kinematic", {"gui": True}, "gui has an effect only with sim pybullet"),
+        ("mujoco", {"slow": True}, "slow has an effect only with sim pybullet"),
+        ("mujoco", {"randomise_view": True}, "perturb_view has an effect only on a policy that sees pictures"),
+        ("mujocco", {}, "Did you mean 'mujoco'"),
+    ],
+)
+def test_flags_of_an_evaluation_are_checked_too(sim: str, flags: dict[str, bool], sentence: str) -> None:
+    with pytest.raises(InputError, match=sentence):
+        in_evaluation(configure(), sim, **flags)
+
+
+def test_what_a_run_was_trained_with_does_not_hinder_its_evaluation_elsewhere(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    trained = configure("precise", collisions=True, perturb=True, physics_steps=3)
+    for sim in SIMULATORS:
+        config = in_evaluation(trained, sim)
+        assert (config.sim, config.physics.perturb) == (sim, False)
+    assert said(caplog) == []
+    assert in_evaluation(trained, "kinematic", perturb=True).physics.perturb
+    assert len(said(caplog)) == 1
+
+
+@pytest.mark.parametrize(("chosen", "elsewhere"), [(1 / 240, 0.02), (0.01, 0.01)])
+def test_a_control_period_of_ones_own_is_kept_in_another_simulator(chosen: float, elsewhere: float) -> None:
+    assert in_simulator(configure(control_period=chosen), "mujoco").physics.control_period == elsewhere
+
+
+def test_settings_of_an_older_run_are_not_asked_about_when_it_goes_on(tmp_path: Path) -> None:
+    small: dict[str, Any] = {"total_steps": 256, "lanes": 8, "rollout_steps": 8, "report_episodes": 2, "max_steps": 20}
+    config = configure(**small, collisions=True)
+    RunDirectory(tmp_path / "run").create(config)
+    assert training.train(config, tmp_path / "run", resume=True).steps == 256
+
+
+# --- reach ----------------------------------------------------------------------------------------
+
+
+def reached(config: RunConfig) -> float:
+    robot = load_robot(config.robot, config.rules.tool)
+    return survey(make_reach(config.rules, robot, config.physics.control_period, (0.0,) * robot.chain.n)).reached
+
+
+@pytest.mark.parametrize(
+    ("settings", "low", "high"),
+    [
+        ({}, 1.0, 1.0),
+        ({"task": "precise"}, 1.0, 1.0),
+        ({"targets": "box", "target_low": (2.0, 2.0, 2.0), "target_high": (3.0, 3.0, 3.0)}, 0.0, 0.0),
+        ({"target_height": 1.0}, 0.0, 0.0),
+        # The table lies 8.3 mm below the workspace, which the tool must not leave.
+        ({"success_distance": 0.008}, 0.0, 0.0),
+        ({"success_distance": 0.009}, 1.0, 1.0),
+        # The arm reaches about 0.85 m from its shoulder: much of this box is beyond.
+        ({"task": "precise", "target_high": (1.2, 0.4, 0.6)}, 0.5, 0.8),
+    ],
+    ids=str,
+)
+def test_of_the_targets_the_share_in_reach_is_known(settings: dict[str, Any], low: float, high: float) -> None:
+    assert low <= reached(configure(**settings)) <= high
+
+
+def test_the_share_in_reach_is_that_of_a_long_arm_by_geometry(tmp_path: Path) -> None:
+    """Two links: the tool is 0.4 m to 0.7 m from the axis only where the elbow's bend says how high it is."""
+    (tmp_path / "arm.xml").write_text(ARM)
+    points = {"target_low": (0.4, -0.1, 0.5), "target_high": (0.9, 0.1, 0.5)}
+    config = configure("precise", robot=str(tmp_path / "arm.xml"), tool="hand", **points, success_distance=0.02)
+    drawn = np.random.default_rng(0).uniform(points["target_low"], points["target_high"], (2000, 3))
+    bends = np.linspace(-np.pi / 3, np.pi / 3, 2001)
+    circle = np.stack([0.4 + 0.3 * np.cos(bends), -0.3 * np.sin(bends)])
+    radius = np.hypot(drawn[:, 0], drawn[:, 1])
+    truth = [np.hypot(circle[0] - r, circle[1]).min() < 0.02 for r in radius]
+    assert reached(config) == pytest.approx(np.mean(truth), abs=0.03)
+
+
+def test_a_box_out_of_reach_is_refused_and_a_share_is_said(caplog: pytest.LogCaptureFixture) -> None:
+    with pytest.raises(InputError, match=r"none of the targets, \(0.2, -0.3, 1\) to \(0.7, 0.3, 1\) m, can be reached"):
+        check_reach(configure(target_height=1.0))
+    check_reach(configure("precise", target_high=(1.2, 0.4, 0.6)))
+    check_reach(configure("precise", target_high=(0.6, 0.4, 0.6)))
+    partly, wholly = said(caplog)
+    assert "% of the targets (256 drawn); the others fail whatever is learnt." in partly
+    assert wholly.endswith("the arm can reach 100 % of the targets (256 drawn).")
+
+
+def test_a_home_outside_the_workspace_is_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    (tmp_path / "arm.xml").write_text(ARM)  # stretched at home: its workspace is what it reaches mostly, and nearer
+    check_reach(configure(robot=str(tmp_path / "arm.xml"), targets="box", target_low=(0.4, -0.2, 0.4), max_steps=50))
+    assert "100 % of the episodes begin with the tool outside its workspace" in said(caplog)[-1]
+
+
+# --- files of one's own ---------------------------------------------------------------------------
+
+
+def test_a_robot_file_is_found_from_any_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "here").mkdir()
+    (tmp_path / "here/arm.xml").write_text(ARM)
+    monkeypatch.chdir(tmp_path / "here")
+    RunDirectory(tmp_path / "run").create(configure(robot="arm.xml"))
+    monkeypatch.chdir(tmp_path)
+    config = RunDirectory(tmp_path / "run").read_config()
+    assert load_robot(config.robot).tool == "hand"
+    (tmp_path / "here/arm.xml").unlink()
+    with pytest.raises(InputError, match=r"robot file '/.*/here/arm.xml' does not exist: put it there"):
+        load_robot(config.robot, "base")
+
+
+def test_meshes_named_as_packages_are_told(tmp_path: Path) -> None:
+    link = '<link name="a"><collision><geometry><mesh filename="package://x/y.obj"/></geometry></collision></link>'
+    (tmp_path / "arm.urdf").write_text(f'<robot name="r">{link}</robot>')
+    with pytest.raises(InputError, match=r"meshes named as package:// are not found yet"):
+        load_robot(str(tmp_path / "arm.urdf"))
+
+
+@pytest.mark.parametrize(("name", "text"), [("arm.xml", ARM), ("arm.urdf", URDF)])
+def test_an_own_arm_is_perturbed_with_a_payload(tmp_path: Path, name: str, text: str) -> None:
+    (tmp_path / name).write_text(text)
+    tool = "hand" if name == "arm.xml" else "fore"
+    env = Env(configure("precise", robot=str(tmp_path / name), tool=tool, perturb=True), 2)
+    state = env.init(lane_keys(0, 2))
+    for _ in range(20):
+        state, _ = env.step(state, np.zeros((2, 2), np.float32))
+    assert state.arm.q[0] != pytest.approx(np.asarray(state.arm.q[1])), "arms differ"
+
+
+def test_a_command_tells_what_follows_on_standard_error(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.WARNING)
+    flags = [
+        "--lanes",
+        "8",
+        "--rollout-steps",
+        "8",
+        "--total-steps",
+        "64",
+        "--report-episodes",
+        "2",
+        "--max-steps",
+        "9",
+    ]
+    assert cli.main(["train", *flags, "--perturb", "--json", "--out", str(tmp_path / "run")]) == cli.DONE
+    assert capsys.readouterr().out.startswith("{")
+    assert "arms differ with --sim mujoco" in said(caplog)[0]
