@@ -14,7 +14,7 @@ from reachlab import bench_precise
 from reachlab.bench import to_markdown
 from reachlab.checkpoint import RunDirectory
 from reachlab.compilation import jit
-from reachlab.config import configure
+from reachlab.config import configure, override
 from reachlab.env import Env, EnvState
 from reachlab.evaluation import AGENTS, Report, evaluate
 from reachlab.kinematics import forward_kinematics, ik_point_step
@@ -124,8 +124,12 @@ def test_a_closed_loop_beats_gravity_and_a_solution_solved_once_does_not(reports
     assert once["50"] >= 0.95
 
 
-def test_solving_once_is_the_same_whatever_the_policy_would_command(reports):
-    plain = Env(configure("precise", action="joint_delta"), LANES)
+@pytest.fixture(scope="module")
+def plain() -> Env:
+    return Env(configure("precise", action="joint_delta"), LANES)
+
+
+def test_solving_once_is_the_same_whatever_the_policy_would_command(plain, reports):
     report = evaluate(plain, "ik_open", seed=3, episodes=LANES)
     assert report.final_error_mm["median"] == pytest.approx(reports["ik_open"].final_error_mm["median"], rel=1e-3)
 
@@ -134,7 +138,7 @@ def test_no_joint_goes_faster_than_it_may(env, reports):
     assert (np.array(reports["ik"].max_joint_speed) <= np.array(env.reach.robot.speed)).all()
 
 
-def test_an_arm_that_comes_and_goes_has_reached_only_when_it_stays(env):
+def test_an_arm_that_comes_and_goes_has_reached_only_when_it_stays(plain):
     waypoints = np.zeros((100, LANES, 7), np.float32)
     waypoints[40:50] = 1.0  # away from the target again, once it was there
 
@@ -144,7 +148,7 @@ def test_an_arm_that_comes_and_goes_has_reached_only_when_it_stays(env):
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(AGENTS, "wander", wander)
-        report = evaluate(env, "wander", seed=3, episodes=LANES)
+        report = evaluate(plain, "wander", seed=3, episodes=LANES)
     assert report.success_rate > 0.8
     assert report.time_to_reach_s is not None
     assert 50 * 0.02 < report.time_to_reach_s < 90 * 0.02
@@ -202,8 +206,7 @@ def test_the_suite_compares_all_agents_on_nominal_and_perturbed_arms(monkeypatch
     tiny = configure(
         "precise", lanes=8, rollout_steps=20, total_steps=160, hidden=(8,), minibatches=2, report_episodes=8
     )
-    monkeypatch.setattr(bench_precise, "configure", {"precise": tiny}.__getitem__)
-    monkeypatch.setattr(bench_precise, "POLICIES", {"trained": {}, "trained without ik": {"action": "joint_delta"}})
+    monkeypatch.setattr(bench_precise, "configure", lambda _, **settings: override(tiny, **settings))
     monkeypatch.setattr(bench_precise, "SEEDS", range(2))
     monkeypatch.setattr(bench_precise, "HELD_OUT", 20)
     monkeypatch.setattr(bench_precise, "LANES", 20)

@@ -256,7 +256,7 @@ def test_a_correction_is_added_to_inverse_kinematics_and_fades_at_the_target(rea
     tool = tuple(np.asarray(far.tool_position)[0].tolist())
     reached = at_home(reach, tool)
     assert displacement(reached, correction) == pytest.approx(displacement(reached, nothing), abs=1e-4)
-    near = at_home(reach, (tool[0] - 0.02, *tool[1:]))  # half of the distance at which corrections begin to fade
+    near = at_home(reach, (tool[0] - 0.01, *tool[1:]))  # half of the distance at which corrections begin to fade
     added = displacement(near, correction) - displacement(near, nothing)
     assert added == pytest.approx(np.asarray(2 * correction) / 4, abs=1e-3)
 

@@ -21,10 +21,7 @@ from reachlab.training import TrainResult, train
 SEEDS, HELD_OUT = range(5), 2000
 """Trainings, and held-out targets of each: seed s has those of seed `FRESH_SEED` + s."""
 
-PLAIN = {"action": "joint_delta", "initial_std": 0.4, "total_steps": 4_500_000, "anneal_steps": 4_500_000}
-"""Settings of a policy that inverse kinematics do not help: it takes more steps to learn."""
-
-POLICIES: dict[str, dict[str, Any]] = {"trained": {}, "trained without ik": PLAIN}
+POLICIES: dict[str, dict[str, Any]] = {"trained": {}, "trained without ik": {"action": "joint_delta"}}
 """Policies that are compared, by the name of their column, and what they change of the preset."""
 
 BASELINES = ("ik", "ik_open")
@@ -36,7 +33,7 @@ PERTURBED = ", perturbed"
 
 def precise() -> Iterator[Row]:
     """The rows of suite `precise`: measurement/agent, over all seeds, with the lowest or highest seed beside it."""
-    configs = {name: override(configure("precise"), **settings) for name, settings in POLICIES.items()}
+    configs = {name: configure("precise", **settings) for name, settings in POLICIES.items()}
     with tempfile.TemporaryDirectory() as folder:
         trained = {
             name: [train(override(config, seed=seed), Path(folder) / name / str(seed)) for seed in SEEDS]

@@ -16,7 +16,7 @@ from typing import Any
 import tyro
 
 from reachlab.checks import InputError, choose
-from reachlab.config import DistilRunConfig, RunConfig, flatten, preset, to_json
+from reachlab.config import CHOICES, DistilRunConfig, RunConfig, flatten, preset, to_json
 from reachlab.flags import LESSON, Distil, Train
 from reachlab.verbs import VERBS
 
@@ -91,7 +91,7 @@ def _overview() -> str:
 
 
 def _parse(verb: str, flags: type, words: list[str]) -> Any:
-    """Flags of a verb; `--task`, `--sim`, `--observation` and `--reward` are read first and set the other defaults.
+    """Flags of a verb; `--task` and the flags of `CHOICES` are read first and set the other defaults.
 
     Raises:
         InputError: a flag or value that is not allowed, in one sentence.
@@ -123,8 +123,7 @@ def _defaults(words: Sequence[str]) -> RunConfig:
     """Settings that the flags of a training change: those of the run to go on with, or a preset."""
     if config := _resumed(words):
         return config
-    task, *choices = (_value_of(flag, words) for flag in ("--task", "--sim", "--observation", "--reward"))
-    return preset(task or "tutorial", *choices)
+    return preset(_value_of("--task", words) or "tutorial", *(_value_of(f"--{name}", words) for name in CHOICES))
 
 
 def _resumed(words: Sequence[str]) -> RunConfig | None:

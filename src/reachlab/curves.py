@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from reachlab import config
 from reachlab.checks import InputError
 from reachlab.config import flatten, preset, to_json
 from reachlab.metrics import read_metrics
@@ -21,7 +22,7 @@ POOL = 100
 MOST_DIFFERENCES = 3
 """Settings that a label names at most; groups that differ in more are called by their first run."""
 
-CHOICES = ("task", "sim", "observation", "reward")
+CHOICES = ("task", *config.CHOICES)
 """Settings that bring others with them, see `config.preset`."""
 
 QUANTILE = 0.975

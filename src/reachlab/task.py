@@ -333,7 +333,7 @@ def _joints_towards(reach: Reach, now: Situation, believed: Situation) -> Array:
     return jnp.clip(step, *_joint_box(reach))
 
 
-CORRECTION, CORRECTION_FADE = 2.0, 0.04
+CORRECTION, CORRECTION_FADE = 2.0, 0.02
 """Displacement that a correction of 1 adds, in those of inverse kinematics at most: enough to turn one round; and the
 distance from which on corrections fade, to nothing at the target [m]: with its square, so that near the target the pull
 of inverse kinematics, which is proportional to the distance, outweighs them."""

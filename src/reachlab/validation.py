@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from reachlab.checks import InputError, choose
-from reachlab.config import PICTURED, RunConfig, flatten, in_simulator, override, preset, to_json
+from reachlab.config import CHOICES, PICTURED, RunConfig, flatten, in_simulator, override, preset, to_json
 from reachlab.reachability import SAMPLES, survey
 from reachlab.robots import load_robot
 from reachlab.sims import SIMULATORS
@@ -154,7 +154,7 @@ def check(config: RunConfig, base: RunConfig | None = None) -> None:
         choose(kind, settings[name], table)
     for contradiction in CONTRADICTIONS:
         _refuse(contradiction(settings))
-    before = base or preset(config.task, config.sim, config.rules.observation, config.rules.reward)
+    before = base or preset(config.task, *(settings[name] for name in CHOICES))
     usual = flatten(to_json(before))
     changed = {name for name, value in settings.items() if usual.get(name, value) != value}
     _refuse(_action_held_too_long(settings, changed))
