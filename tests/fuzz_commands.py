@@ -112,7 +112,7 @@ def flags_of(cls: type) -> dict[str, Any]:
     """Annotations of a verb's flags by name; those of the dataclasses in it stand beside them."""
     found: dict[str, Any] = {}
     for name, hint in hints(cls).items():
-        found |= flags_of(hint) if dataclasses.is_dataclass(hint) else {name: hint}
+        found |= flags_of(typing.cast("type", hint)) if dataclasses.is_dataclass(hint) else {name: hint}
     return found
 
 
@@ -245,8 +245,9 @@ def senseless(words: Sequence[str]) -> str | None:
             return f"--{name} has no effect"
     if float(now("hold-steps")) > float(now("max-steps")):
         return "a hold longer than the episode"
-    box = (said.get(f"target-{end}", usual[f"target_{end}"]) for end in ("low", "high"))
-    return _misplaced(now, *([float(x) for x in corner] for corner in box))
+    given = {name: said.get(name.replace("_", "-")) or usual[name] for name in ("target_low", "target_high")}
+    low, high = ([float(x) for x in corner] for corner in given.values())
+    return _misplaced(now, low, high)
 
 
 # --- running --------------------------------------------------------------------------------------

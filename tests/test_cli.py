@@ -217,6 +217,7 @@ WRONG = {
     "video to an unknown ending": ("video untrained --out film.avi", "video format '.avi' is not one of: .gif, .mp4"),
     "video into no folder": ("video untrained --out no/film.gif", "cannot be written to 'no/film.gif'"),
     "video of no pictures a second": ("video untrained --fps 0", "fps must be above 0"),
+    "video of too few pictures": ("video untrained --agent ik --fps 1e-6", "a picture would stand for 1e.06 s"),
     "plot of nothing": ("plot", "run"),
     "plot of no run": ("plot nothing", "'nothing' holds no metrics.jsonl"),
     "plot to an unknown ending": ("plot young --out curve.xyz", "cannot be written to 'curve.xyz'"),

@@ -411,11 +411,11 @@ def test_pictures_are_drawn_in_whatever_thread(drawing: None) -> None:
     del drawing
     env = ReachEnv(render_mode="rgb_array")
     env.reset(seed=0)
-    here = env.render()
+    here = np.asarray(env.render())
     for _ in range(2):
         with ThreadPoolExecutor(1) as thread:
-            assert np.array_equal(thread.submit(env.render).result(), here)
-        assert np.array_equal(env.render(), here)
+            assert np.array_equal(np.asarray(thread.submit(env.render).result()), here)
+        assert np.array_equal(np.asarray(env.render()), here)
         env.close()
 
 

@@ -27,7 +27,6 @@ TINY = {
     "rollout_steps": 16,
     "total_steps": 1024,
     "stop_early": False,
-    "validation_episodes": 10,
     "report_episodes": 10,
 }
 """A training of four iterations."""

@@ -42,7 +42,6 @@ TINY: dict[str, Any] = {
     "total_steps": 150 * 256,
     "hidden": (8,),
     "stop_early": False,
-    "validation_episodes": 4,
     "report_episodes": 4,
     "max_steps": 30,
     "checkpoint_interval": 0.0,

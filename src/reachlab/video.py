@@ -25,6 +25,9 @@ from reachlab.streams import AGENT_STREAM, REPORT_STREAM, episode_keys
 BEGIN_PAUSE, END_PAUSE = 0.4, 1.2
 """Times for which an episode's first and last picture stand [s]."""
 
+LONGEST_PICTURE = 60.0
+"""Time for which a picture may stand [s]; the formats hold no more than some hours."""
+
 WEBP_QUALITY = 82
 """Of 100: the lowest at which the workspace's thin edges stay clean."""
 
@@ -94,6 +97,11 @@ def write_video(
     period = env.config.physics.control_period
     stride = max(1, round(speed / (fps * period)))
     interval = stride * period / speed
+    if interval > LONGEST_PICTURE:
+        raise InputError(
+            f"a picture would stand for {interval:.3g} s, at most {LONGEST_PICTURE:g} are written: choose a higher --fps"
+            " or --speed."
+        )
     tally: Counter[str] = Counter()
 
     def film() -> Iterator[Frame]:
