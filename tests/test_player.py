@@ -38,14 +38,14 @@ def test_an_episode_is_played_to_its_success(player: Player) -> None:
 def test_a_new_episode_has_a_new_target_and_begins_at_home(player: Player) -> None:
     before = player.moment
     play(player)
-    player.new_episode()
+    player.go_on()
     assert not np.allclose(before.target, player.moment.target)
     np.testing.assert_allclose(player.moment.q, before.q)
     assert (player.over, player.moment.reached) == (False, False)
 
 
 def test_the_arm_follows_a_target_that_is_moved(player: Player) -> None:
-    player.hold(True)
+    player.follow(True)
     for target in (FAR, NEAR):
         player.move_target(target)
         play(player, 500)
@@ -55,7 +55,7 @@ def test_the_arm_follows_a_target_that_is_moved(player: Player) -> None:
 
 def test_no_episode_ends_while_the_target_is_held() -> None:
     player = player_in("kinematic")
-    player.hold(True)
+    player.follow(True)
     play(player, 1200)
     assert player.steps == 1200
     assert (player.over, player.moment.reached, player.episodes) == (False, True, 0)
@@ -79,7 +79,7 @@ def test_an_episode_whose_target_was_moved_does_not_count() -> None:
     play(player)
     assert player.over
     assert (player.episodes, player.successes) == (0, 0)
-    player.new_episode()
+    player.go_on()
     play(player)
     assert (player.episodes, player.successes) == (1, 1)
 
@@ -87,9 +87,9 @@ def test_an_episode_whose_target_was_moved_does_not_count() -> None:
 def test_an_end_is_taken_back_when_the_target_is_held_or_moved() -> None:
     player = player_in("kinematic")
     play(player)
-    player.hold(True)
+    player.follow(True)
     assert not player.over
-    player.hold(False)
+    player.follow(False)
     play(player)
     player.move_target(FAR)
     assert not player.over

@@ -117,7 +117,7 @@ def test_the_dense_reward_is_the_sparse_one_and_the_metres_gained(
 ) -> None:
     ends = {name: jnp.array([name == which]) for name in ("outside", "success", "timeout")}
     rest = dict.fromkeys(("held", "speed", "effort"), jnp.zeros(1))
-    outcome = Outcome(jnp.array([before]), jnp.array([after]), **rest, **ends)
+    outcome = Outcome(jnp.array([before]), jnp.array([after]), **rest, **ends, progress=1.0 * ends["success"])
     config = TaskConfig(approach_weight=weight)
     sparse, dense = REWARDS["sparse"](config, outcome), REWARDS["dense"](config, outcome)
     assert {name: float(dense[name][0]) for name in sparse} == {name: float(sparse[name][0]) for name in sparse}

@@ -147,7 +147,7 @@ def test_the_arm_follows_a_target_that_is_dragged_in_the_page(page: Page, task: 
         assert "to the target" in page.text()
 
         viewer.reset()
-        viewer.player.hold(True)
+        viewer.player.follow(True)
         before = viewer.player.moment.target
         height, width, _ = page.picture().shape
         grip = before + np.array([stage.HANDLE_SIZE / 2, 0, 0])

@@ -50,7 +50,9 @@ class Panel:
         self._speed = gui.add_slider("Speed", SLOWEST, FASTEST, SPEED_STEP, 1.0, hint="Multiples of real time")
         group = gui.add_button_group("Control", buttons)
         group.on_click(lambda event: self.pressed.put(event.target.value))
-        self._endless = gui.add_checkbox("Endless", False, hint="No episode ends: the arm follows the target")
+        self._endless = gui.add_checkbox(
+            "Endless", False, hint="No episode ends: the arm follows the target and rests there"
+        )
         self._axes = gui.add_checkbox("Tool axes", False)
         self._shadows = gui.add_checkbox("Shadows", False, hint="For a computer with a graphics card")
 

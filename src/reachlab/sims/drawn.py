@@ -7,7 +7,7 @@ from jax import Array
 
 from reachlab.camera import Camera
 from reachlab.robots import Robot
-from reachlab.scene import LazyCamera
+from reachlab.scene import LazyCamera, Marks
 from reachlab.sims import ArmState
 from reachlab.views import Views
 
@@ -19,9 +19,9 @@ class Drawn:
         """Nothing is loaded before the first picture."""
         self._camera, self._eye = LazyCamera(robot), Camera(robot)
 
-    def render(self, state: ArmState, target: Array, lane: int) -> np.ndarray:
+    def render(self, state: ArmState, target: Array, lane: int, marks: Marks) -> np.ndarray:
         """See `Simulator.render`."""
-        return self._camera.picture(np.asarray(state.q[lane]), np.asarray(target[lane]))
+        return self._camera.picture(np.asarray(state.q[lane]), np.asarray(target[lane]), marks)
 
     def see(self, q: np.ndarray, target: np.ndarray, views: Views, lanes: np.ndarray) -> np.ndarray:
         """See `Simulator.see`."""
