@@ -18,7 +18,7 @@ SOURCE = Path(reachlab.__file__).parent
 LAYERS = (
     {"lanes", "compilation"},
     {"checks"},
-    {"config", "interrupts", "chain", "kinematics", "views", "encoder"},
+    {"config", "interrupts", "chain", "kinematics", "views", "marks", "encoder"},
     {"policy"},
     {"storage"},
     {"metrics", "lock", "manifest", "threads", "arrays"},
@@ -62,6 +62,7 @@ LEAVES = {
     "chain": {"lanes"},
     "kinematics": {"lanes", "chain"},
     "views": set(),
+    "marks": set(),
     "encoder": set(),
     "policy": {"encoder"},
     "interrupts": set(),

@@ -128,6 +128,9 @@ class PPOConfig(Checked):
     """Environments stepped together."""
     rollout_steps: Count = 64
     """Actions of each lane between two updates."""
+    chained_starts: Fraction = 0.0
+    """Share of training episodes that begin where the arm's last one ended, with a new target: what a policy has to
+    see to follow a target that is moved. Evaluations begin at home in any case."""
     action_repeat: Count = 1
     """Steps for which an action is held in training; the trained policy acts at every step."""
     epochs: Count = 8

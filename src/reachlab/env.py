@@ -16,15 +16,18 @@ from reachlab import task
 from reachlab.compilation import dispatch_inline, jit
 from reachlab.config import RunConfig
 from reachlab.kinematics import forward_kinematics
+from reachlab.marks import NO_PATH, Marks
 from reachlab.policy import Observed
 from reachlab.robots import load_robot
-from reachlab.scene import NO_PATH, Marks
 from reachlab.sims import SIMULATORS, ArmState, Lanes, make_simulator
 from reachlab.task import Reach, Situation, make_reach
 from reachlab.views import CHANCES, SIZE, develop, make_views
 
 VIEW_STREAM = 2**32 - 1
 """Number of an episode's random stream for its view; those below are for its steps."""
+
+CHAIN_STREAM = VIEW_STREAM - 1
+"""Number of an episode's random stream for where the next one begins."""
 
 POSITION_NOISE, SPEED_NOISE = 0.0005, 0.01
 """Standard deviations of the joint measurements where arms are perturbed [rad, rad/s]."""
@@ -123,6 +126,7 @@ class Env:
             self._draw, self._command, self._judge, self._begin, self._merge, self._go_on = map(
                 jit, (self._draw, self._command, self._judge, self._begin, self._merge, self._go_on)
             )
+            self._chain = jit(self._chain)
         elif self.pictured:  # pictures alone are drawn on the host
             self._init, self._reset, steps = jit(self._init), jit(self._reset), self._steps
             self._steps = functools.cache(lambda times: jit(steps(times)))
@@ -131,9 +135,9 @@ class Env:
         """State in which every lane begins an episode; `keys [B]`, see `lane_keys`."""
         return self._init(keys)
 
-    def reset(self, state: EnvState, mask: Array | np.ndarray) -> EnvState:
-        """State in which the lanes of `mask [B]` begin a new episode."""
-        return self._reset(state, mask)
+    def reset(self, state: EnvState, mask: Array | np.ndarray, chained: float | None = None) -> EnvState:
+        """State in which the lanes of `mask [B]` begin a new episode, a share `chained` of them where they are."""
+        return self._reset(state, mask, chained)
 
     def step(
         self, state: EnvState, action: Lanes, times: int = 1, rest: Array | None = None
@@ -149,10 +153,17 @@ class Env:
         key, q, target, chance = self._draw(keys)
         return self._begin(self.simulator.reset(None, q, target, None, chance), target, key)
 
-    def _reset(self, state: EnvState, mask: Array | np.ndarray) -> EnvState:
+    def _reset(self, state: EnvState, mask: Array | np.ndarray, chained: float | None) -> EnvState:
         key, q, target, chance = self._draw(state.key)
+        q = q if chained is None else self._chain(state, q, chained)
         arm = self.simulator.reset(state.arm, q, target, mask, chance)
         return self._merge(jnp.asarray(mask), replace(self._begin(arm, target, key), arm=arm), replace(state, arm=arm))
+
+    def _chain(self, state: EnvState, start: Array, share: float) -> Array:
+        """Starts `[B, n]`: where the last episodes ended in a share of the lanes whose tool is inside the workspace."""
+        chance = jax.vmap(lambda key: jax.random.uniform(jax.random.fold_in(key, CHAIN_STREAM)))(state.key)
+        stays = (chance < share) & ~task.is_outside(self.reach, state.arm.tool_position)
+        return jnp.where(stays[:, None], state.arm.q, start)
 
     def _steps(self, times: int) -> Callable[[EnvState, Lanes, Array | None], Held]:
         def steps(state: EnvState, action: Lanes, rest: Array | None) -> Held:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import itertools
 import os
 import platform
-from dataclasses import dataclass, field
 from typing import Any
 
 import mujoco
 import numpy as np
 
 from reachlab.checks import InputError
+from reachlab.marks import BALL_OPACITY, PATH, PATH_RADIUS, TARGET_RADIUS, WAITING, Marks
 from reachlab.robots import Robot
 
 WIDTH, HEIGHT = 640, 480
@@ -19,24 +19,6 @@ WIDTH, HEIGHT = 640, 480
 
 TABLE_CENTRE, TABLE_SIZE, TABLE_COLOUR = (0.5, 0.0, -0.065), (0.75, 0.5, 0.035), (0.62, 0.65, 0.69, 1.0)
 """The table's slab [m]: its top, at z = -0.03, is where the tutorial's object, 2 cm thick, comes to rest."""
-
-TARGET_RADIUS = 0.022
-"""Radius of the drawn target [m], or the success distance where that is smaller."""
-
-Colour = tuple[float, float, float]
-"""Red, green and blue, each 0 to 1."""
-
-WAITING, REACHED, PATH = (0.85, 0.12, 0.15), (0.13, 0.63, 0.33), (0.15, 0.39, 0.92)
-"""Colours of the target before and while it is reached, and of the tool's path."""
-
-BALL_OPACITY = 0.16
-"""Of the ball around the target in which the tool is near enough."""
-
-PATH_RADIUS = 0.002
-"""Of the tool's drawn path [m]."""
-
-NO_PATH = np.empty((0, 3))
-"""Path of a tool that has not moved."""
 
 EDGE_RADIUS = 0.0015
 """Radius of the workspace's drawn edges [m]."""
@@ -46,26 +28,6 @@ EDGE, GEOM, DECORATION = int(mujoco.mjtObj.mjOBJ_SITE), int(mujoco.mjtObj.mjOBJ_
 
 MAX_GEOMS = 2000
 """Shapes that a picture may hold; a path that needs more of them is cut short."""
-
-
-@dataclass(frozen=True)
-class Marks:
-    """What is drawn beside an arm and its target.
-
-    Attributes:
-        success_distance: radius of the ball around the target in which the tool is near enough [m].
-        reached: the target is reached now.
-        path: points `[k, 3]` [m] through which the tool came.
-    """
-
-    success_distance: float = TARGET_RADIUS
-    reached: bool = False
-    path: np.ndarray = field(default_factory=NO_PATH.copy)
-
-    @property
-    def colour(self) -> Colour:
-        """Of the target."""
-        return REACHED if self.reached else WAITING
 
 
 def scene_spec(robot: Robot, success_distance: float = TARGET_RADIUS) -> mujoco.MjSpec:

@@ -17,9 +17,10 @@ from scipy.spatial.transform import Rotation
 
 from reachlab import views
 from reachlab.checks import InputError
+from reachlab.marks import PATH, Colour, Marks
 from reachlab.player import Moment
 from reachlab.robots import Robot
-from reachlab.scene import PATH, TABLE_CENTRE, TABLE_SIZE, Colour, Marks, scene_spec
+from reachlab.scene import TABLE_CENTRE, TABLE_SIZE, scene_spec
 from reachlab.solids import Solid, solids
 
 if TYPE_CHECKING:

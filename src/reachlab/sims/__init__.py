@@ -12,8 +12,8 @@ from jax import Array
 
 from reachlab.checks import choose
 from reachlab.config import SimConfig
+from reachlab.marks import Marks
 from reachlab.robots import Robot
-from reachlab.scene import Marks
 from reachlab.views import Views
 
 

@@ -6,8 +6,9 @@ import numpy as np
 from jax import Array
 
 from reachlab.camera import Camera
+from reachlab.marks import Marks
 from reachlab.robots import Robot
-from reachlab.scene import LazyCamera, Marks
+from reachlab.scene import LazyCamera
 from reachlab.sims import ArmState
 from reachlab.views import Views
 

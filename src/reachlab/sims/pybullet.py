@@ -19,8 +19,8 @@ from jax import Array
 
 from reachlab.checks import InputError
 from reachlab.config import SimConfig
+from reachlab.marks import Marks
 from reachlab.robots import Robot
-from reachlab.scene import Marks
 from reachlab.sims import ArmState, Lanes
 from reachlab.views import FAR, FIELD_OF_VIEW, NEAR, SIZE, Views, greys
 
