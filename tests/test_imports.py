@@ -42,6 +42,7 @@ LAYERS = (
         "bench_sims",
         "bench_soak",
         "bench_faults",
+        "bench_follow",
         "bench_hostile",
         "bench_trust",
         "bench_viewer",

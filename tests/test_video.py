@@ -41,7 +41,7 @@ class Shown(NamedTuple):
 
 def shown(player: Player, agent: str, stride: int) -> Iterator[Shown]:
     for _ in played(player, agent, None, stride):
-        yield Shown(player.clock, player.moment.distance, player.over, player.moment.reached)
+        yield Shown(player.clock, player.moment.distance, player.over, player.success)
 
 
 @pytest.fixture(scope="module")

@@ -93,6 +93,11 @@ class Panel:
         """Call `change` when shadows are switched on or off."""
         self._shadows.on_update(lambda event: change(event.target.value))
 
+    @property
+    def said(self) -> str:
+        """What `say` showed."""
+        return self._text.content
+
     def say(self, text: str) -> None:
         """Show a text, in Markdown, above the controls."""
         self._text.content = text

@@ -34,7 +34,7 @@ class Moment:
         tool, orientation: of the tool, `[3]` [m] and `[4]` wxyz.
         target: `[3]` [m].
         distance: from tool to target [m].
-        reached: the target is reached now, as the task defines success.
+        reached: the tool is near enough now and, where the task asks for it, was held.
         path: points `[k, 3]` [m] through which the tool came.
     """
 
@@ -59,6 +59,7 @@ class Player:
         number: of the episode, from 0.
         clock: control steps since the episode began or the target was moved.
         over: the episode has ended; `go_on` begins what comes next.
+        success: the last step was one, by the task's rules.
         failed: `LEFT` or `LATE`, where the arm does not follow a target that was moved; else empty.
         steps: control steps taken.
         episodes, successes: those that ended, and in success. One whose target was followed or moved does not count.
@@ -82,7 +83,7 @@ class Player:
         self.number, self._key = number, jax.random.fold_in(keys[0], 1)
         self._touched, self._at_home = self._following, True
         self.state, self.clock = self._init(keys), 0
-        self.over, self.failed = False, ""
+        self.over, self.success, self.failed = False, False, ""
         self._path: deque[np.ndarray] = deque(maxlen=PATH_POINTS)
         self._look()
 
@@ -94,16 +95,29 @@ class Player:
         self.state, transition, self._key = advance(policy, self.state, self._key, self._following)
         self.steps, self.clock = self.steps + 1, self.clock + 1
         self._look()
-        ended, success = (bool(np.asarray(row)[0]) for row in (transition.done, transition.terms["success"]))
-        outside = bool(np.asarray(transition.terminated)[0]) and not success
-        rules = self._env.config.rules
-        late = self.clock >= rules.max_steps and self.moment.distance >= rules.success_distance
+        done, terminated, success = (
+            bool(np.asarray(row)[0]) for row in (transition.done, transition.terminated, transition.terms["success"])
+        )
+        self.success = success
         if self._touched:
-            self.failed = LEFT if outside else LATE if late else ""
-        self.over = bool(self.failed) or (ended and not self._following)
-        if self.over and not self._touched:
+            self.failed = self._failure()
+            self.over = bool(self.failed) or (done and not self._following and (success or not terminated))
+        elif done:
+            self.over = True
             self.episodes += 1
             self.successes += success
+
+    def _failure(self) -> str:
+        """Why the arm does not follow; empty where it does.
+
+        A tool near a target at the workspace's edge may be outside by the success distance: that is no failure.
+        """
+        rules, (low, high) = self._env.config.rules, np.array(self._env.reach.robot.workspace)
+        away = np.linalg.norm(self.moment.tool - np.clip(self.moment.tool, low, high))
+        if not rules.hold_steps and away > rules.success_distance:
+            return LEFT
+        late = self.clock >= rules.max_steps and self.moment.distance >= rules.success_distance
+        return LATE if late else ""
 
     def go_on(self) -> None:
         """Begin the next episode; after a failure to follow, begin anew from home with the target as it is.

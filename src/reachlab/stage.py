@@ -73,6 +73,8 @@ class Stage:
     Attributes:
         workspace: the edges of the robot's workspace.
         path: the tool's way in this episode, once it has moved.
+        label: the text below the target.
+        balls: the target, and around it the ball in which the tool is near enough.
         eye: the observation camera with what it sees, once there is a picture.
     """
 
@@ -91,9 +93,9 @@ class Stage:
         edges = np.array(robot.workspace_edges(), np.float32)
         self.workspace = self._scene.add_line_segments("/workspace", edges, EDGES, thickness=EDGE_WIDTH)
         target = self._model.body("target").id
-        self._target, self._balls = self._frames[target], [mesh for body, mesh in parts if body == target]
+        self._target, self.balls = self._frames[target], [mesh for body, mesh in parts if body == target]
         self._target.visible = False
-        self._label = self._scene.add_label(f"{self._target.name}/label", "", position=LABEL_BELOW, anchor="top-center")
+        self.label = self._scene.add_label(f"{self._target.name}/label", "", position=LABEL_BELOW, anchor="top-center")
         self._heading: viser.LabelHandle | None = None
         self._axes = self._scene.add_frame("/tool", axes_length=AXES_LENGTH, axes_radius=AXES_RADIUS, visible=False)
         self._place(np.array(robot.home), None)
@@ -110,15 +112,11 @@ class Stage:
         self._place(moment.q, moment.target)
         self._target.visible, self._axes.visible = True, axes
         self._axes.position, self._axes.wxyz = moment.tool, moment.orientation
-        for ball in self._balls:
+        for ball in self.balls:
             ball.color = _bytes(Marks(reached=moment.reached).colour)
         self._show_path(moment.path)
         if seen is not None:
             self._show_seen(seen)
-
-    def label(self, text: str) -> None:
-        """Write a text below the target."""
-        self._label.text = text
 
     def head(self, text: str) -> None:
         """Write a text above the scene."""

@@ -98,7 +98,7 @@ def write_video(
                 tally.update(frames=1, milliseconds=round(1000 * seconds))
                 caption = _caption(env, agent, player, f"Episode {number + 1} of {episodes}", speed)
                 yield Frame(captioned(_picture(env, player), caption), seconds)
-            tally.update(successes=player.moment.reached)
+            tally.update(successes=player.success)
 
     try:
         encode(out, film(), 1 / interval)
@@ -129,7 +129,7 @@ def _caption(env: Env, agent: str, player: Player, title: str, speed: float) -> 
         detail=" · ".join(parts if speed == 1 else [*parts, f"{speed:g}× speed"]),
         distance=player.moment.distance,
         time=player.clock * config.physics.control_period,
-        verdict=("success" if player.moment.reached else "failed") if player.over else "",
+        verdict=("success" if player.success else "failed") if player.over else "",
     )
 
 

@@ -48,9 +48,11 @@ class Viewer:
         player, handle: the arm, and the handle by which its target is moved; there once `prepare` was called.
         paused: nothing moves.
         panel, stage: what a person has chosen, and what is drawn.
+        box: corners `[2, 3]` of where targets may be [m]; there once `prepare` was called.
     """
 
     player: Player
+    box: np.ndarray
     handle: viser.TransformControlsHandle
 
     def __init__(self, env: Env, checkpoints: Sequence[int], load: Load, agent: str, host: str, port: int) -> None:
@@ -93,8 +95,8 @@ class Viewer:
     def prepare(self, seed: int) -> None:
         """Compile what playing takes and show the first held-out target of a seed."""
         self.player = Player(self._env, seed)
-        self._box = target_box(self._env.reach)
-        self.handle = self.stage.add_handle((self._box[1] > self._box[0]).tolist())
+        self.box = target_box(self._env.reach)
+        self.handle = self.stage.add_handle((self.box[1] > self.box[0]).tolist())
 
         async def drag(event: viser.TransformControlsEvent) -> None:
             self._dragged = event.phase != "end"
@@ -201,7 +203,7 @@ class Viewer:
         hand = np.array(self.handle.position)
         if not np.array_equal(hand, self._hand):
             self._hand = hand
-            self.player.move_target(np.clip(hand, *self._box))
+            self.player.move_target(np.clip(hand, *self.box))
             self._show()
         elif not self._dragged:
             self._put_handle()
@@ -232,7 +234,7 @@ class Viewer:
             ", **reached**" if moment.reached else f": **{player.failed}**, begins again at home" * bool(player.failed)
         )
         with self._server.atomic():
-            self.stage.label(distance)
+            self.stage.label.text = distance
             self.panel.say(
                 f"**{distance}** to the target{after}\n\n"
                 f"{player.successes} of {player.episodes} episodes reached · {rate}"
@@ -289,7 +291,7 @@ def save_page(env: Env, agent: str, policy: Policy | None, seed: int, episodes: 
             for _ in played(player, agent, policy, steps):
                 with server.atomic():
                     stage.show(player.moment, seen=player.see())
-                    stage.label(_in_millimetres(player.moment.distance))
+                    stage.label.text = _in_millimetres(player.moment.distance)
                     stage.head(f"{title} · episode {number + 1} of {episodes}")
                 recording.insert_sleep(PAUSE if player.over else steps * env.config.physics.control_period)
         page = recording.as_html()
