@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import jax
@@ -12,6 +14,7 @@ import pytest
 
 from reachlab.config import configure
 from reachlab.env import Env, EnvState, Transition
+from reachlab.evaluation import compile_agent
 from reachlab.streams import lane_keys
 
 LANES = 4
@@ -274,3 +277,77 @@ def test_neighbouring_seeds_share_lanes_and_distant_ones_none(tutorial: Compiled
     first, second, far = (np.asarray(tutorial.start(seed).target) for seed in (5, 6, 100))
     assert np.array_equal(first[1:], second[:-1])
     assert not set(map(tuple, first)) & set(map(tuple, far))
+
+
+# --- at the target --------------------------------------------------------------------------------
+
+
+def reach_and_stay(at_goal: str, sim: str, **settings: Any) -> tuple[list[EnvState], Transition, np.ndarray]:
+    """States and last transition of an episode of inverse kinematics, and the sum of its rewards for success."""
+    # The tutorial's own targets lie below the workspace's floor: an arm that goes on to their middle leaves it.
+    box = {"targets": "box", "target_low": (0.4, -0.2, 0.2), "target_high": (0.6, 0.2, 0.3)}
+    env = Env(configure(sim=sim, at_goal=at_goal, max_steps=300, **box, **settings), LANES)
+    decide, step = compile_agent(env, "ik"), env.compile(env.step)
+    state, key = env.compile(env.init)(lane_keys(0, LANES)), jax.random.key(0)
+    states, paid = [state], np.zeros(LANES)
+    while True:
+        state, transition = step(state, decide(None, state, key, None))
+        states.append(state)
+        paid += np.asarray(transition.terms["reach"])
+        if np.asarray(transition.done).any():
+            env.close()
+            return states, transition, paid
+
+
+@pytest.mark.parametrize("sim", ["kinematic", "mujoco"])
+@pytest.mark.parametrize("at_goal", ["continue", "hold"])
+def test_an_episode_that_goes_on_at_the_target_ends_with_the_clock_in_success(at_goal: str, sim: str) -> None:
+    states, last, paid = reach_and_stay(at_goal, sim)
+    assert len(states) == 301
+    assert np.asarray(last.truncated).all()
+    assert not np.asarray(last.terminated).any()
+    assert np.asarray(last.terms["success"]).all()
+    np.testing.assert_array_equal(paid, 1.0)
+
+
+@pytest.mark.parametrize("sim", ["kinematic", "mujoco"])
+def test_held_at_the_target_the_joints_get_no_new_command(sim: str) -> None:
+    states, _, _ = reach_and_stay("hold", sim)
+    for before, after in pairwise(states):
+        rests = np.asarray(before.distance) < 0.1
+        np.testing.assert_array_equal(np.asarray(after.target_q)[rests], np.asarray(before.target_q)[rests])
+    assert (np.asarray(states[-2].distance) < 0.1).all()
+    assert (np.asarray(states[-1].distance) > 0.05).all() or sim == "mujoco", "the tool stays where it came in"
+
+
+def test_the_policy_goes_on_to_the_middle_where_nothing_holds_the_arm() -> None:
+    states, _, _ = reach_and_stay("continue", "kinematic")
+    assert (np.asarray(states[-1].distance) < 0.05).all()
+
+
+def test_held_long_enough_an_episode_ends_in_success_if_the_task_says_so() -> None:
+    states, last, _ = reach_and_stay("end", "kinematic", hold_steps=20, hold_speed=10.0)
+    assert len(states) < 301
+    ended = np.asarray(last.terminated)
+    assert np.asarray(last.terms["success"])[ended].all()
+    for state in states[-20:]:
+        assert (np.asarray(state.distance)[ended] < 0.1).all()
+
+
+# --- where episodes begin -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("sim", ["kinematic", "mujoco"])
+def test_a_share_of_episodes_begins_where_the_last_one_ended_if_that_is_inside(sim: str) -> None:
+    env = Env(configure(sim=sim), 200)
+    state, reset = env.compile(env.init)(lane_keys(0, 200)), env.reset
+    home, away = np.asarray(state.arm.q), np.asarray(state.arm.q) + np.float32(0.05)
+    inside = replace(state, arm=replace(state.arm, q=jnp.asarray(away)))
+    begun = reset(inside, np.ones(200, bool), 0.5)
+    stayed = np.isclose(np.asarray(begun.arm.q), away, atol=1e-6).all(axis=1)
+    np.testing.assert_allclose(np.asarray(begun.arm.q)[~stayed], home[~stayed], atol=1e-6)
+    assert 0.35 < stayed.mean() < 0.65
+    assert not np.allclose(np.asarray(begun.target), np.asarray(state.target), atol=1e-3)
+    outside = replace(inside, arm=replace(inside.arm, tool_position=inside.arm.tool_position + 1.0))
+    np.testing.assert_allclose(np.asarray(reset(outside, np.ones(200, bool), 1.0).arm.q), home, atol=1e-6)
+    env.close()

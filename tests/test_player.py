@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from reachlab.config import configure
 from reachlab.env import Env
-from reachlab.evaluation import AGENTS
-from reachlab.player import Player, target_box
+from reachlab.evaluation import AGENTS, LANES, REPORT_STREAM, make_runner, run_episodes
+from reachlab.player import LATE, LEFT, Player, target_box
 
 FAR, NEAR = np.array([0.6, 0.2, -0.0083]), np.array([0.4, -0.2, -0.0083])
 
@@ -38,14 +40,14 @@ def test_an_episode_is_played_to_its_success(player: Player) -> None:
 def test_a_new_episode_has_a_new_target_and_begins_at_home(player: Player) -> None:
     before = player.moment
     play(player)
-    player.new_episode()
+    player.go_on()
     assert not np.allclose(before.target, player.moment.target)
     np.testing.assert_allclose(player.moment.q, before.q)
     assert (player.over, player.moment.reached) == (False, False)
 
 
 def test_the_arm_follows_a_target_that_is_moved(player: Player) -> None:
-    player.hold(True)
+    player.follow(True)
     for target in (FAR, NEAR):
         player.move_target(target)
         play(player, 500)
@@ -53,9 +55,78 @@ def test_the_arm_follows_a_target_that_is_moved(player: Player) -> None:
         assert np.linalg.norm(player.moment.tool - target) < 0.1
 
 
+def test_the_arm_rests_where_it_came_within_the_success_distance_until_the_target_moves_on() -> None:
+    player = player_in("kinematic")
+    player.follow(True)
+    play(player, 400)
+    assert player.moment.reached
+    before = player.moment
+    play(player, 100)
+    np.testing.assert_array_equal(player.moment.q, before.q)
+    player.move_target(before.target + 0.02 * (before.tool - before.target) / before.distance)
+    assert player.moment.reached, "it is near enough still"
+    play(player, 1)
+    np.testing.assert_array_equal(player.moment.q, before.q)
+    player.move_target(FAR if before.target[1] < 0 else NEAR)
+    assert not player.moment.reached, "reached means now"
+    play(player, 1)
+    assert not np.array_equal(player.moment.q, before.q)
+
+
+class Falling:
+    """Stands for a policy that goes down whatever it sees."""
+
+    def act(self, observation: jax.Array) -> jax.Array:
+        return jnp.broadcast_to(jnp.array([0.0, 0.0, -0.6]), (*observation.shape[:-1], 3))
+
+
+jax.tree_util.register_pytree_node(Falling, lambda _: ((), None), lambda *_: Falling())
+
+
+def test_an_arm_that_leaves_its_workspace_begins_again_at_home_with_the_same_target() -> None:
+    player = player_in("kinematic")
+    home = player.moment.q
+    player.follow(True)
+    player.move_target(NEAR)
+    for _ in range(300):
+        if not player.over:
+            player.step("trained", Falling())  # type: ignore[arg-type] (a policy in all that is asked of it)
+    assert (player.over, player.failed, player.moment.reached) == (True, LEFT, False)
+    player.move_target(FAR)
+    assert player.over, "it does not go on from outside"
+    player.go_on()
+    assert (player.over, player.failed) == (False, "")
+    np.testing.assert_allclose(player.moment.q, home)
+    np.testing.assert_allclose(player.moment.target, FAR, atol=1e-6)
+    play(player)
+    assert player.moment.reached
+
+
+def test_an_arm_that_never_arrives_begins_again_once_the_time_of_an_episode_is_over() -> None:
+    player = player_in("kinematic")
+    player.move_target(FAR)
+    tried = player.moment.target
+    for _ in range(2):
+        for _ in range(1000):
+            player.step("zero", None)
+        assert (player.over, player.failed) == (True, LATE)
+        player.go_on()
+    assert not np.allclose(player.moment.target, tried), "a target that nobody holds is tried from home once"
+
+
+def test_the_episodes_are_those_of_the_evaluation() -> None:
+    player = player_in("kinematic")
+    evaluated = run_episodes(make_runner(Env(configure(), LANES), "ik"), None, 0, REPORT_STREAM, 3)
+    for number in range(3):
+        np.testing.assert_allclose(player.moment.target, evaluated.target[number], atol=1e-6)
+        play(player)
+        assert player.clock == evaluated.steps[number]
+        player.go_on()
+
+
 def test_no_episode_ends_while_the_target_is_held() -> None:
     player = player_in("kinematic")
-    player.hold(True)
+    player.follow(True)
     play(player, 1200)
     assert player.steps == 1200
     assert (player.over, player.moment.reached, player.episodes) == (False, True, 0)
@@ -79,7 +150,7 @@ def test_an_episode_whose_target_was_moved_does_not_count() -> None:
     play(player)
     assert player.over
     assert (player.episodes, player.successes) == (0, 0)
-    player.new_episode()
+    player.go_on()
     play(player)
     assert (player.episodes, player.successes) == (1, 1)
 
@@ -87,9 +158,9 @@ def test_an_episode_whose_target_was_moved_does_not_count() -> None:
 def test_an_end_is_taken_back_when_the_target_is_held_or_moved() -> None:
     player = player_in("kinematic")
     play(player)
-    player.hold(True)
+    player.follow(True)
     assert not player.over
-    player.hold(False)
+    player.follow(False)
     play(player)
     player.move_target(FAR)
     assert not player.over

@@ -121,12 +121,38 @@ def test_the_dense_reward_is_the_sparse_one_and_the_metres_gained(
 ) -> None:
     ends = {name: jnp.array([name == which]) for name in ("outside", "success", "timeout")}
     rest = dict.fromkeys(("held", "speed", "effort"), jnp.zeros(1))
-    outcome = Outcome(jnp.array([before]), jnp.array([after]), **rest, **ends)
+    outcome = Outcome(jnp.array([before]), jnp.array([after]), **rest, **ends, progress=1.0 * ends["success"])
     config = TaskConfig(approach_weight=weight)
     sparse, dense = REWARDS["sparse"](config, outcome), REWARDS["dense"](config, outcome)
     assert {name: float(dense[name][0]) for name in sparse} == {name: float(sparse[name][0]) for name in sparse}
     gained = sum(float(term[0]) for term in dense.values()) - sum(float(term[0]) for term in sparse.values())
     assert gained == pytest.approx(weight * (before - after), abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("before", "tool", "clock", "expected", "reward"),
+    [
+        pytest.param(0.2, NEAR, 1, (False, True, False), 1.0, id="reached"),
+        pytest.param(0.05, NEAR, 2, (False, True, False), 0.0, id="still reached"),
+        pytest.param(0.05, INSIDE, 3, (False, False, False), -1.0, id="lost"),
+        pytest.param(0.05, NEAR, 1000, (False, True, True), 0.0, id="reached at the end"),
+        pytest.param(0.5, INSIDE, 1000, (False, False, True), -0.1, id="out of time"),
+        pytest.param(0.05, (0.5, 0.0, -0.001), 5, (True, False, False), -1.1, id="lost outside"),
+    ],
+)
+@pytest.mark.parametrize("at_goal", ["continue", "hold"])
+def test_where_the_episode_goes_on_success_pays_once(
+    at_goal: str, before: float, tool: tuple[float, ...], clock: int, expected: tuple[bool, ...], reward: float
+) -> None:
+    reach = make_reach(TaskConfig(at_goal=at_goal), load_robot("iiwa14", "link_7"), PERIOD, LAG)
+    outcome = outcome_of(reach, tool, clock, before)
+    assert flags(outcome) == expected
+    assert sparse_reward(outcome) == pytest.approx(reward)
+
+
+def test_holding_for_the_policy_and_asking_it_to_hold_do_not_go_together() -> None:
+    with pytest.raises(InputError, match=r"at_goal 'hold' holds the arm .* hold_steps 10 .* set at_goal to 'continue'"):
+        make_reach(TaskConfig(at_goal="hold", hold_steps=10), load_robot("iiwa14", "link_7"), PERIOD, LAG)
 
 
 def test_coming_closer_by_a_metre_is_worth_five_by_default() -> None:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -17,8 +18,9 @@ from reachlab.checks import InputError
 from reachlab.config import configure
 from reachlab.env import Env
 from reachlab.evaluation import LANES, make_runner, run_episodes
-from reachlab.streams import REPORT_STREAM, episode_keys
-from reachlab.video import BEGIN_PAUSE, ENCODERS, END_PAUSE, Clip, Moment, episode_player, write_video
+from reachlab.player import Player, played
+from reachlab.streams import REPORT_STREAM
+from reachlab.video import BEGIN_PAUSE, ENCODERS, END_PAUSE, LONG_ENOUGH, SPEEDS, Clip, write_video
 
 SIZE = (64, 48)
 """Of the pictures that stand for rendered ones here."""
@@ -29,17 +31,34 @@ def env() -> Env:
     return Env(configure(), 1)
 
 
+class Shown(NamedTuple):
+    """What is seen of an episode after some step."""
+
+    step: int
+    distance: float
+    done: bool
+    success: bool
+
+
+def shown(player: Player, agent: str, stride: int) -> Iterator[Shown]:
+    for _ in played(player, agent, None, stride):
+        yield Shown(player.clock, player.moment.distance, player.over, player.success)
+
+
 @pytest.fixture(scope="module")
-def moments(env: Env) -> list[list[Moment]]:
+def moments(env: Env) -> list[list[Shown]]:
     """Two episodes of inverse kinematics, every eighth step."""
-    play = episode_player(env, "ik", None, 8)
-    return [list(play(episode_keys(1, REPORT_STREAM, number, 1))) for number in range(2)]
+    player, episodes = Player(env, seed=1), []
+    for number in range(2):
+        player.begin(number)
+        episodes.append(list(shown(player, "ik", 8)))
+    return episodes
 
 
 @pytest.fixture
 def film(env: Env, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., Clip]:
     """Writes a video of inverse kinematics whose pictures are plain grey, so that it needs no OpenGL."""
-    monkeypatch.setattr(env, "render", lambda _: np.full((*SIZE[::-1], 3), 200, np.uint8))
+    monkeypatch.setattr(env, "render", lambda _, path: np.full((*SIZE[::-1], 3), len(path), np.uint8))
 
     def write(name: str, episodes: int = 1, fps: float = 30.0, speed: float = 1.0) -> Clip:
         return write_video(env, "ik", None, tmp_path / name, seed=1, episodes=episodes, fps=fps, speed=speed)
@@ -61,15 +80,15 @@ def durations(path: str) -> list[int]:
 # --- episodes -------------------------------------------------------------------------------------
 
 
-def test_the_episodes_are_those_of_the_evaluation(moments: list[list[Moment]]) -> None:
+def test_the_episodes_are_those_of_the_evaluation(moments: list[list[Shown]]) -> None:
     evaluated = run_episodes(make_runner(Env(configure(), LANES), "ik"), None, 1, REPORT_STREAM, 2)
     assert [episode[-1].step for episode in moments] == evaluated.steps.tolist()
     assert [episode[-1].success for episode in moments] == evaluated.success.tolist()
-    ends = [float(episode[-1].state.distance[0]) for episode in moments]
+    ends = [episode[-1].distance for episode in moments]
     assert ends == pytest.approx(evaluated.distance, abs=1e-5)
 
 
-def test_an_episode_is_seen_from_its_begin_to_its_end(moments: list[list[Moment]]) -> None:
+def test_an_episode_is_seen_from_its_begin_to_its_end(moments: list[list[Shown]]) -> None:
     for episode in moments:
         steps = [moment.step for moment in episode]
         assert steps[:-1] == list(range(0, steps[-1], 8))
@@ -79,7 +98,7 @@ def test_an_episode_is_seen_from_its_begin_to_its_end(moments: list[list[Moment]
 
 def test_an_episode_in_a_host_simulator_ends_with_the_clock() -> None:
     env = Env(configure(sim="mujoco", max_steps=5), 1)
-    [*_, last] = episode_player(env, "random", None, 2)(episode_keys(0, REPORT_STREAM, 0, 1))
+    [*_, last] = shown(Player(env, seed=0), "random", 2)
     assert (last.step, last.done, last.success) == (5, True, False)
     env.close()
 
@@ -88,7 +107,7 @@ def test_an_episode_in_a_host_simulator_ends_with_the_clock() -> None:
 
 
 @pytest.mark.parametrize("ending", [".webp", ".gif"])
-def test_an_animation_plays_in_real_time(film: Callable[..., Clip], moments: list[list[Moment]], ending: str) -> None:
+def test_an_animation_plays_in_real_time(film: Callable[..., Clip], moments: list[list[Shown]], ending: str) -> None:
     clip = film(f"film{ending}", episodes=2)
     lengths = [len(episode) for episode in moments]
     assert clip.frames == sum(lengths)
@@ -104,6 +123,14 @@ def test_an_animation_plays_in_real_time(film: Callable[..., Clip], moments: lis
         assert picture.info["loop"] == 0
 
 
+def test_without_a_speed_a_short_episode_is_slowed_down(film: Callable[..., Clip], moments: list[list[Shown]]) -> None:
+    moves = moments[0][-1].step / 240
+    fitting = max(speed for speed in SPEEDS if moves / speed >= LONG_ENOUGH)
+    clip = film("film.webp", speed=0.0)
+    assert fitting < 1
+    assert clip.seconds == pytest.approx(moves / fitting + BEGIN_PAUSE + END_PAUSE, abs=0.1)
+
+
 def test_slower_shows_more_pictures_for_longer(film: Callable[..., Clip]) -> None:
     usual, slow = film("usual.webp"), film("slow.webp", speed=0.5)
     moving = usual.seconds - BEGIN_PAUSE - END_PAUSE
@@ -111,7 +138,7 @@ def test_slower_shows_more_pictures_for_longer(film: Callable[..., Clip]) -> Non
     assert slow.frames == pytest.approx(2 * usual.frames, abs=2)
 
 
-def test_no_more_pictures_than_steps(film: Callable[..., Clip], moments: list[list[Moment]]) -> None:
+def test_no_more_pictures_than_steps(film: Callable[..., Clip], moments: list[list[Shown]]) -> None:
     clip = film("film.webp", fps=10_000.0)
     assert clip.frames == moments[0][-1].step + 1
 

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -16,7 +17,8 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 
-from reachlab import cli, panel, stage
+from reachlab import cli, panel
+from reachlab.bench_follow import follow
 from reachlab.bench_viewer import free_port
 from reachlab.checkpoint import RunDirectory
 from reachlab.checks import InputError
@@ -24,12 +26,16 @@ from reachlab.chromium import Page, browser, drawn, executable, wait_until
 from reachlab.config import TASKS, RunConfig, configure
 from reachlab.env import Env
 from reachlab.iteration import initial_state
+from reachlab.marks import REACHED, TARGET_RADIUS
+from reachlab.player import PATH_STEP
 from reachlab.robots import load_robot
 from reachlab.stage import LOCAL, start_server
 from reachlab.training import load_policy
 from reachlab.viewer import COMMANDS, Viewer, save_page
 
 CHECKPOINTS = (0, 128)
+
+REACHED_BYTES = tuple(round(255 * part) for part in REACHED)
 
 WIDTH, HEIGHT = 800, 480
 
@@ -119,17 +125,6 @@ def playing(viewer: Viewer, happened: Callable[[], bool]) -> Callable[[], bool]:
     return ask
 
 
-def pixel(point: np.ndarray, width: float, height: float) -> tuple[float, float]:
-    """Where the first camera sees a point `[3]` [m]."""
-    position, look_at = np.array(stage.VIEW_FROM), np.array(stage.VIEW_TO)
-    forward = (look_at - position) / np.linalg.norm(look_at - position)
-    right = np.cross(forward, [0, 0, 1]) / np.linalg.norm(np.cross(forward, [0, 0, 1]))
-    depth = (point - position) @ forward
-    focus = height / 2 / np.tan(stage.FIELD_OF_VIEW / 2) / depth
-    x, y = (point - position) @ right, (point - position) @ np.cross(right, forward)
-    return width / 2 + focus * x, height / 2 - focus * y
-
-
 def stays_here(requests: list[str]) -> bool:
     return all(urlsplit(url).scheme in HERE_SCHEMES or urlsplit(url).hostname == LOCAL for url in requests)
 
@@ -138,26 +133,17 @@ def stays_here(requests: list[str]) -> bool:
 
 
 @pytest.mark.parametrize("task", TASKS)
-def test_the_arm_follows_a_target_that_is_dragged_in_the_page(page: Page, task: str, tmp_path: Path) -> None:
+def test_the_arm_follows_a_target_that_is_dragged_in_the_page_and_rests_there(
+    page: Page, task: str, tmp_path: Path
+) -> None:
     config = configure(task, lanes=8, hidden=(8,))
     with view(config, untrained(config, tmp_path / "run")) as viewer:
-        page.open(viewer.url)
-        wait_until(lambda: drawn(page.picture()), "a picture")
-        wait_until(playing(viewer, lambda: viewer.player.moment.reached), "a success")
+        rows = {row["name"].partition("/")[0]: row for row in follow(viewer, page, task, drags=2, seconds=1.0)}
         assert "to the target" in page.text()
-
-        viewer.reset()
-        viewer.player.hold(True)
-        before = viewer.player.moment.target
-        height, width, _ = page.picture().shape
-        grip = before + np.array([stage.HANDLE_SIZE / 2, 0, 0])
-        away = np.array([0.08 if before[0] < 0.45 else -0.08, 0, 0])
-        page.drag(pixel(grip, width, height), pixel(grip + away, width, height))
-        wait_until(playing(viewer, lambda: not np.allclose(viewer.player.moment.target, before)), "a moved target")
-        wait_until(playing(viewer, lambda: viewer.player.moment.reached), "the arm's arrival")
-
-        np.testing.assert_allclose(viewer.player.moment.target, before + away, atol=0.02)
-        np.testing.assert_allclose(viewer.player.moment.tool, before + away, atol=config.rules.success_distance + 0.02)
+    followed = rows["viewer_drags_followed"]
+    assert followed["value"] == followed["config"]["drags"] == 3
+    assert rows["viewer_worst_at_rest"]["value"] < 1000 * config.rules.success_distance
+    assert rows["viewer_new_starts"]["value"] == 0
     assert stays_here(page.requests)
     assert any(url.startswith("http") for url in page.requests), "requests are seen"
 
@@ -165,6 +151,7 @@ def test_the_arm_follows_a_target_that_is_dragged_in_the_page(page: Page, task: 
 def test_a_saved_page_plays_from_its_file_alone(page: Page, config: RunConfig, tmp_path: Path) -> None:
     out = tmp_path / "page.html"
     save_page(Env(config, 1), "ik", None, seed=1, episodes=EPISODES, out=out)
+    assert "<title>reachlab · tutorial task · ik</title>" in out.read_text(encoding="utf-8")
     page.open(out.as_uri())
     wait_until(lambda: drawn(page.picture()), "a picture")
     first = page.picture()
@@ -207,7 +194,46 @@ def test_the_workspace_and_the_tools_path_are_drawn(viewer: Viewer) -> None:
     assert edges.shape == (12, 2, 3)
     np.testing.assert_allclose([edges.min(axis=(0, 1)), edges.max(axis=(0, 1))], [low, high], atol=1e-6)
     assert viewer.stage.path
-    np.testing.assert_allclose(viewer.stage.path.points[-1, 1], viewer.player.moment.tool, atol=2 * stage.PATH_STEP)
+    np.testing.assert_allclose(viewer.stage.path.points[-1, 1], viewer.player.moment.tool, atol=2 * PATH_STEP)
+
+
+def test_the_panel_and_the_label_tell_the_same_moment(viewer: Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(viewer._server, "get_clients", lambda: {0: None})
+    told = set()
+    for _ in range(200):
+        viewer.frame(FRAME)
+        assert f"**{viewer.stage.label.text}** to the target" in viewer.panel.said
+        assert ("**reached**" in viewer.panel.said) is viewer.player.moment.reached
+        assert (viewer.stage.balls[0].color == REACHED_BYTES) is viewer.player.moment.reached
+        told.add(viewer.player.moment.reached)
+    assert told == {True, False}
+
+
+def test_the_success_distance_is_drawn_around_the_target(viewer: Viewer) -> None:
+    core, near = sorted(float(np.linalg.norm(ball.vertices, axis=1).max()) for ball in viewer.stage.balls)
+    assert core == pytest.approx(TARGET_RADIUS, rel=1e-3)
+    assert near == pytest.approx(0.1, rel=1e-3)
+
+
+def test_an_arm_that_leaves_its_workspace_says_so_and_tries_again_from_home(
+    viewer: Viewer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(viewer._server, "get_clients", lambda: {0: None})
+    viewer.panel.endless = True
+    state = viewer.player.state
+    outside = replace(state.arm, tool_position=state.arm.tool_position + 1.0, q=state.arm.q - 0.5)
+    viewer.player.state = replace(state, arm=outside, target_q=outside.q)
+    target = viewer.player.moment.target
+    while not viewer.player.failed:
+        viewer.frame(FRAME)
+    assert "**left the workspace**, begins again at home" in viewer.panel.said
+    while viewer.player.failed:
+        viewer.frame(FRAME)
+    np.testing.assert_array_equal(viewer.player.moment.target, target)
+    for _ in range(200):
+        viewer.frame(FRAME)
+    assert viewer.player.moment.reached
+    assert not viewer.player.over
 
 
 def test_nothing_moves_while_nobody_looks(viewer: Viewer) -> None:

@@ -23,7 +23,7 @@ from reachlab.config import TASKS, RunConfig
 from reachlab.env import Env
 from reachlab.iteration import initial_state
 from reachlab.stage import LOCAL
-from reachlab.training import load_policy
+from reachlab.training import load_policy, train
 from reachlab.viewer import Viewer
 
 if TYPE_CHECKING:
@@ -45,8 +45,14 @@ COUNT_PICTURES = "pictures = 0; (function next() { pictures += 1; requestAnimati
 """Script that counts how often the page is drawn."""
 
 
+DRAGS, FOLLOWED = 20, 300.0
+"""Drags of which each is held until the arm rests, and the time in which more are let go [s]."""
+
+
 def viewer() -> Iterator[Row]:
-    """Time to the first picture, updates and pictures in a second, and the policy's time against the clock's.
+    """Time to the first picture, updates in a second, and the policy's time against the clock's.
+
+    And how the presets' default runs, which are trained here, follow a target that is dragged.
 
     Raises:
         InputError: viser or Chromium is not there.
@@ -63,6 +69,21 @@ def viewer() -> Iterator[Row]:
             with browser(Path(folder) / f"browser-{task}", *SIZE) as page:
                 yield from _starts(page, run, task)
                 yield from _live(page, run, config)
+                yield from _followed(page, config, Path(folder) / f"trained-{task}")
+
+
+def _followed(page: Page, config: RunConfig, path: Path) -> Iterator[Row]:
+    """Figures of a trained policy whose target is dragged."""
+    from reachlab.bench_follow import follow
+
+    train(config, path)
+    run, env = RunDirectory(path), Env(config, 1)
+    load = partial(load_policy, run, config, env)
+    with Viewer(env, run.checkpoint_steps(), load, "trained", LOCAL, free_port()) as shown:
+        shown.prepare(seed=1)
+        yield from follow(shown, page, config.task, DRAGS, FOLLOWED)
+        page.open("about:blank")
+    env.close()
 
 
 def _untrained(config: RunConfig, path: Path) -> RunDirectory:

@@ -74,9 +74,9 @@ def captioned(picture: np.ndarray, caption: Caption) -> Image.Image:
 
 
 def inset(picture: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """A picture `[height, width, 3]` with what the policy sees, `[SIZE, SIZE]` grey, enlarged in its upper corner."""
+    """A picture `[height, width, 3]` with what the policy sees, `[SIZE, SIZE, 3]`, enlarged in its upper corner."""
     image, side = Image.fromarray(picture), INSET_SCALE * len(seen)
-    small = Image.fromarray(seen).convert("RGB").resize((side, side), Image.Resampling.NEAREST)
+    small = Image.fromarray(seen).resize((side, side), Image.Resampling.NEAREST)
     corner = (image.width - side - MARGIN, MARGIN)
     frame = Image.new("RGB", (side + 2 * FRAME, side + 2 * FRAME), INK)
     image.paste(frame, (corner[0] - FRAME, corner[1] - FRAME))

@@ -104,10 +104,18 @@ class Page:
 
     def drag(self, start: tuple[float, float], end: tuple[float, float], steps: int = 10) -> None:
         """Move the mouse from one point to another with its button down."""
+        self.grab(start, end, steps)
+        self.let_go(end)
+
+    def grab(self, start: tuple[float, float], end: tuple[float, float], steps: int = 10) -> None:
+        """As `drag`, with the button still down at the end."""
         self._mouse("mouseMoved", *start, held=False)
         self._mouse("mousePressed", *start)
         for x, y in np.linspace(start, end, steps):
             self._mouse("mouseMoved", x, y)
+
+    def let_go(self, end: tuple[float, float]) -> None:
+        """Release the button."""
         self._mouse("mouseReleased", *end)
 
     def _send(self, session: str | None, method: str, parameters: dict[str, Any]) -> int:

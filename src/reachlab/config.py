@@ -43,8 +43,7 @@ class TaskConfig(Checked):
     action: str = "tool_delta"
     """What the policy commands; see `reachlab list`."""
     reward: str = "dense"
-    """Reward; see `reachlab list`. With `hold_steps`, `sparse` and `dense` pay for every step at which the target is
-    held, not once."""
+    """Reward; see `reachlab list`."""
     clip_actions: bool = True
     """Clip actions to their box. The tutorial's own code does not."""
     tool_scale: Positive = 0.005
@@ -53,6 +52,10 @@ class TaskConfig(Checked):
     """Displacement of a joint for an action of 1 with `joint_delta` [rad or m]."""
     success_distance: Positive = 0.1
     """Tool to target within this distance is a success [m]."""
+    at_goal: str = "end"
+    """What happens at the target. `end`: success ends the episode. `continue`: the policy acts until the time limit,
+    and success is judged on the last step. `hold`: as `continue`, but while the tool is within the success distance the
+    joint command stays as it is, so that the arm rests there; it acts again when the tool is outside."""
     max_steps: Count = 1000
     """An episode is truncated on this step."""
     approach_weight: NonNegative = 5.0
@@ -68,7 +71,8 @@ class TaskConfig(Checked):
     start_noise: NonNegative = 0.0
     """Episodes start with every joint within this of its home [rad or m]."""
     hold_steps: NonNegativeInt = 0
-    """Steps for which the tool has to be held at the target; with 0, touching it ends the episode in success."""
+    """Success is that the tool was within the success distance, and the joints slow, for so many steps in a row; with
+    0, touching the target is enough, and leaving the workspace ends the episode."""
     hold_speed: Positive = 0.05
     """Joint speed below which the tool counts as held [rad/s or m/s]."""
     closeness_weight: NonNegative = 0.2
@@ -126,6 +130,9 @@ class PPOConfig(Checked):
     """Environments stepped together."""
     rollout_steps: Count = 64
     """Actions in each environment between two updates."""
+    chained_starts: Fraction = 0.0
+    """Share of training episodes that begin where the arm's last one ended, with a new target: what a policy has to
+    see to follow a target that is moved. Evaluations begin at home in any case."""
     action_repeat: Count = 1
     """In training, steps for which each action is repeated; the trained policy acts at every step."""
     epochs: Count = 8
@@ -272,6 +279,7 @@ TASKS: dict[str, RunConfig] = {
             approach_weight=15.0,
             effort_weight=0.003,
             success_distance=0.01,
+            at_goal="continue",
             max_steps=100,
             targets="box",
             start_noise=0.3,

@@ -16,10 +16,11 @@ from reachlab import task
 from reachlab.compilation import dispatch_inline, jit
 from reachlab.config import RunConfig
 from reachlab.kinematics import forward_kinematics
+from reachlab.marks import NO_PATH, Marks
 from reachlab.policy import Observed
 from reachlab.robots import load_robot
 from reachlab.sims import SIMULATORS, ArmState, Lanes, make_simulator
-from reachlab.streams import PARTS, VIEW_STREAM, noise_keys
+from reachlab.streams import CHAIN_STREAM, PARTS, VIEW_STREAM, noise_keys
 from reachlab.task import Reach, Situation, make_reach
 from reachlab.threads import first_process
 from reachlab.views import CHANCES, SIZE, develop, make_views
@@ -118,6 +119,7 @@ class Env:
             self._draw, self._command, self._judge, self._begin, self._merge, self._go_on = map(
                 jit, (self._draw, self._command, self._judge, self._begin, self._merge, self._go_on)
             )
+            self._chain = jit(self._chain)
         elif self.pictured:  # pictures alone are drawn on the host
             self._init, self._reset, steps = jit(self._init), jit(self._reset), self._steps
             self._steps = functools.cache(lambda times: jit(steps(times)))
@@ -126,32 +128,42 @@ class Env:
         """State in which every lane begins an episode; `keys [B]`, see `streams`."""
         return self._init(keys)
 
-    def reset(self, state: EnvState, mask: Array | np.ndarray) -> EnvState:
-        """State in which the lanes of `mask [B]` begin a new episode."""
-        return self._reset(state, mask)
+    def reset(self, state: EnvState, mask: Array | np.ndarray, chained: float | None = None) -> EnvState:
+        """State in which the lanes of `mask [B]` begin a new episode, a share `chained` of them where they are."""
+        return self._reset(state, mask, chained)
 
-    def step(self, state: EnvState, action: Lanes, times: int = 1) -> tuple[EnvState, Transition]:
+    def step(
+        self, state: EnvState, action: Lanes, times: int = 1, rest: Array | None = None
+    ) -> tuple[EnvState, Transition]:
         """State and transition after `action [B, a]`, taken so many `times`.
 
-        A lane whose episode ends on the way stays where it ended, to be reset; rewards are added up.
+        A lane whose episode ends on the way stays where it ended, to be reset; rewards are added up. In the lanes of
+        `rest [B]` the joint command stays as it is; without it in those of which the task says so, see `task.rests`.
         """
-        return self._steps(times)(state, action)
+        return self._steps(times)(state, action, rest)
 
     def _init(self, keys: Array) -> EnvState:
         key, q, target, chance = self._draw(keys)
         return self._begin(self.simulator.reset(None, q, target, None, chance), target, key)
 
-    def _reset(self, state: EnvState, mask: Array | np.ndarray) -> EnvState:
+    def _reset(self, state: EnvState, mask: Array | np.ndarray, chained: float | None) -> EnvState:
         key, q, target, chance = self._draw(state.key)
+        q = q if chained is None else self._chain(state, q, chained)
         arm = self.simulator.reset(state.arm, q, target, mask, chance)
         return self._merge(jnp.asarray(mask), replace(self._begin(arm, target, key), arm=arm), replace(state, arm=arm))
 
-    def _steps(self, times: int) -> Callable[[EnvState, Lanes], Held]:
-        def steps(state: EnvState, action: Lanes) -> Held:
-            def again(_: Any, held: Held) -> Held:
-                return self._go_on(held, self._step(held[0], action))
+    def _chain(self, state: EnvState, start: Array, share: float) -> Array:
+        """Starts `[B, n]`: where the last episodes ended in a share of the lanes whose tool is inside the workspace."""
+        chance = jax.vmap(lambda key: jax.random.uniform(jax.random.fold_in(key, CHAIN_STREAM)))(state.key)
+        stays = (chance < share) & ~task.is_outside(self.reach, state.arm.tool_position)
+        return jnp.where(stays[:, None], state.arm.q, start)
 
-            held = self._step(state, action)
+    def _steps(self, times: int) -> Callable[[EnvState, Lanes, Array | None], Held]:
+        def steps(state: EnvState, action: Lanes, rest: Array | None) -> Held:
+            def again(_: Any, held: Held) -> Held:
+                return self._go_on(held, self._step(held[0], action, rest))
+
+            held = self._step(state, action, rest)
             if self.simulator.pure and times > 1:
                 return jax.lax.fori_loop(1, times, again, held)
             for i in range(1, times):
@@ -160,9 +172,12 @@ class Env:
 
         return steps
 
-    def _step(self, state: EnvState, action: Lanes) -> Held:
+    def _step(self, state: EnvState, action: Lanes, rest: Array | None) -> Held:
         action = task.bounded(self.reach, jnp.asarray(action))
         target_q = self._command(replace(state, arm=replace(state.arm, engine=None)), action)
+        rest = task.rests(self.reach, state.distance) if rest is None else rest
+        if rest is not None:
+            target_q = jnp.where(rest[:, None], state.target_q, target_q)
         arm = self.simulator.step(state.arm, target_q)
         last = (state.distance, state.recent, state.clock)
         (distance, recent, clock), transition = self._judge(self._true(state, arm, target_q, action), last, state.key)
@@ -249,9 +264,15 @@ class Env:
         """A function that uses this environment, compiled as a whole if the simulator can be traced."""
         return jit(function) if self.pure else function
 
-    def render(self, state: EnvState, lane: int = 0) -> np.ndarray:
-        """Picture of a lane, `[height, width, 3]` uint8."""
-        return self.simulator.render(state.arm, state.target, lane)
+    def render(self, state: EnvState, lane: int = 0, path: np.ndarray = NO_PATH) -> np.ndarray:
+        """Picture of a lane, `[height, width, 3]` uint8, with the tool's path through points `[k, 3]` [m]."""
+        marks = Marks(self.config.rules.success_distance, self.reached(state, lane), path)
+        return self.simulator.render(state.arm, state.target, lane, marks)
+
+    def reached(self, state: EnvState, lane: int = 0) -> bool:
+        """Whether a lane's target is reached now: the tool is near enough and, where the task asks for it, was held."""
+        errors = state.distance if state.recent is None else state.recent
+        return bool((np.asarray(errors)[lane] < self.config.rules.success_distance).all())
 
     def close(self) -> None:
         """Close the simulator."""
@@ -308,9 +329,10 @@ class Env:
     ) -> tuple[tuple[Array, Array | None, Array], Transition]:
         """Distance, recent errors and clock, and the transition, of a step that led to a situation."""
         rules, recent, clock = self.reach.config, task.remember(self.reach, last[1], now), last[2] + 1
-        outcome = task.judge(self.reach, last[0], recent, now, clock)
+        outcome = task.judge(self.reach, last[0], recent, now, clock, task.held_error(last[0], last[1]))
         terms = task.REWARDS[rules.reward](rules, outcome)
-        terminated = outcome.outside | (outcome.success if recent is None else jnp.zeros_like(outcome.success))
+        ends = outcome.success if rules.at_goal == "end" else jnp.zeros_like(outcome.success)
+        terminated = outcome.outside | ends
         transition = Transition(
             observation=None if self.pictured else task.observe(self.reach, self._measured(now, keys, clock)),
             reward=sum(terms.values(), jnp.zeros_like(outcome.distance)),

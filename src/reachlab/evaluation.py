@@ -379,7 +379,7 @@ def summarise(
         perturb_view=env.config.physics.randomise_view,
         success_rate=successes / count,
         success_interval=wilson_interval(successes, count),
-        success_within=_shares_within(error) if env.config.rules.hold_steps else None,
+        success_within=_shares_within(error) if env.config.rules.at_goal != "end" else None,
         final_error_mm={
             name: _finite(np.quantile(error, share, method="inverted_cdf")) for name, share in QUANTILES.items()
         },

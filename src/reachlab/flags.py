@@ -8,7 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from reachlab.checks import Checked, Count, Positive, Range, Seed, Steps
+from reachlab.checks import Checked, Count, NonNegative, Positive, Range, Seed, Steps
 from reachlab.config import DISTIL_DEFAULTS, PICTURED, DistilConfig, RunConfig
 from reachlab.names import AGENTS, SUITES
 
@@ -113,8 +113,8 @@ class Video(Checked):
     """Seed of the targets."""
     fps: Positive = 30.0
     """Pictures a second, about: each shows a whole number of control steps."""
-    speed: Positive = 1.0
-    """1 is real time, 0.5 half as fast."""
+    speed: NonNegative = 0.0
+    """1 is real time, 0.5 half as fast; with 0 it is slow enough to be followed by eye."""
     json: bool = False
     """Print what was filmed as one JSON object on standard output."""
 

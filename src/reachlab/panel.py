@@ -50,7 +50,9 @@ class Panel:
         self._speed = gui.add_slider("Speed", SLOWEST, FASTEST, SPEED_STEP, 1.0, hint="Multiples of real time")
         group = gui.add_button_group("Control", buttons)
         group.on_click(lambda event: self.pressed.put(event.target.value))
-        self._endless = gui.add_checkbox("Endless", False, hint="No episode ends: the arm follows the target")
+        self._endless = gui.add_checkbox(
+            "Endless", False, hint="No episode ends: the arm follows the target and rests there"
+        )
         self._axes = gui.add_checkbox("Tool axes", False)
         self._shadows = gui.add_checkbox("Shadows", False, hint="For a computer with a graphics card")
 
@@ -90,6 +92,11 @@ class Panel:
     def on_shadows(self, change: Callable[[bool], None]) -> None:
         """Call `change` when shadows are switched on or off."""
         self._shadows.on_update(lambda event: change(event.target.value))
+
+    @property
+    def said(self) -> str:
+        """What `say` showed."""
+        return self._text.content
 
     def say(self, text: str) -> None:
         """Show a text, in Markdown, above the controls."""

@@ -1,8 +1,9 @@
-"""Plays an agent's episodes on one arm in real time; the target may be moved by hand."""
+"""Plays an agent's episodes on one arm; the target may be moved by hand, and is then followed."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import jax
@@ -16,7 +17,13 @@ from reachlab.evaluation import compile_agent
 from reachlab.policy import Policy
 from reachlab.streams import AGENT_STREAM, REPORT_STREAM, episode_keys
 
-Advance = Callable[[Policy | None, EnvState, Array], tuple[EnvState, Transition, Array]]
+Advance = Callable[[Policy | None, EnvState, Array, bool], tuple[EnvState, Transition, Array]]
+
+PATH_POINTS, PATH_STEP = 300, 0.004
+"""Points of the tool's path at most, and their least distance [m]."""
+
+LEFT, LATE = "left the workspace", "did not arrive in time"
+"""Why an arm does not follow its target."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +35,8 @@ class Moment:
         tool, orientation: of the tool, `[3]` [m] and `[4]` wxyz.
         target: `[3]` [m].
         distance: from tool to target [m].
-        reached: the task calls this a success; a target that is held stays reached until it is moved.
+        reached: the tool is near enough now and, where the task asks for it, was held.
+        path: points `[k, 3]` [m] through which the tool came.
     """
 
     q: np.ndarray
@@ -37,83 +45,145 @@ class Moment:
     target: np.ndarray
     distance: float
     reached: bool
+    path: np.ndarray
 
 
 class Player:
-    """One arm, driven step by step.
+    """One arm, driven step by step through the episodes that `evaluate` counts.
+
+    While it follows no success ends an episode: the arm rests at the target, its joint command held, and acts again
+    when the target is moved away. Where the task asks the policy to hold the target, the policy acts all the time.
 
     Attributes:
         moment: the arm now.
-        over: the episode has ended; it begins anew with `new_episode`.
+        state: of the environment, now.
+        number: of the episode, from 0.
+        clock: control steps since the episode began or the target was moved.
+        over: the episode has ended; `go_on` begins what comes next.
+        success: the last step was one, by the task's rules.
+        failed: `LEFT` or `LATE`, where the arm does not follow a target that was moved; else empty.
         steps: control steps taken.
-        episodes, successes: those that ended, and in success. One whose target was held or moved does not count.
+        episodes, successes: those that ended, and in success. One whose target was followed or moved does not count.
     """
+
+    moment: Moment
+    state: EnvState
 
     def __init__(self, env: Env, seed: int) -> None:
         """Player of the held-out targets of a seed, on an environment of one lane."""
-        self._env = env
+        self._env, self._seed = env, seed
         self._advances: dict[str, Advance] = {}
-        self._begin = env.compile(lambda state: env.reset(state, np.ones(1, bool)))
-        keys = episode_keys(seed, REPORT_STREAM, 0, 1)
-        self._state: EnvState = env.compile(env.init)(keys)
-        self._key = jax.random.fold_in(keys[0], AGENT_STREAM)
-        self._held = self._touched = self.over = False
+        self._init = env.compile(env.init)
+        self._following = False
         self.steps = self.episodes = self.successes = 0
-        self.moment = self._look(reached=False)
+        self.begin(0)
+
+    def begin(self, number: int) -> None:
+        """Begin the episode of that number."""
+        keys = episode_keys(self._seed, REPORT_STREAM, number, 1)
+        self.number, self._key = number, jax.random.fold_in(keys[0], AGENT_STREAM)
+        self._touched, self._at_home = self._following, True
+        self.state, self.clock = self._init(keys), 0
+        self.over, self.success, self.failed = False, False, ""
+        self._path: deque[np.ndarray] = deque(maxlen=PATH_POINTS)
+        self._look()
 
     def step(self, agent: str, policy: Policy | None) -> None:
         """Take one control step with an agent of `AGENTS`."""
         if agent not in self._advances:
             self._advances[agent] = make_advance(self._env, agent)
-        self._state, transition, self._key = self._advances[agent](policy, self._state, self._key)
-        self.steps += 1
-        done, success = (bool(np.asarray(row)[0]) for row in (transition.done, transition.terms["success"]))
-        self.moment = self._look(reached=success or (self._held and self.moment.reached))
-        self.over = done and not self._held
-        if self.over and not self._touched:
+        advance = self._advances[agent]
+        self.state, transition, self._key = advance(policy, self.state, self._key, self._following)
+        self.steps, self.clock = self.steps + 1, self.clock + 1
+        self._look()
+        done, terminated, success = (
+            bool(np.asarray(row)[0]) for row in (transition.done, transition.terminated, transition.terms["success"])
+        )
+        self.success = success
+        if self._touched:
+            self.failed = self._failure()
+            self.over = bool(self.failed) or (done and not self._following and (success or not terminated))
+        elif done:
+            self.over = True
             self.episodes += 1
             self.successes += success
 
+    def _failure(self) -> str:
+        """Why the arm does not follow; empty where it does.
+
+        A tool near a target at the workspace's edge may be outside by the success distance: that is no failure.
+        """
+        rules, (low, high) = self._env.config.rules, np.array(self._env.reach.robot.workspace)
+        away = np.linalg.norm(self.moment.tool - np.clip(self.moment.tool, low, high))
+        if not rules.hold_steps and away > rules.success_distance:
+            return LEFT
+        late = self.clock >= rules.max_steps and self.moment.distance >= rules.success_distance
+        return LATE if late else ""
+
+    def go_on(self) -> None:
+        """Begin the next episode; after a failure to follow, begin anew from home with the target as it is.
+
+        A target that nobody holds any more is tried from home only once.
+        """
+        if not self.failed or (self._at_home and not self._following):
+            self.begin(self.number + 1)
+            return
+        target = self.state.target
+        self.begin(self.number)
+        self.move_target(np.asarray(target[0]))
+        self._at_home = True
+
     def see(self) -> np.ndarray | None:
         """What the policy sees now, `[SIZE, SIZE, 3]` uint8, if that is a picture."""
-        seen = self._env.see(self._state)
+        seen = self._env.see(self.state)
         return None if seen is None else np.stack([seen[0]] * 3, axis=-1)
 
-    def hold(self, held: bool) -> None:
-        """Let no episode end while `held`."""
-        self._held, self._touched = held, self._touched or held
-        self.over = self.over and not held
+    def follow(self, following: bool) -> None:
+        """Follow the target, or play episodes to their end."""
+        self._following, self._touched = following, self._touched or following
+        self.over = self.over and (bool(self.failed) or not following)
 
     def move_target(self, target: np.ndarray) -> None:
         """Put the target at `[3]` [m]; the arm goes on from where it is, with all the time of an episode."""
-        state = self._state
-        row = jnp.asarray(target, jnp.float32)[None]
+        state, row = self.state, jnp.asarray(target, jnp.float32)[None]
         distance = jnp.linalg.norm(state.arm.tool_position - row, axis=-1)
-        recent = task.nothing_held(self._env.reach, 1)
-        self._state = replace(state, target=row, distance=distance, recent=recent, clock=jnp.zeros_like(state.clock))
-        self._touched, self.over = True, False
-        self.moment = self._look(reached=False)
+        recent, clock = task.nothing_held(self._env.reach, 1), jnp.zeros_like(state.clock)
+        self.state = replace(state, target=row, distance=distance, recent=recent, clock=clock)
+        self._touched, self._at_home, self.clock, self.over = True, False, 0, bool(self.failed)
+        self._look()
 
-    def new_episode(self) -> None:
-        """Begin an episode with a new target."""
-        self._state = self._begin(self._state)
-        self._touched = self.over = False
-        self.moment = self._look(reached=False)
+    def _look(self) -> None:
+        arm = self.state.arm
+        rows = (arm.q, arm.tool_position, arm.tool_quaternion, self.state.target, self.state.distance)
+        q, tool, orientation, target, distance = (np.asarray(row)[0] for row in rows)
+        longer = not self._path or np.linalg.norm(self._path[-1] - tool) >= PATH_STEP
+        if longer:
+            self._path.append(tool)
+        path = np.array(self._path) if longer else self.moment.path
+        self.moment = Moment(q, tool, orientation, target, float(distance), self._env.reached(self.state), path)
 
-    def _look(self, *, reached: bool) -> Moment:
-        state = self._state
-        rows = (state.arm.q, state.arm.tool_position, state.arm.tool_quaternion, state.target)
-        q, tool, orientation, target = (np.asarray(row)[0] for row in rows)
-        return Moment(q, tool, orientation, target, float(np.asarray(state.distance)[0]), reached)
+
+def played(player: Player, agent: str, policy: Policy | None, stride: int) -> Iterator[None]:
+    """Plays the episode that has begun, and stops at its begin, at every `stride`-th step and at its end."""
+    yield
+    while not player.over:
+        player.step(agent, policy)
+        if player.over or player.clock % stride == 0:
+            yield
 
 
 def make_advance(env: Env, agent: str) -> Advance:
-    """Function that gives state, transition and random key after a control step of an agent."""
-    decide = compile_agent(env, agent)
+    """Function that gives state, transition and random key after a control step of an agent, which may follow."""
+    decide, rules = compile_agent(env, agent), env.config.rules
 
-    def advance(policy: Policy | None, state: EnvState, key: Array) -> tuple[EnvState, Transition, Array]:
+    def advance(
+        policy: Policy | None, state: EnvState, key: Array, following: bool
+    ) -> tuple[EnvState, Transition, Array]:
         key, now = jax.random.split(key)
-        state, transition = env.step(state, decide(policy, state, now, None))
+        action, rest = decide(policy, state, now, None), None
+        if not rules.hold_steps:
+            rest = (state.distance < rules.success_distance) & (following | (rules.at_goal == "hold"))
+        state, transition = env.step(state, action, rest=rest)
         return state, transition, key
 
     return env.compile(advance)

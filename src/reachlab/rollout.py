@@ -69,7 +69,7 @@ def collect(env: Env, policy: Policy, state: EnvState, key: Array, config: PPOCo
         choice = draw(policy, env.observe(state), key)
         state, transition = env.step(state, choice.action, config.action_repeat)
         row = _row(choice, state, transition, transition.observation)
-        return env.reset(state, transition.done), row
+        return env.reset(state, transition.done, config.chained_starts or None), row
 
     return jax.lax.scan(step, state, jax.random.split(key, config.rollout_steps))
 
@@ -89,7 +89,7 @@ def host_collector() -> Collect:
             seen = env.look(state) if env.pictured else transition.observation
             rows.append(_row(choice, state, transition, seen))
             if (done := np.asarray(transition.done)).any():
-                state = env.reset(state, done)
+                state = env.reset(state, done, config.chained_starts or None)
                 seen = merge(done, env.look(state, done), seen)
         return state, _stacked(rows)
 

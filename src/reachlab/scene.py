@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import platform
 from typing import Any
@@ -10,6 +11,7 @@ import mujoco
 import numpy as np
 
 from reachlab.checks import InputError
+from reachlab.marks import BALL_OPACITY, PATH, PATH_RADIUS, TARGET_RADIUS, WAITING, Marks
 from reachlab.robots import Robot
 
 WIDTH, HEIGHT = 640, 480
@@ -18,18 +20,22 @@ WIDTH, HEIGHT = 640, 480
 TABLE_CENTRE, TABLE_SIZE, TABLE_COLOUR = (0.5, 0.0, -0.065), (0.75, 0.5, 0.035), (0.62, 0.65, 0.69, 1.0)
 """The table's slab [m]: its top, at z = -0.03, is where the tutorial's object, 2 cm thick, comes to rest."""
 
-TARGET_RADIUS = 0.022
-"""Radius of the drawn target [m]."""
-
 EDGE_RADIUS = 0.0015
 """Radius of the workspace's drawn edges [m]."""
 
-EDGE, DECORATION = int(mujoco.mjtObj.mjOBJ_SITE), int(mujoco.mjtCatBit.mjCAT_DECOR)
-"""The workspace's edges are sites, drawn as decoration: that throws no shadow."""
+EDGE, GEOM, DECORATION = int(mujoco.mjtObj.mjOBJ_SITE), int(mujoco.mjtObj.mjOBJ_GEOM), int(mujoco.mjtCatBit.mjCAT_DECOR)
+"""The workspace's edges are sites. They and the ball are drawn as decoration: that throws no shadow."""
+
+MAX_GEOMS = 2000
+"""Shapes that a picture may hold; a path that needs more of them is cut short."""
 
 
-def scene_spec(robot: Robot) -> mujoco.MjSpec:
-    """The robot on a table, with a target (mocap body `target`), the workspace's edges and light."""
+def scene_spec(robot: Robot, success_distance: float = TARGET_RADIUS) -> mujoco.MjSpec:
+    """The robot on a table, with a target (mocap body `target`), the workspace's edges and light.
+
+    The target's geoms are `target`, and `near`, the translucent ball in which the tool is near enough, where that is
+    the larger one.
+    """
     spec = mujoco.MjSpec.from_file(str(robot.file))
     world, visual = spec.worldbody, spec.visual
     visual.global_.offwidth, visual.global_.offheight = WIDTH, HEIGHT
@@ -58,7 +64,9 @@ def scene_spec(robot: Robot) -> mujoco.MjSpec:
     for start, end in robot.workspace_edges():
         world.add_site(type=capsule, fromto=[*start, *end], size=[EDGE_RADIUS, 0, 0], rgba=[1, 1, 1, 0.6])
     target = world.add_body(name="target", mocap=True)
-    target.add_geom(type=sphere, size=[TARGET_RADIUS, 0, 0], rgba=[0.85, 0.12, 0.15, 1], **drawn)
+    radius, opacity = min(success_distance, TARGET_RADIUS), BALL_OPACITY * (success_distance > TARGET_RADIUS)
+    target.add_geom(name="target", type=sphere, size=[radius, 0, 0], rgba=[*WAITING, 1], **drawn)
+    target.add_geom(name="near", type=sphere, size=[success_distance, 0, 0], rgba=[*WAITING, opacity], **drawn)
     return spec
 
 
@@ -92,7 +100,8 @@ class Camera:
         self._model = spec.compile()
         self._data = mujoco.MjData(self._model)
         self._joints = self._model.jnt_qposadr[list(robot.chain.joints)]
-        self._scene = mujoco.MjvScene(self._model, maxgeom=1000)
+        self._target, self._near = (self._model.geom(name).id for name in ("target", "near"))
+        self._scene = mujoco.MjvScene(self._model, maxgeom=MAX_GEOMS)
         self._draw = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_150)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._draw)
         self._option, self._view = mujoco.MjvOption(), mujoco.MjvCamera()
@@ -100,8 +109,10 @@ class Camera:
         self._view.azimuth, self._view.elevation, self._view.distance = 130.0, -22.0, 1.75
         self._view.lookat[:] = [centre[0] * 0.6, centre[1], 0.3]
 
-    def picture(self, q: np.ndarray, target: np.ndarray) -> np.ndarray:
+    def picture(self, q: np.ndarray, target: np.ndarray, marks: Marks | None = None) -> np.ndarray:
         """Picture `[height, width, 3]` uint8 of joints `q [n]` and a target `[3]`."""
+        marks = marks or Marks()
+        self._show_target(marks)
         self._data.qpos[self._joints] = q
         self._data.mocap_pos[0] = target
         mujoco.mj_forward(self._model, self._data)
@@ -110,14 +121,33 @@ class Camera:
             self._model, self._data, self._option, None, self._view, mujoco.mjtCatBit.mjCAT_ALL, self._scene
         )
         for geom in self._scene.geoms[: self._scene.ngeom]:
-            if geom.objtype == EDGE:
+            if geom.objtype == EDGE or (geom.objtype == GEOM and geom.objid == self._near):
                 geom.category = DECORATION
+        self._show_path(marks.path)
         height, width, _ = self._shape
         viewport = mujoco.MjrRect(0, 0, width, height)
         mujoco.mjr_render(viewport, self._scene, self._draw)
         pixels = np.empty(self._shape, np.uint8)
         mujoco.mjr_readPixels(pixels, None, viewport, self._draw)
         return np.flipud(pixels).copy()
+
+    def _show_target(self, marks: Marks) -> None:
+        model, wide = self._model, marks.success_distance > TARGET_RADIUS
+        model.geom_size[self._target, 0] = min(marks.success_distance, TARGET_RADIUS)
+        model.geom_size[self._near, 0] = marks.success_distance
+        model.geom_rgba[self._target] = [*marks.colour, 1]
+        model.geom_rgba[self._near] = [*marks.colour, BALL_OPACITY * wide]
+
+    def _show_path(self, path: np.ndarray) -> None:
+        scene, still, turned = self._scene, np.zeros(3), np.eye(3).ravel()
+        for start, end in itertools.pairwise(path):
+            if scene.ngeom == scene.maxgeom:
+                return
+            line = scene.geoms[scene.ngeom]
+            mujoco.mjv_initGeom(line, mujoco.mjtGeom.mjGEOM_CAPSULE, still, still, turned, np.array([*PATH, 1.0], "f4"))
+            mujoco.mjv_connector(line, mujoco.mjtGeom.mjGEOM_CAPSULE, PATH_RADIUS, start, end)
+            line.category = DECORATION
+            scene.ngeom += 1
 
     def close(self) -> None:
         """Free the OpenGL context."""
@@ -133,11 +163,11 @@ class LazyCamera:
         self._robot = robot
         self._camera: Camera | None = None
 
-    def picture(self, q: np.ndarray, target: np.ndarray) -> np.ndarray:
+    def picture(self, q: np.ndarray, target: np.ndarray, marks: Marks | None = None) -> np.ndarray:
         """See `Camera.picture`."""
         if self._camera is None:
             self._camera = Camera(self._robot)
-        return self._camera.picture(q, target)
+        return self._camera.picture(q, target, marks)
 
     def close(self) -> None:
         """Close the camera if it was opened; it opens again when needed."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import ipaddress
 import socket
 import sys
-from collections import deque
 from collections.abc import Sequence
 from types import ModuleType
 from typing import TYPE_CHECKING
@@ -18,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from reachlab import views
 from reachlab.checks import InputError
+from reachlab.marks import PATH, Colour, Marks
 from reachlab.player import Moment
 from reachlab.robots import Robot
 from reachlab.scene import TABLE_CENTRE, TABLE_SIZE, scene_spec
@@ -32,14 +32,11 @@ LOCAL = "127.0.0.1"
 TITLE = "reachlab"
 """Title of the panel and the page."""
 
-WAITING, REACHED, PATH = (217, 31, 38), (34, 160, 84), (37, 99, 235)
-"""Colours of the target before and when it is reached, and of the path."""
-
 EDGES, EDGE_WIDTH = (150, 155, 166), 0.002
 """Colour of the workspace's edges, and their width [m]."""
 
-PATH_POINTS, PATH_STEP, PATH_WIDTH = 300, 0.004, 0.004
-"""Corners of the path at most, their least distance [m], and its width [m]."""
+PATH_WIDTH = 0.004
+"""Width of the tool's drawn path [m]."""
 
 AXES_LENGTH, AXES_RADIUS = 0.12, 0.004
 """Size of the tool's drawn axes [m]."""
@@ -49,6 +46,9 @@ HANDLE_SIZE = 0.16
 
 LABEL_BELOW = (0.0, 0.0, -0.05)
 """Where the label hangs under the target [m]."""
+
+HEADING_AT = (0.3, 0.0, 1.05)
+"""Where a recording tells what it shows [m]."""
 
 GRID_CELL, GRID_FADE = 0.1, 6.0
 """The ground's cells, and how far it is seen [m]."""
@@ -73,16 +73,18 @@ class Stage:
     Attributes:
         workspace: the edges of the robot's workspace.
         path: the tool's way in this episode, once it has moved.
+        label: the text below the target.
+        balls: the target, and around it the ball in which the tool is near enough.
         eye: the observation camera with what it sees, once there is a picture.
     """
 
-    def __init__(self, server: viser.ViserServer, robot: Robot) -> None:
-        """Stage with the arm at home; the target shows with the first moment."""
+    def __init__(self, server: viser.ViserServer, robot: Robot, success_distance: float) -> None:
+        """Stage with the arm at home; the target shows with the first moment, in a ball of the success distance [m]."""
         self._scene = server.scene
-        self._model = scene_spec(robot).compile()
+        self._model = scene_spec(robot, success_distance).compile()
         self._data = mujoco.MjData(self._model)
         self._joints = self._model.jnt_qposadr[list(robot.chain.joints)]
-        self._path: deque[np.ndarray] = deque(maxlen=PATH_POINTS)
+        self._drawn_path = np.empty(0)
         self.path: viser.LineSegmentsHandle | None = None
         self.eye: viser.CameraFrustumHandle | None = None
         self._set_view(server)
@@ -91,9 +93,10 @@ class Stage:
         edges = np.array(robot.workspace_edges(), np.float32)
         self.workspace = self._scene.add_line_segments("/workspace", edges, EDGES, thickness=EDGE_WIDTH)
         target = self._model.body("target").id
-        self._target, self._ball = self._frames[target], next(mesh for body, mesh in parts if body == target)
+        self._target, self.balls = self._frames[target], [mesh for body, mesh in parts if body == target]
         self._target.visible = False
-        self._label = self._scene.add_label(f"{self._target.name}/label", "", position=LABEL_BELOW, anchor="top-center")
+        self.label = self._scene.add_label(f"{self._target.name}/label", "", position=LABEL_BELOW, anchor="top-center")
+        self._heading: viser.LabelHandle | None = None
         self._axes = self._scene.add_frame("/tool", axes_length=AXES_LENGTH, axes_radius=AXES_RADIUS, visible=False)
         self._place(np.array(robot.home), None)
 
@@ -109,15 +112,17 @@ class Stage:
         self._place(moment.q, moment.target)
         self._target.visible, self._axes.visible = True, axes
         self._axes.position, self._axes.wxyz = moment.tool, moment.orientation
-        self._ball.color = REACHED if moment.reached else WAITING
-        self._label.text = f"{1000 * moment.distance:.1f} mm"
-        self._lengthen(moment.tool)
+        for ball in self.balls:
+            ball.color = _bytes(Marks(reached=moment.reached).colour)
+        self._show_path(moment.path)
         if seen is not None:
             self._show_seen(seen)
 
-    def clear_path(self) -> None:
-        """Begin the path anew."""
-        self._path.clear()
+    def head(self, text: str) -> None:
+        """Write a text above the scene."""
+        if self._heading is None:
+            self._heading = self._scene.add_label("/heading", text, position=HEADING_AT, anchor="bottom-center")
+        self._heading.text = text
 
     def cast_shadows(self, cast: bool) -> None:
         """Draw shadows, or not."""
@@ -178,14 +183,14 @@ class Stage:
         else:
             self.eye.image = picture
 
-    def _lengthen(self, tool: np.ndarray) -> None:
-        if self._path and np.linalg.norm(self._path[-1] - tool) < PATH_STEP:
+    def _show_path(self, path: np.ndarray) -> None:
+        if path is self._drawn_path:
             return
-        self._path.append(tool)
-        corners = np.array([self._path[0], *self._path], np.float32)
+        self._drawn_path = path
+        corners = np.array([path[0], *path], np.float32)
         points = np.stack([corners[:-1], corners[1:]], axis=1)
         if self.path is None:
-            self.path = self._scene.add_line_segments("/path", points, PATH, thickness=PATH_WIDTH)
+            self.path = self._scene.add_line_segments("/path", points, _bytes(PATH), thickness=PATH_WIDTH)
         else:
             self.path.points = points
 
@@ -214,6 +219,11 @@ def start_server(host: str, port: int) -> viser.ViserServer:
     # Any page open in the browser could ask for it: a websocket does not heed where a page is from.
     server.request_share_url = _share_nothing
     return server
+
+
+def _bytes(colour: Colour) -> tuple[int, int, int]:
+    red, green, blue = (round(255 * part) for part in colour)
+    return red, green, blue
 
 
 def is_local(host: str) -> bool:

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from reachlab.checks import choose
+from reachlab.checks import InputError, choose
 from reachlab.config import TaskConfig
 from reachlab.kinematics import forward_kinematics, ik_displace, ik_point_step
 from reachlab.policy import Observed
@@ -77,7 +77,8 @@ class Outcome(NamedTuple):
 
     Distances from tool to target in metres: before the step, after it, and held: the largest of the steps of which the
     task speaks, infinite where a joint moved. Speed is the fastest joint's [rad/s or m/s], effort the mean
-    square of the action.
+    square of the action. Progress is what success pays for: 1 on the step on which it is reached and, where the
+    episode goes on, -1 on the step on which it is lost.
     """
 
     distance_before: Array
@@ -88,6 +89,7 @@ class Outcome(NamedTuple):
     outside: Array
     success: Array
     timeout: Array
+    progress: Array
 
 
 # --- targets and starts ---------------------------------------------------------------------------
@@ -393,13 +395,14 @@ def command(reach: Reach, now: Situation, action: Array) -> Array:
 def _sparse(config: TaskConfig, outcome: Outcome) -> dict[str, Array]:
     """1 for reaching the target, -0.1 for leaving the workspace or running out of time: the tutorial's.
 
-    Where the target has to be held, 1 for every step at which it is, and -0.1 for running out of time nevertheless.
+    Where the episode goes on at the target, losing it costs 1 again: a difference of potentials, so that coming and
+    going pays nothing (Ng, Harada and Russell, "Policy invariance under reward transformations", ICML 1999).
     """
     del config
     return {
-        "reach": SUCCESS_REWARD * outcome.success,
+        "reach": SUCCESS_REWARD * outcome.progress,
         "outside": OUTSIDE_REWARD * outcome.outside,
-        "timeout": TIMEOUT_REWARD * outcome.timeout,
+        "timeout": TIMEOUT_REWARD * (outcome.timeout & ~outcome.success),
     }
 
 
@@ -429,7 +432,38 @@ REWARDS: dict[str, Callable[[TaskConfig, Outcome], dict[str, Array]]] = {
 """Rewards by name; each gives named terms `[B]` whose sum is the reward."""
 
 
-def judge(reach: Reach, distance_before: Array, recent: Array | None, now: Situation, clock: Array) -> Outcome:
+AT_GOAL = {
+    "end": "success ends the episode",
+    "continue": "the policy acts until the time limit; success is judged on the last step",
+    "hold": "as continue, but the joint command stays while the tool is within the success distance",
+}
+"""What may happen at the target, by name."""
+
+
+def held_error(distance: Array, recent: Array | None) -> Array:
+    """The error that counts `[B]` [m]: the distance, or the largest recent one where the tool has to be held."""
+    return distance if recent is None else recent.max(axis=-1)
+
+
+def rests(reach: Reach, distance: Array) -> Array | None:
+    """Whether the joint command stays as it is, for the tool is at the target `[B]`; None where no rule says so."""
+    return distance < reach.config.success_distance if reach.config.at_goal == "hold" else None
+
+
+def is_outside(reach: Reach, tool_position: Array) -> Array:
+    """Whether the tool, at `[B, 3]` m, has left the workspace `[B]`."""
+    low, high = (jnp.array(corner) for corner in reach.robot.workspace)
+    return ((tool_position < low) | (tool_position > high)).any(axis=-1)
+
+
+def judge(
+    reach: Reach,
+    distance_before: Array,
+    recent: Array | None,
+    now: Situation,
+    clock: Array,
+    held_before: Array | None = None,
+) -> Outcome:
     """Outcome of a step, number `clock [B]` of its episode, that led to a situation.
 
     Args:
@@ -438,21 +472,26 @@ def judge(reach: Reach, distance_before: Array, recent: Array | None, now: Situa
         recent: the errors of the last steps `[B, hold_steps]`, see `remember`; None if touching is enough.
         now: the situation.
         clock: number of the step.
+        held_before: the error that counted before the step `[B]` [m]; by default `distance_before`.
 
-    Where touching is enough, leaving the workspace outranks success, and success a time-out on the same step. Where the
-    tool has to be held, nothing but the clock ends the episode.
+    Leaving the workspace outranks success, and where success ends the episode it outranks a time-out on the same step.
+    Where the tool has to be held, leaving the workspace is no end.
     """
+    rules = reach.config
     distance = jnp.linalg.norm(now.tool_position - now.target, axis=-1)
-    held = distance if recent is None else recent.max(axis=-1)
+    held = held_error(distance, recent)
     outside = jnp.zeros_like(distance, bool)
     if recent is None:
-        low, high = (jnp.array(corner) for corner in reach.robot.workspace)
-        outside = ((now.tool_position < low) | (now.tool_position > high)).any(axis=-1)
-    success = ~outside & (held < reach.config.success_distance)
-    over = clock >= reach.config.max_steps
-    timeout = over if recent is not None else ~outside & ~success & over
+        outside = is_outside(reach, now.tool_position)
+    success = ~outside & (held < rules.success_distance)
+    timeout = ~outside & (clock >= rules.max_steps)
+    if rules.at_goal == "end":
+        timeout, progress = timeout & ~success, success.astype(distance.dtype)
+    else:
+        before = (distance_before if held_before is None else held_before) < rules.success_distance
+        progress = success.astype(distance.dtype) - before
     speed, effort = jnp.abs(now.qd).max(axis=-1), jnp.square(now.last_action).mean(axis=-1)
-    return Outcome(distance_before, distance, held, speed, effort, outside, success, timeout)
+    return Outcome(distance_before, distance, held, speed, effort, outside, success, timeout, progress)
 
 
 def remember(reach: Reach, recent: Array | None, now: Situation) -> Array | None:
@@ -473,13 +512,19 @@ def make_reach(config: TaskConfig, robot: Robot, period: float, lag: tuple[float
     """The task on a robot.
 
     Raises:
-        InputError: an observation, action or reward that does not exist.
+        InputError: an observation, action or reward that does not exist, or rules that do not fit together.
     """
     for kind, name, table in (
         ("observation", config.observation, OBSERVATIONS),
         ("action", config.action, ACTIONS),
         ("reward", config.reward, REWARDS),
         ("targets", config.targets, TARGETS),
+        ("at_goal", config.at_goal, AT_GOAL),
     ):
         choose(kind, name, table)
+    if config.at_goal == "hold" and config.hold_steps:
+        raise InputError(
+            f"at_goal 'hold' holds the arm at the target, and hold_steps {config.hold_steps} asks the policy to do so:"
+            " set at_goal to 'continue', or hold_steps to 0."
+        )
     return Reach(config, robot, period, lag)

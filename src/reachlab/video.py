@@ -11,22 +11,23 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, cast
 
-import jax
 import numpy as np
 from PIL import Image
 
 from reachlab.caption import Caption, captioned, inset
 from reachlab.checks import InputError, choose
-from reachlab.env import Env, EnvState
-from reachlab.evaluation import compile_agent
+from reachlab.env import Env
+from reachlab.evaluation import AGENTS
+from reachlab.player import Player, played
 from reachlab.policy import Policy
-from reachlab.streams import AGENT_STREAM, REPORT_STREAM, episode_keys
 
-BEGIN_PAUSE, END_PAUSE = 0.4, 1.2
+BEGIN_PAUSE, END_PAUSE = 0.8, 2.0
 """Times for which an episode's first and last picture stand [s]."""
 
 LONGEST_PICTURE = 60.0
 """Time for which a picture may stand [s]; the formats hold no more than some hours."""
+SPEEDS, LONG_ENOUGH = (1.0, 0.5, 0.25, 0.1), 2.0
+"""Speeds of which a film takes the fastest at which its first episode moves for so long [s], or the slowest."""
 
 WEBP_QUALITY = 82
 """Of 100: the lowest at which the workspace's thin edges stay clean."""
@@ -41,16 +42,6 @@ class Frame:
 
     image: Image.Image
     seconds: float
-
-
-@dataclass(frozen=True)
-class Moment:
-    """An episode after some step: how far it is, and its end once it is `done`."""
-
-    state: EnvState
-    step: int
-    done: bool
-    success: bool
 
 
 @dataclass(frozen=True)
@@ -74,7 +65,7 @@ def write_video(
     seed: int,
     episodes: int,
     fps: float,
-    speed: float = 1.0,
+    speed: float = 0.0,
 ) -> Clip:
     """Film the first episodes of a seed's evaluation, one after the other; the clip says what was written.
 
@@ -86,7 +77,7 @@ def write_video(
         seed: seed of the targets.
         episodes: how many.
         fps: pictures for each second of the video, about: each shows a whole number of control steps.
-        speed: 1 is real time, 0.5 half as fast.
+        speed: 1 is real time, 0.5 half as fast; 0 chooses among `SPEEDS`.
 
     Raises:
         InputError: an ending that is none of them, a file that cannot be written, or no OpenGL to draw with.
@@ -94,24 +85,27 @@ def write_video(
     encode = ENCODERS[choose("video format", out.suffix.lower(), ENCODERS)]
     if not out.parent.is_dir():
         raise InputError(f"the video cannot be written to '{out}': there is no folder '{out.parent}'.")
-    period = env.config.physics.control_period
+    choose("agent", agent, AGENTS)
+    period, player = env.config.physics.control_period, Player(env, seed)
+    speed = speed or _slow_enough(player, agent, policy, period)
     stride = max(1, round(speed / (fps * period)))
     interval = stride * period / speed
     if interval > LONGEST_PICTURE:
         raise InputError(
-            f"a picture would stand for {interval:.3g} s, at most {LONGEST_PICTURE:g} are written: choose a higher --fps"
-            " or --speed."
+            f"a picture would stand for {interval:.3g} s, and at most {LONGEST_PICTURE:g} are written: choose a higher"
+            " --fps or --speed."
         )
     tally: Counter[str] = Counter()
 
     def film() -> Iterator[Frame]:
-        moments = episode_player(env, agent, policy, stride)
         for number in range(episodes):
-            for moment in moments(episode_keys(seed, REPORT_STREAM, number, 1)):
-                seconds = END_PAUSE if moment.done else interval + BEGIN_PAUSE * (moment.step == 0)
-                tally.update(frames=1, successes=moment.success, milliseconds=round(1000 * seconds))
-                caption = _caption(env, agent, moment, f"Episode {number + 1} of {episodes}", speed)
-                yield Frame(captioned(_picture(env, moment.state), caption), seconds)
+            player.begin(number)
+            for _ in played(player, agent, policy, stride):
+                seconds = END_PAUSE if player.over else interval + BEGIN_PAUSE * (player.clock == 0)
+                tally.update(frames=1, milliseconds=round(1000 * seconds))
+                caption = _caption(env, agent, player, f"Episode {number + 1} of {episodes}", speed)
+                yield Frame(captioned(_picture(env, player), caption), seconds)
+            tally.update(successes=player.success)
 
     try:
         encode(out, film(), 1 / interval)
@@ -121,46 +115,28 @@ def write_video(
     return Clip(str(out), episodes, tally["successes"], tally["frames"], seconds, out.stat().st_size)
 
 
-def _picture(env: Env, state: EnvState) -> np.ndarray:
-    """Picture of a state, and in a corner what the policy sees if that is a picture too."""
-    seen = env.see(state)
-    return env.render(state) if seen is None else inset(env.render(state), seen[0])
+def _slow_enough(player: Player, agent: str, policy: Policy | None, period: float) -> float:
+    """The speed at which a person can follow an episode of this agent."""
+    for _ in played(player, agent, policy, 1):
+        pass
+    return next((speed for speed in SPEEDS if player.clock * period / speed >= LONG_ENOUGH), SPEEDS[-1])
 
 
-def episode_player(env: Env, agent: str, policy: Policy | None, stride: int) -> Callable[[jax.Array], Iterator[Moment]]:
-    """Function that gives the moments of the episode of a key `[1]`: its begin, every `stride`-th step, its end."""
-    decide = compile_agent(env, agent)
-
-    @env.compile
-    def advance(policy: Policy | None, state: EnvState, key: jax.Array) -> tuple[EnvState, jax.Array, Any]:
-        key, now = jax.random.split(key)
-        state, transition = env.step(state, decide(policy, state, now, None))
-        return state, key, (transition.done, transition.terms["success"])
-
-    begin = env.compile(env.init)
-
-    def play(keys: jax.Array) -> Iterator[Moment]:
-        state, key = begin(keys), jax.random.fold_in(keys[0], AGENT_STREAM)
-        step, done = 0, False
-        yield Moment(state, step, done=False, success=False)
-        while not done:
-            state, key, (ended, reached) = advance(policy, state, key)
-            step, done = step + 1, bool(ended[0])
-            if done or step % stride == 0:
-                yield Moment(state, step, done, done and bool(reached[0]))
-
-    return play
+def _picture(env: Env, player: Player) -> np.ndarray:
+    """Picture of the arm now, and in a corner what the policy sees if that is a picture too."""
+    picture, seen = env.render(player.state, path=player.moment.path), player.see()
+    return picture if seen is None else inset(picture, seen)
 
 
-def _caption(env: Env, agent: str, moment: Moment, title: str, speed: float) -> Caption:
+def _caption(env: Env, agent: str, player: Player, title: str, speed: float) -> Caption:
     config = env.config
     parts = [f"{config.task} task", env.reach.robot.name, config.sim, agent]
     return Caption(
         title=title,
         detail=" · ".join(parts if speed == 1 else [*parts, f"{speed:g}× speed"]),
-        distance=float(moment.state.distance[0]),
-        time=moment.step * config.physics.control_period,
-        verdict=("success" if moment.success else "failed") if moment.done else "",
+        distance=player.moment.distance,
+        time=player.clock * config.physics.control_period,
+        verdict=("success" if player.success else "failed") if player.over else "",
     )
 
 

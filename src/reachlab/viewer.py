@@ -14,7 +14,7 @@ from reachlab.checks import InputError, choose
 from reachlab.env import Env
 from reachlab.evaluation import AGENTS
 from reachlab.panel import Panel
-from reachlab.player import Player, target_box
+from reachlab.player import Player, played, target_box
 from reachlab.policy import Policy
 from reachlab.stage import LOCAL, TITLE, Stage, start_server
 
@@ -48,9 +48,11 @@ class Viewer:
         player, handle: the arm, and the handle by which its target is moved; there once `prepare` was called.
         paused: nothing moves.
         panel, stage: what a person has chosen, and what is drawn.
+        box: corners `[2, 3]` of where targets may be [m]; there once `prepare` was called.
     """
 
     player: Player
+    box: np.ndarray
     handle: viser.TransformControlsHandle
 
     def __init__(self, env: Env, checkpoints: Sequence[int], load: Load, agent: str, host: str, port: int) -> None:
@@ -72,11 +74,11 @@ class Viewer:
         self._policies: dict[int, Policy] = {}
         self._playing: int | None = None
         self._server = start_server(host, port)
-        self.stage = Stage(self._server, env.reach.robot)
+        self.stage = Stage(self._server, env.reach.robot, env.config.rules.success_distance)
         self.panel = Panel(self._server.gui, agent, checkpoints, tuple(COMMANDS), pictured=env.pictured)
         self.panel.on_shadows(self.stage.cast_shadows)
         self._pace = Pace()
-        self._dragged = self.paused = False
+        self._dragged = self.paused = self._told_reached = False
         self._owed = self._rest = 0.0
         self.url = f"http://{host}:{self._server.get_port()}"
 
@@ -93,8 +95,8 @@ class Viewer:
     def prepare(self, seed: int) -> None:
         """Compile what playing takes and show the first held-out target of a seed."""
         self.player = Player(self._env, seed)
-        self._box = target_box(self._env.reach)
-        self.handle = self.stage.add_handle((self._box[1] > self._box[0]).tolist())
+        self.box = target_box(self._env.reach)
+        self.handle = self.stage.add_handle((self.box[1] > self.box[0]).tolist())
 
         async def drag(event: viser.TransformControlsEvent) -> None:
             self._dragged = event.phase != "end"
@@ -120,11 +122,11 @@ class Viewer:
         self._follow_hand()
         if self.paused or not self._server.get_clients():
             return
-        self.player.hold(self._dragged or self.panel.endless)
+        self.player.follow(self._dragged or self.panel.endless)
         if self.player.over:
             self._rest -= elapsed
             if self._rest <= 0:
-                self.reset()
+                self._go_on()
         else:
             self._play(self._due(elapsed))
 
@@ -137,16 +139,25 @@ class Viewer:
         """Take one control step and pause."""
         self.paused = True
         if self.player.over:
-            self.reset()
+            self._go_on()
         self._play(1)
         self._tell()
 
     def reset(self) -> None:
         """Begin a new episode, with a new target."""
-        self.player.new_episode()
-        self.stage.clear_path()
-        self._put_handle()
+        self.player.begin(self.player.number + 1)
+        self._begun()
+
+    def _go_on(self) -> None:
+        """Begin a new episode, or after a failure to follow a new try from home."""
+        self.player.go_on()
+        self._begun()
+
+    def _begun(self) -> None:
+        if not self._dragged:
+            self._put_handle()
         self._show()
+        self._tell()
 
     def _due(self, elapsed: float) -> int:
         """Control steps for which it is time."""
@@ -192,7 +203,7 @@ class Viewer:
         hand = np.array(self.handle.position)
         if not np.array_equal(hand, self._hand):
             self._hand = hand
-            self.player.move_target(np.clip(hand, *self._box))
+            self.player.move_target(np.clip(hand, *self.box))
             self._show()
         elif not self._dragged:
             self._put_handle()
@@ -207,16 +218,31 @@ class Viewer:
             self.stage.show(self.player.moment, axes=self.panel.axes, seen=seen)
             if seen is not None:
                 self.panel.show_seen(seen)
-        if self._pace.due(self.player.steps) or self.player.over:
-            self._tell()
+            if (
+                self._pace.due(self.player.steps)
+                or self.player.over
+                or self.player.moment.reached != self._told_reached
+            ):
+                self._tell()
 
     def _tell(self) -> None:
+        """Write the figures of one moment into the panel and below the target, both at once."""
         player, moment = self.player, self.player.moment
         rate = "paused" if self.paused else f"{self._pace.rate:.0f} steps/s"
-        self.panel.say(
-            f"**{1000 * moment.distance:.1f} mm** to the target{', **reached**' if moment.reached else ''}\n\n"
-            f"{player.successes} of {player.episodes} episodes reached · {rate}"
+        distance, self._told_reached = _in_millimetres(moment.distance), moment.reached
+        after = (
+            ", **reached**" if moment.reached else f": **{player.failed}**, begins again at home" * bool(player.failed)
         )
+        with self._server.atomic():
+            self.stage.label.text = distance
+            self.panel.say(
+                f"**{distance}** to the target{after}\n\n"
+                f"{player.successes} of {player.episodes} episodes reached · {rate}"
+            )
+
+
+def _in_millimetres(distance: float) -> str:
+    return f"{1000 * distance:.1f} mm"
 
 
 COMMANDS: dict[str, Callable[[Viewer], None]] = {
@@ -255,25 +281,23 @@ def save_page(env: Env, agent: str, policy: Policy | None, seed: int, episodes: 
     if not out.parent.is_dir():
         raise InputError(f"page '{out}' cannot be written: there is no folder '{out.parent}'.")
     steps = max(1, round(1 / FRAME_RATE / env.config.physics.control_period))
+    title = f"{TITLE} · {env.config.task} task · {agent}"
     server = start_server(LOCAL, 0)
     try:
-        stage, player = Stage(server, env.reach.robot), Player(env, seed)
-        stage.show(player.moment, seen=player.see())
+        stage, player = Stage(server, env.reach.robot, env.config.rules.success_distance), Player(env, seed)
         recording = server.get_scene_serializer()
-        for _ in range(episodes):
-            while not player.over:
-                for _ in range(steps):
-                    if not player.over:
-                        player.step(agent, policy)
-                stage.show(player.moment, seen=player.see())
-                recording.insert_sleep(steps * env.config.physics.control_period)
-            recording.insert_sleep(PAUSE)
-            player.new_episode()
-            stage.clear_path()
+        for number in range(episodes):
+            player.begin(number)
+            for _ in played(player, agent, policy, steps):
+                with server.atomic():
+                    stage.show(player.moment, seen=player.see())
+                    stage.label.text = _in_millimetres(player.moment.distance)
+                    stage.head(f"{title} · episode {number + 1} of {episodes}")
+                recording.insert_sleep(PAUSE if player.over else steps * env.config.physics.control_period)
         page = recording.as_html()
     finally:
         server.stop()
     try:
-        out.write_text(page.replace("<title>Viser</title>", f"<title>{TITLE}</title>", 1), encoding="utf-8")
+        out.write_text(page.replace("<title>Viser</title>", f"<title>{title}</title>", 1), encoding="utf-8")
     except OSError as error:
         raise InputError(f"page '{out}' cannot be written: {error.strerror}.") from None

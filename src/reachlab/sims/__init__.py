@@ -12,6 +12,7 @@ from jax import Array
 
 from reachlab.checks import choose
 from reachlab.config import SimConfig
+from reachlab.marks import Marks
 from reachlab.robots import Robot
 from reachlab.views import Views
 
@@ -64,8 +65,8 @@ class Simulator(Protocol):
         """State one control period later, with the joints commanded to `target_q [B, n]`."""
         ...
 
-    def render(self, state: ArmState, target: Array, lane: int) -> np.ndarray:
-        """Picture of one lane, `[height, width, 3]` uint8."""
+    def render(self, state: ArmState, target: Array, lane: int, marks: Marks) -> np.ndarray:
+        """Picture of one lane, `[height, width, 3]` uint8, with marks where the simulator draws them."""
         ...
 
     def see(self, q: np.ndarray, target: np.ndarray, views: Views, lanes: np.ndarray) -> np.ndarray:

@@ -10,6 +10,7 @@ import numpy as np
 from jax import Array
 
 from reachlab.camera import Camera
+from reachlab.marks import Marks
 from reachlab.robots import Robot
 from reachlab.scene import LazyCamera
 from reachlab.sims import ArmState
@@ -32,11 +33,11 @@ class Drawn:
         del memo
         return type(self)(*self._made_with)
 
-    def render(self, state: ArmState, target: Array, lane: int) -> np.ndarray:
+    def render(self, state: ArmState, target: Array, lane: int, marks: Marks) -> np.ndarray:
         """See `Simulator.render`."""
         q, point = np.asarray(state.q[lane]), np.asarray(target[lane])
         self._drew = True
-        return self._painter.submit(self._camera.picture, q, point).result()
+        return self._painter.submit(self._camera.picture, q, point, marks).result()
 
     def see(self, q: np.ndarray, target: np.ndarray, views: Views, lanes: np.ndarray) -> np.ndarray:
         """See `Simulator.see`."""

@@ -19,6 +19,7 @@ from jax import Array
 
 from reachlab.checks import InputError
 from reachlab.config import SimConfig
+from reachlab.marks import Marks
 from reachlab.robots import Robot
 from reachlab.sims import ArmState, Lanes
 from reachlab.views import FAR, FIELD_OF_VIEW, NEAR, SIZE, Views, greys
@@ -145,9 +146,9 @@ class PybulletSimulator:
             position += self._offset * np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], 1)
         return ArmState(*(cast("Array", rows) for rows in (q, qd, position, quaternion)))
 
-    def render(self, state: ArmState, target: Array, lane: int) -> np.ndarray:
+    def render(self, state: ArmState, target: Array, lane: int, marks: Marks) -> np.ndarray:
         """See `Simulator.render`."""
-        del target
+        del target, marks
         world = self._lanes[lane]
         world.set_joints(np.asarray(state.q[lane]))
         return world.picture()
