@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -11,7 +12,12 @@ import pytest
 
 from reachlab.checks import InputError
 from reachlab.config import configure
+<<<<<<< HEAD
 from reachlab.env import Env
+=======
+from reachlab.env import Env, lane_keys
+from reachlab.marks import Marks
+>>>>>>> viewer
 from reachlab.robots import Robot, load_robot
 from reachlab.scene import HEIGHT, WIDTH, Camera, scene_spec
 from reachlab.streams import lane_keys
@@ -65,6 +71,34 @@ def test_the_red_target_is_drawn_where_it_is(robot: Robot, camera: Camera) -> No
     assert np.argwhere(redness(higher)).mean(axis=0)[0] < centres[0][0] - 20, "up in the world is up in the picture"
 
 
+def test_the_success_distance_is_drawn_as_a_ball_around_the_target(robot: Robot, camera: Camera) -> None:
+    home, point = np.array(robot.home), np.array((0.6, -0.2, 0.1))
+
+    def width(success_distance: float) -> float:
+        """Of what turns green when the target is reached [pixels]."""
+        red, green = (camera.picture(home, point, Marks(success_distance, reached)) for reached in (False, True))
+        return float(np.ptp(np.argwhere(changed(red, green))[:, 1]))
+
+    assert width(0.1) / width(0.05) == pytest.approx(2, rel=0.1)
+    assert width(0.01) / width(0.02) == pytest.approx(0.5, rel=0.2), "a ball smaller than the target is the target"
+
+
+def test_a_reached_target_is_green(robot: Robot, camera: Camera) -> None:
+    home, point = np.array(robot.home), np.array((0.6, -0.2, 0.1))
+    waiting, reached = (camera.picture(home, point, Marks(0.022, now)) for now in (False, True))
+    target = changed(waiting, reached)
+    assert redness(waiting)[target].mean() > 0.8
+    assert (reached[target][:, 1] > reached[target][:, 0]).mean() > 0.95
+
+
+def test_the_tools_path_is_drawn(robot: Robot, camera: Camera) -> None:
+    home = np.array(robot.home)
+    path = np.linspace((0.6, -0.2, 0.1), (0.6, 0.2, 0.1), 50)
+    line = changed(camera.picture(home, TARGET), camera.picture(home, TARGET, Marks(path=path)))
+    assert line.sum() > 100
+    assert np.array_equal(camera.picture(home, TARGET), camera.picture(home, TARGET, Marks(path=path[:1])))
+
+
 def test_a_moving_arm_changes_the_picture(robot: Robot, camera: Camera) -> None:
     home = np.array(robot.home)
     moved = home.copy()
@@ -93,6 +127,17 @@ def test_an_environment_draws_the_lane_that_is_asked_for(camera: Camera) -> None
     env.close()
     env.close()
     assert np.array_equal(env.render(state, 0), first), "a closed environment can draw again"
+    env.close()
+
+
+def test_an_environment_draws_whether_its_target_is_reached(camera: Camera) -> None:
+    del camera
+    env = Env(configure(), 1)
+    state = env.compile(env.init)(lane_keys(0, 1))
+    away, near = env.render(state), env.render(replace(state, distance=state.distance * 0))
+    ball = changed(away, near)
+    greener = near[ball].astype(int) - away[ball]
+    assert (greener[:, 1] > greener[:, 0]).all()
     env.close()
 
 

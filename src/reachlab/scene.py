@@ -20,8 +20,8 @@ WIDTH, HEIGHT = 640, 480
 TABLE_CENTRE, TABLE_SIZE, TABLE_COLOUR = (0.5, 0.0, -0.065), (0.75, 0.5, 0.035), (0.62, 0.65, 0.69, 1.0)
 """The table's slab [m]: its top, at z = -0.03, is where the tutorial's object, 2 cm thick, comes to rest."""
 
-EDGE_RADIUS = 0.0015
-"""Radius of the workspace's drawn edges [m]."""
+EDGE_RADIUS, EDGE_COLOUR = 0.002, (0.33, 0.37, 0.44, 1.0)
+"""Radius [m] and colour of the workspace's drawn edges: wider than half a pixel, and darker than sky and table."""
 
 EDGE, GEOM, DECORATION = int(mujoco.mjtObj.mjOBJ_SITE), int(mujoco.mjtObj.mjOBJ_GEOM), int(mujoco.mjtCatBit.mjCAT_DECOR)
 """The workspace's edges are sites. They and the ball are drawn as decoration: that throws no shadow."""
@@ -62,7 +62,7 @@ def scene_spec(robot: Robot, success_distance: float = TARGET_RADIUS) -> mujoco.
     capsule, sphere = mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_SPHERE
     add_table(spec)
     for start, end in robot.workspace_edges():
-        world.add_site(type=capsule, fromto=[*start, *end], size=[EDGE_RADIUS, 0, 0], rgba=[1, 1, 1, 0.6])
+        world.add_site(type=capsule, fromto=[*start, *end], size=[EDGE_RADIUS, 0, 0], rgba=EDGE_COLOUR)
     target = world.add_body(name="target", mocap=True)
     radius, opacity = min(success_distance, TARGET_RADIUS), BALL_OPACITY * (success_distance > TARGET_RADIUS)
     target.add_geom(name="target", type=sphere, size=[radius, 0, 0], rgba=[*WAITING, 1], **drawn)
