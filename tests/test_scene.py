@@ -12,12 +12,8 @@ import pytest
 
 from reachlab.checks import InputError
 from reachlab.config import configure
-<<<<<<< HEAD
 from reachlab.env import Env
-=======
-from reachlab.env import Env, lane_keys
 from reachlab.marks import Marks
->>>>>>> viewer
 from reachlab.robots import Robot, load_robot
 from reachlab.scene import HEIGHT, WIDTH, Camera, scene_spec
 from reachlab.streams import lane_keys
