@@ -8,7 +8,7 @@ import pytest
 
 from reachlab.config import RunConfig, configure
 from reachlab.console import asked
-from reachlab.displays import TrainDisplay, explained, parts_of_time, train_line
+from reachlab.displays import EvalDisplay, TrainDisplay, explained, parts_of_time, train_line
 from reachlab.loop import Progress
 
 
@@ -78,3 +78,13 @@ def test_a_training_explains_what_its_lines_speak_of() -> None:
 def test_what_a_task_asks_for_follows_from_its_settings(distance: float, said: str) -> None:
     assert said in asked(configure(success_distance=distance))
     assert re.match("touch a point in the box", asked(configure(targets="box")))
+
+
+def test_the_end_of_an_evaluation_is_told_once(capsys: pytest.CaptureFixture[str]) -> None:
+    with EvalDisplay(100) as display:
+        for agent in ("trained", "ik"):
+            display.begin(agent, "kinematic")
+            for ended in (8, 96, 100, 100, 100):
+                display(ended)
+    lines = capsys.readouterr().err.splitlines()
+    assert [line.partition(":")[0] for line in lines] == ["trained in kinematic", "ik in kinematic"]

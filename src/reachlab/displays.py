@@ -213,6 +213,7 @@ class EvalDisplay:
         self._bar = _bar()
         self._task = self._bar.add_task("", total=None, status="")
         self._what, self._start, self._told = "", 0.0, 0.0
+        self._complete = False
 
     def __enter__(self) -> Self:
         """Begin to show."""
@@ -228,7 +229,7 @@ class EvalDisplay:
     def begin(self, agent: str, sim: str) -> None:
         """Show that an evaluation begins."""
         self._what, self._start = f"{agent} in {sim}", time.perf_counter()
-        self._told = self._start
+        self._told, self._complete = self._start, False
         self._bar.reset(self._task, total=None, description=self._what, status="")
 
     def __call__(self, ended: int) -> None:
@@ -236,7 +237,10 @@ class EvalDisplay:
         now = time.perf_counter()
         status = f"{ended:,} of {self._episodes:,} episodes"
         self._bar.update(self._task, completed=ended, total=self._episodes, status=status)
-        if not notes.is_terminal and (ended == self._episodes or now - self._told >= EVAL_INTERVAL):
+        if self._complete:  # the last batch steps on until all of its lanes have ended
+            return
+        self._complete = ended == self._episodes
+        if not notes.is_terminal and (self._complete or now - self._told >= EVAL_INTERVAL):
             self._told = now
             note(f"{self._what}: {status}, {_duration(now - self._start)}")
 
