@@ -47,7 +47,7 @@ HANDLE_SIZE = 0.16
 LABEL_BELOW = (0.0, 0.0, -0.05)
 """Where the label hangs under the target [m]."""
 
-HEADING_AT = (0.3, 0.0, 1.05)
+HEADING_AT = (0.3, 0.0, 0.8)
 """Where a recording tells what it shows [m]."""
 
 GRID_CELL, GRID_FADE = 0.1, 6.0
@@ -95,7 +95,8 @@ class Stage:
         target = self._model.body("target").id
         self._target, self.balls = self._frames[target], [mesh for body, mesh in parts if body == target]
         self._target.visible = False
-        self.label = self._scene.add_label(f"{self._target.name}/label", "", position=LABEL_BELOW, anchor="top-center")
+        # Not a child of the target: a recording moves children only when they themselves change.
+        self.label = self._scene.add_label("/label", "", anchor="top-center", visible=False)
         self._heading: viser.LabelHandle | None = None
         self._axes = self._scene.add_frame("/tool", axes_length=AXES_LENGTH, axes_radius=AXES_RADIUS, visible=False)
         self._place(np.array(robot.home), None)
@@ -110,7 +111,8 @@ class Stage:
     def show(self, moment: Moment, *, axes: bool = False, seen: np.ndarray | None = None) -> None:
         """Show a moment, and in front of the camera what the policy has `seen`, `[height, width, 3]` uint8."""
         self._place(moment.q, moment.target)
-        self._target.visible, self._axes.visible = True, axes
+        self._target.visible, self.label.visible, self._axes.visible = True, True, axes
+        self.label.position = moment.target + np.array(LABEL_BELOW)
         self._axes.position, self._axes.wxyz = moment.tool, moment.orientation
         for ball in self.balls:
             ball.color = _bytes(Marks(reached=moment.reached).colour)

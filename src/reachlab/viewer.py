@@ -28,7 +28,7 @@ TEXT_RATE = 5.0
 """Updates of the panel's figures in a second [1/s]."""
 
 PAUSE = 0.8
-"""Time for which the end of an episode stays in view [s]."""
+"""Time for which the end of an episode stays in view, and in a recording its begin [s]."""
 
 MOST_BEHIND = 0.5
 """Time that is made up for where steps take longer than they should [s]; the rest is dropped."""
@@ -293,7 +293,9 @@ def save_page(env: Env, agent: str, policy: Policy | None, seed: int, episodes: 
                     stage.show(player.moment, seen=player.see())
                     stage.label.text = _in_millimetres(player.moment.distance)
                     stage.head(f"{title} · episode {number + 1} of {episodes}")
-                recording.insert_sleep(PAUSE if player.over else steps * env.config.physics.control_period)
+                # The page shows texts and colours a little later than poses: an episode's begin stands too.
+                stands = player.over or player.clock == 0
+                recording.insert_sleep(PAUSE if stands else steps * env.config.physics.control_period)
         page = recording.as_html()
     finally:
         server.stop()
