@@ -39,6 +39,7 @@ LAYERS = (
         "console",
         "displays",
         "bench",
+        "bench_bound",
         "bench_camera",
         "bench_precise",
         "bench_sims",

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from jax import Array
 
-from reachlab import bench_precise
+from reachlab import bench_bound, bench_precise
 from reachlab.bench import to_markdown
 from reachlab.checkpoint import RunDirectory
 from reachlab.compilation import jit
@@ -209,12 +209,14 @@ def test_the_suite_compares_all_agents_on_nominal_and_perturbed_arms(monkeypatch
     monkeypatch.setattr(bench_precise, "configure", lambda _, **settings: override(tiny, **settings))
     monkeypatch.setattr(bench_precise, "SEEDS", range(2))
     monkeypatch.setattr(bench_precise, "HELD_OUT", 20)
+    monkeypatch.setattr(bench_bound, "EPISODES", 5)
     monkeypatch.setattr(bench_precise, "LANES", 20)
     rows = list(bench_precise.precise())
     values = {row["name"]: row["value"] for row in rows}
     assert values["held within 2 mm/ik"] > 0.8 > values["held within 2 mm/ik_open"]
     assert "held within 2 mm/trained, perturbed" in values
-    assert {name.partition("/")[2] for name in values} == {
+    assert 0.3 < values["time to reach 10 mm for good/no controller below"] < values["time to reach 10 mm for good/ik"]
+    assert {name.partition("/")[2] for name in values} - {"no controller below"} == {
         agent + kind for agent in ("trained", "trained without ik", "ik", "ik_open") for kind in ("", ", perturbed")
     }
     table = to_markdown(rows)

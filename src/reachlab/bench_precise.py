@@ -10,6 +10,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from reachlab.bench_bound import EPISODES, least_time
 from reachlab.bench_sims import Row, row
 from reachlab.config import RunConfig, configure, override
 from reachlab.env import Env
@@ -41,6 +42,8 @@ def precise() -> Iterator[Row]:
         }
     for name, results in trained.items():
         yield from _training(name, results)
+    bound = least_time(configs["trained"], FRESH_SEED)
+    yield row("time to reach 10 mm for good/no controller below", bound, "s", episodes=EPISODES)
     for perturb in (False, True):
         for name, config in configs.items():
             reports = _reports(override(config, perturb=perturb), "trained", [one.policy for one in trained[name]])
