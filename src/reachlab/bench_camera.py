@@ -11,6 +11,7 @@ from typing import Any
 
 import jax
 import numpy as np
+from jax import Array
 
 from reachlab.bench_sims import Row, row
 from reachlab.checkpoint import RunDirectory
@@ -159,11 +160,13 @@ class SpoiltEnv(Env):
             return pictures
         return self.lens.spoil(pictures, self.lens.random).astype(np.uint8)
 
-    def step(self, state: EnvState, action: Lanes, times: int = 1) -> tuple[EnvState, Transition]:
+    def step(
+        self, state: EnvState, action: Lanes, times: int = 1, rest: Array | None = None
+    ) -> tuple[EnvState, Transition]:
         """See `Env.step`."""
         if not np.isfinite(np.asarray(action)).all():
             raise FloatingPointError("an action is not finite")
-        return super().step(state, action, times)
+        return super().step(state, action, times, rest)
 
 
 def spoilt(run: Path) -> Iterator[Row]:
