@@ -105,7 +105,6 @@ def test_an_arm_that_leaves_its_workspace_begins_again_at_home_with_the_same_tar
 def test_an_arm_that_never_arrives_begins_again_once_the_time_of_an_episode_is_over() -> None:
     player = player_in("kinematic")
     player.move_target(FAR)
-    tried = player.moment.target
     for _ in range(2):
         np.testing.assert_allclose(player.moment.target, FAR, atol=1e-6)
         for _ in range(1000):
