@@ -11,7 +11,7 @@ from rich.table import Table
 
 from reachlab.config import RunConfig, TaskConfig
 
-PLAIN_WIDTH = 100
+PLAIN_WIDTH = 120
 """Width of tables where there is no terminal [characters]."""
 
 
@@ -120,7 +120,7 @@ def _precision(report: dict[str, Any]) -> list[str]:
 
 
 def _millimetres(error: float | None) -> str:
-    return "not held" if error is None else f"{error:.2f} mm" if error < 1 else f"{error:.1f} mm"
+    return "not held" if error is None else f"{error:.2g} mm" if error < 1 else f"{error:.1f} mm"
 
 
 def print_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
