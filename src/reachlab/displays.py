@@ -67,21 +67,22 @@ class _Ended:
         return text + (f", {1000 * self.metres / self.episodes:.1f} mm at their end" if held else "")
 
 
-class TrainDisplay:
-    """Shows training: a bar on a terminal, plain lines elsewhere."""
+class Bar:
+    """A bar on a terminal while it is entered; nothing elsewhere."""
 
-    def __init__(self, config: RunConfig) -> None:
-        """Display of a run that shows nothing yet."""
-        self._config = config
-        self._bar = _bar()
-        # Where training may stop early there is no end to draw a bar towards.
-        self._task = self._bar.add_task("compiling", total=None, status="")
-        self._printed = -1
-        self._ended, self._success = _Ended(), ""
-        self._validated: dict[str, float] = {}
-        self.first: TrainProgress | None = None
-        self.last: TrainProgress | None = None
-        """Where training stood after this session's first and last iteration."""
+    def __init__(self, description: str) -> None:
+        """Bar of which no end is known yet."""
+        self._bar = Progress(
+            SpinnerColumn(),
+            TextColumn("{task.description}"),
+            BarColumn(bar_width=BAR_WIDTH),
+            TimeElapsedColumn(),
+            TextColumn("{task.fields[status]}", table_column=Column()),  # wrapped where the terminal is narrow
+            console=notes,
+            transient=True,
+            disable=not notes.is_terminal,
+        )
+        self._task = self._bar.add_task(description, total=None, status="")
 
     def __enter__(self) -> Self:
         """Begin to show."""
@@ -93,6 +94,21 @@ class TrainDisplay:
     ) -> None:
         """Take the bar away."""
         self._bar.stop()
+
+
+class TrainDisplay(Bar):
+    """Shows training: a bar on a terminal, plain lines elsewhere."""
+
+    def __init__(self, config: RunConfig) -> None:
+        """Display of a run that shows nothing yet."""
+        super().__init__("compiling")  # where training may stop early there is no end to draw a bar towards
+        self._config = config
+        self._printed = -1
+        self._ended, self._success = _Ended(), ""
+        self._validated: dict[str, float] = {}
+        self.first: TrainProgress | None = None
+        self.last: TrainProgress | None = None
+        """Where training stood after this session's first and last iteration."""
 
     def __call__(self, progress: TrainProgress) -> None:
         """Show where training stands."""
@@ -204,27 +220,15 @@ def _busy_s(progress: TrainProgress) -> float:
 # --- evaluation -----------------------------------------------------------------------------------
 
 
-class EvalDisplay:
+class EvalDisplay(Bar):
     """Shows how far evaluations are: a bar on a terminal, plain lines elsewhere."""
 
     def __init__(self, episodes: int) -> None:
         """Display of evaluations of so many episodes, which shows nothing yet."""
+        super().__init__("")
         self._episodes = episodes
-        self._bar = _bar()
-        self._task = self._bar.add_task("", total=None, status="")
         self._what, self._start, self._told = "", 0.0, 0.0
         self._complete = False
-
-    def __enter__(self) -> Self:
-        """Begin to show."""
-        self._bar.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Take the bar away."""
-        self._bar.stop()
 
     def begin(self, agent: str, sim: str) -> None:
         """Show that an evaluation begins."""
@@ -243,16 +247,3 @@ class EvalDisplay:
         if not notes.is_terminal and (self._complete or now - self._told >= EVAL_INTERVAL):
             self._told = now
             note(f"{self._what}: {status}, {_duration(now - self._start)}")
-
-
-def _bar() -> Progress:
-    return Progress(
-        SpinnerColumn(),
-        TextColumn("{task.description}"),
-        BarColumn(bar_width=BAR_WIDTH),
-        TimeElapsedColumn(),
-        TextColumn("{task.fields[status]}", table_column=Column()),  # wrapped where the terminal is narrow
-        console=notes,
-        transient=True,
-        disable=not notes.is_terminal,
-    )
