@@ -10,6 +10,7 @@ import pytest
 from reachlab.config import configure
 from reachlab.env import Env
 from reachlab.evaluation import AGENTS, LANES, REPORT_STREAM, make_runner, run_episodes
+from reachlab.iteration import make_initial_policy
 from reachlab.player import LATE, LEFT, Player, target_box
 
 FAR, NEAR = np.array([0.6, 0.2, -0.0083]), np.array([0.4, -0.2, -0.0083])
@@ -189,3 +190,20 @@ def test_the_box_of_targets_is_flat_in_the_tutorial() -> None:
     low, high = target_box(reach)
     np.testing.assert_allclose([low[:2], high[:2]], np.array(reach.robot.workspace)[:, :2], atol=0.02)
     assert low[2] == high[2] == np.float32(reach.config.target_height)
+
+
+def test_a_policy_that_knows_home_alone_goes_back_there_on_its_way_before_it_follows() -> None:
+    player = player_in("kinematic")
+    policy = make_initial_policy(configure(), Env(configure(), 1), jax.random.key(0))
+    home, places = player.moment.q, []
+    player.follow(True)
+    for _ in range(30):
+        player.step("trained", policy)
+        places.append(player.moment.q)
+    player.move_target(FAR)
+    for place in [*places[-2::-1], home]:
+        player.step("trained", policy)
+        np.testing.assert_allclose(player.moment.q, place, atol=1e-5)
+    player.step("trained", policy)
+    assert player.clock == 1, "with all the time of an episode"
+    np.testing.assert_allclose(player.moment.q, places[0], atol=0.05)

@@ -162,12 +162,12 @@ class SpoiltEnv(Env):
         return self.lens.spoil(pictures, self.lens.random).astype(np.uint8)
 
     def step(
-        self, state: EnvState, action: Lanes, times: int = 1, rest: Array | None = None
+        self, state: EnvState, action: Lanes, times: int = 1, instead: Array | None = None
     ) -> tuple[EnvState, Transition]:
         """See `Env.step`."""
         if not np.isfinite(np.asarray(action)).all():
             raise FloatingPointError("an action is not finite")
-        return super().step(state, action, times, rest)
+        return super().step(state, action, times, instead)
 
 
 def spoilt(run: Path) -> Iterator[Row]:

@@ -133,14 +133,14 @@ class Env:
         return self._reset(state, mask, chained)
 
     def step(
-        self, state: EnvState, action: Lanes, times: int = 1, rest: Array | None = None
+        self, state: EnvState, action: Lanes, times: int = 1, instead: Array | None = None
     ) -> tuple[EnvState, Transition]:
         """State and transition after `action [B, a]`, taken so many `times`.
 
-        A lane whose episode ends on the way stays where it ended, to be reset; rewards are added up. In the lanes of
-        `rest [B]` the joint command stays as it is; without it in those of which the task says so, see `task.rests`.
+        A lane whose episode ends on the way stays where it ended, to be reset; rewards are added up. Where `instead
+        [B, n]` is a number it is the joint command; without it the command stays where `task.rests` says so.
         """
-        return self._steps(times)(state, action, rest)
+        return self._steps(times)(state, action, instead)
 
     def _init(self, keys: Array) -> EnvState:
         key, q, target, chance = self._draw(keys)
@@ -159,11 +159,11 @@ class Env:
         return jnp.where(stays[:, None], state.arm.q, start)
 
     def _steps(self, times: int) -> Callable[[EnvState, Lanes, Array | None], Held]:
-        def steps(state: EnvState, action: Lanes, rest: Array | None) -> Held:
+        def steps(state: EnvState, action: Lanes, instead: Array | None) -> Held:
             def again(_: Any, held: Held) -> Held:
-                return self._go_on(held, self._step(held[0], action, rest))
+                return self._go_on(held, self._step(held[0], action, instead))
 
-            held = self._step(state, action, rest)
+            held = self._step(state, action, instead)
             if self.simulator.pure and times > 1:
                 return jax.lax.fori_loop(1, times, again, held)
             for i in range(1, times):
@@ -172,12 +172,13 @@ class Env:
 
         return steps
 
-    def _step(self, state: EnvState, action: Lanes, rest: Array | None) -> Held:
+    def _step(self, state: EnvState, action: Lanes, instead: Array | None) -> Held:
         action = task.bounded(self.reach, jnp.asarray(action))
         target_q = self._command(replace(state, arm=replace(state.arm, engine=None)), action)
-        rest = task.rests(self.reach, state.distance) if rest is None else rest
-        if rest is not None:
-            target_q = jnp.where(rest[:, None], state.target_q, target_q)
+        if instead is not None:
+            target_q = jnp.where(jnp.isnan(instead), target_q, instead)
+        elif (rests := task.rests(self.reach, state.distance)) is not None:
+            target_q = jnp.where(rests[:, None], state.target_q, target_q)
         arm = self.simulator.step(state.arm, target_q)
         last = (state.distance, state.recent, state.clock)
         (distance, recent, clock), transition = self._judge(self._true(state, arm, target_q, action), last, state.key)

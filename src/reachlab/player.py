@@ -17,10 +17,13 @@ from reachlab.evaluation import compile_agent
 from reachlab.policy import Policy
 from reachlab.streams import AGENT_STREAM, REPORT_STREAM, episode_keys
 
-Advance = Callable[[Policy | None, EnvState, Array, bool], tuple[EnvState, Transition, Array]]
+Advance = Callable[[Policy | None, EnvState, Array, bool, np.ndarray], tuple[EnvState, Transition, Array]]
 
 PATH_POINTS, PATH_STEP = 300, 0.004
 """Points of the tool's path at most, and their least distance [m]."""
+
+TRAINED = "trained"
+"""The agent that takes a policy."""
 
 LEFT, LATE = "left the workspace", "did not arrive in time"
 """Why an arm does not follow its target."""
@@ -53,6 +56,7 @@ class Player:
 
     While it follows no success ends an episode: the arm rests at the target, its joint command held, and acts again
     when the target is moved away. Where the task asks the policy to hold the target, the policy acts all the time.
+    A policy whose episodes all began at home knows no other way: the arm first goes back there on the way it came.
 
     Attributes:
         moment: the arm now.
@@ -74,6 +78,9 @@ class Player:
         self._env, self._seed = env, seed
         self._advances: dict[str, Advance] = {}
         self._init = env.compile(env.init)
+        rules = env.config.rules
+        self._knows_home_alone = not (rules.hold_steps or rules.start_noise or env.config.ppo.chained_starts)
+        self._nothing = np.full(env.reach.robot.chain.n, np.nan, np.float32)
         self._following = False
         self.steps = self.episodes = self.successes = 0
         self.begin(0)
@@ -86,14 +93,16 @@ class Player:
         self.state, self.clock = self._init(keys), 0
         self.over, self.success, self.failed = False, False, ""
         self._path: deque[np.ndarray] = deque(maxlen=PATH_POINTS)
+        self._way: list[np.ndarray] = []
+        self._going_back = False
         self._look()
 
     def step(self, agent: str, policy: Policy | None) -> None:
         """Take one control step with an agent of `AGENTS`."""
         if agent not in self._advances:
             self._advances[agent] = make_advance(self._env, agent)
-        advance = self._advances[agent]
-        self.state, transition, self._key = advance(policy, self.state, self._key, self._following)
+        advance, command = self._advances[agent], self._way_back(agent)
+        self.state, transition, self._key = advance(policy, self.state, self._key, self._following, command)
         self.steps, self.clock = self.steps + 1, self.clock + 1
         self._look()
         done, terminated, success = (
@@ -107,6 +116,18 @@ class Player:
             self.over = True
             self.episodes += 1
             self.successes += success
+
+    def _way_back(self, agent: str) -> np.ndarray:
+        """Joint command `[n]` on the way back home; not a number where the agent acts, whose way is remembered."""
+        if self._going_back and self._way and agent == TRAINED:
+            return self._way.pop()
+        if self._going_back:
+            self._going_back = False
+            self._renew()
+        last = np.asarray(self.state.target_q)[0]
+        if not self._way or not np.array_equal(last, self._way[-1]):  # an arm at rest makes no way
+            self._way.append(last)
+        return self._nothing
 
     def _failure(self) -> str:
         """Why the arm does not follow; empty where it does.
@@ -145,12 +166,19 @@ class Player:
 
     def move_target(self, target: np.ndarray) -> None:
         """Put the target at `[3]` [m]; the arm goes on from where it is, with all the time of an episode."""
-        state, row = self.state, jnp.asarray(target, jnp.float32)[None]
-        distance = jnp.linalg.norm(state.arm.tool_position - row, axis=-1)
-        recent, clock = task.nothing_held(self._env.reach, 1), jnp.zeros_like(state.clock)
-        self.state = replace(state, target=row, distance=distance, recent=recent, clock=clock)
-        self._touched, self._at_home, self.clock, self.over = True, False, 0, bool(self.failed)
+        row = jnp.asarray(target, jnp.float32)[None]
+        distance = jnp.linalg.norm(self.state.arm.tool_position - row, axis=-1)
+        self.state = replace(self.state, target=row, distance=distance)
+        away = float(distance[0]) >= self._env.config.rules.success_distance
+        self._going_back = self._knows_home_alone and away and bool(self._way)
+        self._touched, self._at_home, self.over = True, False, bool(self.failed)
+        self._renew()
         self._look()
+
+    def _renew(self) -> None:
+        """Give the arm all the time of an episode again."""
+        recent, clock = task.nothing_held(self._env.reach, 1), jnp.zeros_like(self.state.clock)
+        self.state, self.clock = replace(self.state, recent=recent, clock=clock), 0
 
     def _look(self) -> None:
         arm = self.state.arm
@@ -173,17 +201,21 @@ def played(player: Player, agent: str, policy: Policy | None, stride: int) -> It
 
 
 def make_advance(env: Env, agent: str) -> Advance:
-    """Function that gives state, transition and random key after a control step of an agent, which may follow."""
+    """Function that gives state, transition and random key after a control step of an agent, which may follow.
+
+    A joint command `[n]` that is a number is taken in place of the agent's.
+    """
     decide, rules = compile_agent(env, agent), env.config.rules
 
     def advance(
-        policy: Policy | None, state: EnvState, key: Array, following: bool
+        policy: Policy | None, state: EnvState, key: Array, following: bool, command: np.ndarray
     ) -> tuple[EnvState, Transition, Array]:
         key, now = jax.random.split(key)
-        action, rest = decide(policy, state, now, None), None
+        action, instead = decide(policy, state, now, None), None
         if not rules.hold_steps:
-            rest = (state.distance < rules.success_distance) & (following | (rules.at_goal == "hold"))
-        state, transition = env.step(state, action, rest=rest)
+            rests = (state.distance < rules.success_distance) & (following | (rules.at_goal == "hold"))
+            instead = jnp.where(rests[:, None], state.target_q, command)
+        state, transition = env.step(state, action, instead=instead)
         return state, transition, key
 
     return env.compile(advance)

@@ -14,7 +14,7 @@ from reachlab.checks import InputError, choose
 from reachlab.env import Env
 from reachlab.evaluation import AGENTS
 from reachlab.panel import Panel
-from reachlab.player import Player, played, target_box
+from reachlab.player import TRAINED, Player, played, target_box
 from reachlab.policy import Policy
 from reachlab.stage import LOCAL, TITLE, Stage, start_server
 
@@ -32,9 +32,6 @@ PAUSE = 0.8
 
 MOST_BEHIND = 0.5
 """Time that is made up for where steps take longer than they should [s]; the rest is dropped."""
-
-TRAINED = "trained"
-"""The agent that takes a policy."""
 
 Load = Callable[[int], Policy]
 """Policy of the checkpoint after so many steps."""
