@@ -27,7 +27,7 @@ BEGIN_PAUSE, END_PAUSE = 0.8, 2.0
 LONGEST_PICTURE = 60.0
 """Time for which a picture may stand [s]; the formats hold no more than some hours."""
 SPEEDS, LONG_ENOUGH = (1.0, 0.5, 0.25, 0.1), 2.0
-"""Speeds of which a film takes the fastest at which its first episode moves for so long [s], or the slowest."""
+"""Speeds of which a film takes the fastest at which its longest episode moves for so long [s], or the slowest."""
 
 WEBP_QUALITY = 82
 """Of 100: the lowest at which the workspace's thin edges stay clean."""
@@ -87,7 +87,7 @@ def write_video(
         raise InputError(f"the video cannot be written to '{out}': there is no folder '{out.parent}'.")
     choose("agent", agent, AGENTS)
     period, player = env.config.physics.control_period, Player(env, seed)
-    speed = speed or _slow_enough(player, agent, policy, period)
+    speed = speed or _slow_enough(player, agent, policy, period, episodes)
     stride = max(1, round(speed / (fps * period)))
     interval = stride * period / speed
     if interval > LONGEST_PICTURE:
@@ -115,11 +115,15 @@ def write_video(
     return Clip(str(out), episodes, tally["successes"], tally["frames"], seconds, out.stat().st_size)
 
 
-def _slow_enough(player: Player, agent: str, policy: Policy | None, period: float) -> float:
-    """The speed at which a person can follow an episode of this agent."""
-    for _ in played(player, agent, policy, 1):
-        pass
-    return next((speed for speed in SPEEDS if player.clock * period / speed >= LONG_ENOUGH), SPEEDS[-1])
+def _slow_enough(player: Player, agent: str, policy: Policy | None, period: float, episodes: int) -> float:
+    """The speed at which a person can follow the longest of the episodes, without waiting for it."""
+    longest = 0
+    for number in range(episodes):
+        player.begin(number)
+        for _ in played(player, agent, policy, 1):
+            pass
+        longest = max(longest, player.clock)
+    return next((speed for speed in SPEEDS if longest * period / speed >= LONG_ENOUGH), SPEEDS[-1])
 
 
 def _picture(env: Env, player: Player) -> np.ndarray:
