@@ -6,6 +6,6 @@ import os
 
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 
-from reachlab.compilation import use_compilation_cache
+from reachlab.jax_setup import use_compilation_cache
 
 use_compilation_cache()

@@ -32,12 +32,13 @@ from unittest import mock
 
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 
-from reachlab import cli, viewer
-from reachlab.checks import Range, hints
-from reachlab.config import TASKS, flatten, to_json
-from reachlab.evaluation import AGENTS
+from reachlab.cli import main as cli
+from reachlab.evaluation.report import AGENTS
+from reachlab.settings.config import TASKS, flatten, to_json
+from reachlab.settings.validation import Range, hints
 from reachlab.sims import SIMULATORS
-from reachlab.task import ACTIONS, OBSERVATIONS, REWARDS, TARGETS
+from reachlab.tasks.reach import ACTIONS, OBSERVATIONS, REWARDS, TARGETS
+from reachlab.watch import viewer
 
 SOUND = 0.75
 """Share of commands whose every value is allowed by itself; the others have any."""
@@ -82,11 +83,11 @@ PATHS: dict[str, Sequence[str]] = {
 SOUND_PATHS: dict[str, Sequence[str]] = {"out": ["new.webp"], "save": ["page.html"], "resume": RUNS[:2]}
 """Those that can be."""
 
-LARGEST = {"lanes": 64, "rollout_steps": 64, "hidden": 64, "episodes": 4, "port": 65535, "action_repeat": 2000}
+LARGEST = {"num_envs": 64, "rollout_steps": 64, "hidden": 64, "episodes": 4, "port": 65535, "action_repeat": 2000}
 """Larger values of these take memory or time, and are not tried."""
 
 TINY = ["--total-steps", "64", "--report-episodes", "2", "--validation-episodes", "4", "--hidden", "8"]
-SMALL = ["--lanes", "4", "--minibatches", "2", "--rollout-steps", "8", "--epochs", "1"]
+SMALL = ["--num-envs", "4", "--minibatches", "2", "--rollout-steps", "8", "--epochs", "1"]
 """Flags at the end of a training that goes through; the last one of a kind counts."""
 
 ARM = """
@@ -286,10 +287,10 @@ def run(words: list[str], *, whole: bool) -> Outcome:
     start, status, problem = time.perf_counter(), None, None
     with contextlib.ExitStack() as stack:
         if not (whole and words[0] == "train"):
-            stack.enter_context(mock.patch("reachlab.training._train", built))
+            stack.enter_context(mock.patch("reachlab.learn.train._train", built))
         stack.enter_context(mock.patch.object(viewer.Viewer, "run"))
-        stack.enter_context(mock.patch("reachlab.bench.run_suite", return_value=[]))
-        stack.enter_context(mock.patch("reachlab.verbs.EVALUATION_LANES", {"pybullet": 1}))
+        stack.enter_context(mock.patch("reachlab.bench.suites.run_suite", return_value=[]))
+        stack.enter_context(mock.patch("reachlab.cli.verbs.EVALUATION_LANES", {"pybullet": 1}))
         stack.enter_context(mock.patch.object(logging.getLogger("reachlab"), "handlers", [handler]))
         stack.enter_context(contextlib.redirect_stdout(out))
         stack.enter_context(contextlib.redirect_stderr(err))
@@ -352,7 +353,7 @@ def main() -> int:
     """Number of commands with a problem."""
     given = [int(word) for word in sys.argv[1:]]
     count, seed = (given + [500, 0][len(given) :])[:2]
-    from reachlab.compilation import use_compilation_cache
+    from reachlab.jax_setup import use_compilation_cache
 
     use_compilation_cache()
     outcomes = fuzz(count, seed)

@@ -1,6 +1,6 @@
 """Kinematics in float64 NumPy, on plain 4 x 4 matrices: what the compiled lanes are checked against.
 
-Written from MuJoCo's documentation of joints and shares no code with `reachlab.kinematics`, only the
+Written from MuJoCo's documentation of joints and shares no code with `reachlab.robots.kinematics`, only the
 named bounds of its inverse-kinematics step. Joint vectors are `[B, n]`, quaternions w, x, y, z.
 """
 
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from reachlab.kinematics import DAMPING, MAX_JOINT_STEP, MAX_TURN
+from reachlab.robots.kinematics import DAMPING, MAX_JOINT_STEP, MAX_TURN
 
 
 def rotation_matrix(quaternion):

@@ -12,21 +12,22 @@ import numpy as np
 import pytest
 from gymnasium.spaces import Box, Dict
 
-from reachlab import camera, evaluation
-from reachlab.camera import Camera
-from reachlab.checks import InputError
-from reachlab.config import PICTURED, PPOConfig, configure
-from reachlab.env import Env
-from reachlab.evaluation import evaluate
-from reachlab.iteration import make_initial_policy
-from reachlab.policy import Policy
-from reachlab.robots import load_robot
-from reachlab.rollout import host_collector
+from reachlab.agents.policy import Policy
+from reachlab.envs.core import Env
+from reachlab.envs.streams import lane_keys
+from reachlab.evaluation import report as evaluation
+from reachlab.evaluation.report import evaluate
+from reachlab.learn.method import make_initial_policy
+from reachlab.learn.rollout import host_collector
+from reachlab.learn.train import train
+from reachlab.render import observation_camera as camera
+from reachlab.render.observation_camera import Camera
+from reachlab.render.view_randomisation import CHANCES, FIELD_OF_VIEW, SHIFT, TURN, Views, make_views
+from reachlab.robots.loading import load_robot
+from reachlab.settings.config import PICTURED, PPOConfig, configure
+from reachlab.settings.validation import InputError
 from reachlab.sims import SIMULATORS, make_simulator
-from reachlab.streams import lane_keys
-from reachlab.task import OBSERVATIONS
-from reachlab.training import train
-from reachlab.views import CHANCES, FIELD_OF_VIEW, SHIFT, SIZE, TURN, Views, make_views
+from reachlab.tasks.reach import OBSERVATIONS, SIZE
 
 ROBOT = load_robot("iiwa14", "link_7")
 HOME = np.array(ROBOT.home)
@@ -146,7 +147,7 @@ def test_without_opengl_one_sentence_says_what_to_install(monkeypatch: pytest.Mo
     env.step(state, np.zeros((1, 3), np.float32))  # all else works
     env.close()
     with pytest.raises(InputError, match="apt install libegl1"):
-        train(configure(observation="image", lanes=8), tmp_path / "run")
+        train(configure(observation="image", num_envs=8), tmp_path / "run")
     assert not (tmp_path / "run").exists()
 
 

@@ -20,22 +20,23 @@ import pytest
 import safetensors
 import safetensors.numpy
 
-from reachlab import cli, sims
-from reachlab.checkpoint import RunDirectory
-from reachlab.checks import InputError
-from reachlab.config import RunConfig, configure
-from reachlab.env import Env
-from reachlab.iteration import TrainState, initial_state
-from reachlab.manifest import seal
-from reachlab.storage import write_json
-from reachlab.training import load_policy
+from reachlab import sims
+from reachlab.cli import main as cli
+from reachlab.envs.core import Env
+from reachlab.learn.method import TrainState, initial_state
+from reachlab.learn.train import load_policy
+from reachlab.runs.directory import RunDirectory
+from reachlab.runs.files import write_json
+from reachlab.runs.manifest import seal
+from reachlab.settings.config import RunConfig, configure
+from reachlab.settings.validation import InputError
 
 STEP = "checkpoints/step_000000000512"
 
 
 @pytest.fixture(scope="module")
 def config() -> RunConfig:
-    return configure(lanes=8, rollout_steps=8, seed=3)
+    return configure(num_envs=8, rollout_steps=8, seed=3)
 
 
 @pytest.fixture(scope="module")
@@ -198,7 +199,10 @@ DAMAGES: dict[str, tuple[Callable[[Path], None], str]] = {
     "a configuration that is a list": (write("config.json", b"[]"), "config.json' is not usable: .*got list"),
     "a setting too few": (edit_config(lambda c: c.pop("seed")), "lacks the setting 'seed'"),
     "a setting too many": (edit_config(lambda c: c.update(colour="red")), "unknown setting 'colour'"),
-    "a setting of another type": (edit_config(lambda c: c["ppo"].update(lanes="many")), "lanes must be a whole number"),
+    "a setting of another type": (
+        edit_config(lambda c: c["ppo"].update(num_envs="many")),
+        "num_envs must be a whole number",
+    ),
     "a setting out of range": (edit_config(lambda c: c["ppo"].update(gamma=2.0)), "gamma must be at least 0 and"),
     "a section that is none": (edit_config(lambda c: c.update(rules=3)), "must be an object of settings, got int"),
     "a name that does not exist": (edit_config(lambda c: c["rules"].update(reward="gold")), "reward 'gold' is not one"),
@@ -329,7 +333,7 @@ def test_an_out_without_a_name_is_refused_in_one_sentence(
     out: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert cli.main(["train", "--out", out, "--lanes", "8"]) == cli.WRONG_INPUT
+    assert cli.main(["train", "--out", out, "--num-envs", "8"]) == cli.WRONG_INPUT
     assert re.fullmatch(r"reachlab: run directory '.*' exists and is not overwritten: .*\n", capsys.readouterr().err)
     assert not list(tmp_path.iterdir())
 

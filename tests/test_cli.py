@@ -17,19 +17,31 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from reachlab import bench, cli, sims
-from reachlab.checkpoint import RunDirectory
-from reachlab.checks import InputError
-from reachlab.config import TASKS, RunConfig, configure
-from reachlab.env import Env
-from reachlab.evaluation import AGENTS
-from reachlab.iteration import initial_state
-from reachlab.robots import ROBOTS
+from reachlab import sims
+from reachlab.bench import suites as bench
+from reachlab.cli import main as cli
+from reachlab.envs.core import Env
+from reachlab.evaluation.report import AGENTS
+from reachlab.learn.method import initial_state
+from reachlab.robots.loading import ROBOTS
+from reachlab.runs.directory import RunDirectory
+from reachlab.settings.config import TASKS, RunConfig, configure
+from reachlab.settings.validation import InputError
 from reachlab.sims import SIMULATORS
 from reachlab.sims.mujoco import MujocoSimulator
-from reachlab.task import ACTIONS, OBSERVATIONS, REWARDS
+from reachlab.tasks.reach import ACTIONS, OBSERVATIONS, REWARDS
 
-TINY = ["--lanes", "16", "--rollout-steps", "16", "--total-steps", "1024", "--no-stop-early", "--report-episodes", "10"]
+TINY = [
+    "--num-envs",
+    "16",
+    "--rollout-steps",
+    "16",
+    "--total-steps",
+    "1024",
+    "--no-stop-early",
+    "--report-episodes",
+    "10",
+]
 """A training of four iterations."""
 
 TABLES = {
@@ -77,7 +89,7 @@ def reachlab(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: py
 @pytest.fixture(scope="module")
 def untrained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run directory with the checkpoint of a policy that has learnt nothing."""
-    config = configure(lanes=8)
+    config = configure(num_envs=8)
     env = Env(config, 8)
     run = RunDirectory(tmp_path_factory.mktemp("cli") / "untrained")
     run.create(config)
@@ -178,9 +190,9 @@ WRONG = {
     "far-off flag": ("train --zzzz", "--zzzz"),
     "word too many": ("train extra", "extra"),
     "no value": ("train --out", "--out"),
-    "word for a number": ("train --lanes many", "--lanes.*'many'"),
-    "fraction for a whole number": ("train --lanes 2.5", "--lanes.*'2.5'"),
-    "number out of range": ("train --lanes 0", "lanes must be at least 1 and at most 131072, got 0"),
+    "word for a number": ("train --num-envs many", "--num-envs.*'many'"),
+    "fraction for a whole number": ("train --num-envs 2.5", "--num-envs.*'2.5'"),
+    "number out of range": ("train --num-envs 0", "num_envs must be at least 1 and at most 131072, got 0"),
     "negative seed": ("train --seed -1", "seed must be at least 0"),
     "not a number": ("train --gamma nan", "gamma must be .*nan"),
     "infinite": ("train --learning-rate inf", "learning_rate must be .*inf"),
@@ -198,7 +210,7 @@ WRONG = {
     "unknown action": ("train --action tool-delta", "Did you mean 'tool_delta'"),
     "unknown reward": ("train --reward spars", "Did you mean 'sparse'"),
     "minibatches that do not divide": (
-        "train --lanes 10 --rollout-steps 7 --minibatches 4",
+        "train --num-envs 10 --rollout-steps 7 --minibatches 4",
         "10.*4 minibatches",
     ),
     "existing out": ("train --out taken", "'taken' exists and is not overwritten"),
@@ -306,7 +318,7 @@ def test_flags_reach_the_configuration(trained: tuple[Path, Said]) -> None:
         action_repeat=1,
         clip_actions=False,
         hidden=(16, 16),
-        lanes=16,
+        num_envs=16,
         rollout_steps=16,
         total_steps=1024,
         stop_early=False,

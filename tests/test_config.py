@@ -6,8 +6,7 @@ import math
 
 import pytest
 
-from reachlab.checks import InputError, choose
-from reachlab.config import (
+from reachlab.settings.config import (
     PICTURE_DEFAULTS,
     REWARD_DEFAULTS,
     TASKS,
@@ -20,6 +19,7 @@ from reachlab.config import (
     preset,
     to_json,
 )
+from reachlab.settings.validation import InputError, choose
 
 PHYSICS = to_json(RunConfig())["physics"]
 
@@ -126,7 +126,7 @@ def test_settings_cannot_be_changed_behind_the_checks():
         ("learning_rate", math.inf, "learning_rate must be above 0, got inf"),
         ("target_height", -math.inf, "target_height must be"),
         ("approach_weight", -1.0, "approach_weight must be at least 0"),
-        ("lanes", 0, "lanes must be at least 1 and at most 131072, got 0"),
+        ("num_envs", 0, "num_envs must be at least 1 and at most 131072, got 0"),
         ("seed", -1, "seed must be"),
         ("seed", 2**31, "seed must be"),
         ("hidden", (64, 0), r"each entry of hidden must be at least 1 and at most 2147483647, got 0"),
@@ -141,8 +141,8 @@ def test_number_out_of_range_is_refused(name, value, message):
 @pytest.mark.parametrize(
     ("name", "value", "message"),
     [
-        ("lanes", 1.5, "lanes must be a whole number, got 1.5"),
-        ("lanes", "256", "lanes must be a whole number, got '256'"),
+        ("num_envs", 1.5, "num_envs must be a whole number, got 1.5"),
+        ("num_envs", "256", "num_envs must be a whole number, got '256'"),
         ("gamma", "0.9", "gamma must be a number, got '0.9'"),
         ("gamma", None, "gamma must be a number, got None"),
         ("clip_actions", "no", "clip_actions must be true or false, got 'no'"),
@@ -157,7 +157,7 @@ def test_value_of_the_wrong_type_is_refused(name, value, message):
         configure("tutorial", **{name: value})
 
 
-@pytest.mark.parametrize("name", ["lanes", "gamma", "seed"])
+@pytest.mark.parametrize("name", ["num_envs", "gamma", "seed"])
 def test_truth_value_is_no_number(name):
     with pytest.raises(InputError, match=f"{name} must be"):
         configure("tutorial", **{name: True})
@@ -167,7 +167,7 @@ def test_whole_number_will_do_where_a_number_is_asked_for():
     assert configure(gamma=1, learning_rate=1, target_height=0).ppo.gamma == 1
 
 
-@pytest.mark.parametrize(("name", "value"), [("gamma", 0.0), ("gamma", 1.0), ("seed", 2**31 - 1), ("lanes", 1)])
+@pytest.mark.parametrize(("name", "value"), [("gamma", 0.0), ("gamma", 1.0), ("seed", 2**31 - 1), ("num_envs", 1)])
 def test_bounds_of_a_range_belong_to_it(name, value):
     config = configure("tutorial", **{name: value})
     assert value in (config.seed, getattr(config.ppo, name, None))

@@ -11,13 +11,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reachlab.checks import InputError
-from reachlab.config import configure
-from reachlab.env import Env, EnvState, Transition
-from reachlab.robots import ROBOTS
+from reachlab.envs.core import Env, EnvState, Transition
+from reachlab.envs.streams import lane_keys
+from reachlab.robots.loading import ROBOTS
+from reachlab.settings.config import configure
+from reachlab.settings.validation import InputError
 from reachlab.sims import SIMULATORS
-from reachlab.streams import lane_keys
-from reachlab.task import ACTIONS, OBSERVATIONS, REWARDS
+from reachlab.tasks.reach import ACTIONS, OBSERVATIONS, REWARDS
 
 LANES, STEPS, EPISODE = 4, 60, 25
 

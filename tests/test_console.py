@@ -6,10 +6,10 @@ import re
 
 import pytest
 
-from reachlab.config import RunConfig, configure
-from reachlab.console import asked
-from reachlab.displays import EvalDisplay, TrainDisplay, explained, parts_of_time, train_line
-from reachlab.loop import Progress
+from reachlab.cli.console import asked
+from reachlab.cli.displays import EvalDisplay, TrainDisplay, explained, parts_of_time, train_line
+from reachlab.learn.loop import Progress
+from reachlab.settings.config import RunConfig, configure
 
 
 def progress(steps: int, elapsed_s: float, **metrics: float) -> Progress:
@@ -33,7 +33,7 @@ def test_the_speed_of_a_line_is_its_steps_over_its_time() -> None:
 
 
 def test_time_left_is_told_only_where_all_steps_are_taken() -> None:
-    config = configure(stop_early=False, lanes=100, rollout_steps=100)
+    config = configure(stop_early=False, num_envs=100, rollout_steps=100)
     first, now = progress(10_000, 6.0), progress(1_010_000, 16.0)
     assert train_line(now, first, config, "").endswith("16 s  about 30 s left"), "the first, compiled, is left out"
     assert "left" not in train_line(first, first, config, "")

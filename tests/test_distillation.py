@@ -13,20 +13,20 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from reachlab import cli
-from reachlab.bench_camera import SPOILT
-from reachlab.checkpoint import RunDirectory
-from reachlab.checks import InputError
-from reachlab.config import DistilRunConfig, configure, distillation, override
-from reachlab.env import Env
-from reachlab.interrupts import Interrupted
-from reachlab.memory import Album, make_memory, remember
-from reachlab.streams import REPORT_STREAM, episode_keys, lane_keys
-from reachlab.training import distil, load_policy, train
+from reachlab.bench.camera import SPOILT
+from reachlab.cli import main as cli
+from reachlab.envs.core import Env
+from reachlab.envs.streams import REPORT_STREAM, episode_keys, lane_keys
+from reachlab.learn.dagger_buffer import Album, make_memory, remember
+from reachlab.learn.interrupts import Interrupted
+from reachlab.learn.train import distil, load_policy, train
+from reachlab.runs.directory import RunDirectory
+from reachlab.settings.config import DistilRunConfig, configure, distillation, override
+from reachlab.settings.validation import InputError
 from test_resume import ask, at, rows, weights
 
 TINY: dict[str, Any] = {
-    "lanes": 8,
+    "num_envs": 8,
     "rollout_steps": 4,
     "action_repeat": 4,
     "total_steps": 6 * 128,
@@ -44,7 +44,8 @@ TINY: dict[str, Any] = {
 def teacher(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("teacher") / "run"
     train(
-        configure(lanes=16, rollout_steps=16, total_steps=256, stop_early=False, report_episodes=4, max_steps=30), out
+        configure(num_envs=16, rollout_steps=16, total_steps=256, stop_early=False, report_episodes=4, max_steps=30),
+        out,
     )
     return out
 

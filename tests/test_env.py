@@ -12,10 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reachlab.config import configure
-from reachlab.env import Env, EnvState, Transition
-from reachlab.evaluation import compile_agent
-from reachlab.streams import lane_keys
+from reachlab.envs.core import Env, EnvState, Transition
+from reachlab.envs.streams import lane_keys
+from reachlab.evaluation.report import compile_agent
+from reachlab.settings.config import configure
 
 LANES = 4
 TOOL = slice(3, 6)
@@ -35,8 +35,8 @@ class Compiled:
         self.reset: Callable[..., EnvState] = self.env.compile(self.env.reset)
         self.observe: Callable[..., jax.Array] = self.env.compile(self.env.observe)
 
-    def start(self, seed: int = 0, lanes: int = LANES) -> EnvState:
-        return self.init(lane_keys(seed, lanes))
+    def start(self, seed: int = 0, num_envs: int = LANES) -> EnvState:
+        return self.init(lane_keys(seed, num_envs))
 
     def walk(self, state: EnvState, action: tuple[float, ...], steps: int) -> tuple[EnvState, Transition]:
         actions = np.tile(np.array(action, np.float32), (len(state.clock), 1))
@@ -147,7 +147,7 @@ def test_an_idle_arm_is_truncated_exactly_on_step_1000(tutorial: Compiled) -> No
 
 
 def test_a_straight_descent_ends_as_success_and_pays_one(tutorial: Compiled) -> None:
-    state, sparse, steps = tutorial.start(lanes=1), 0.0, 0
+    state, sparse, steps = tutorial.start(num_envs=1), 0.0, 0
     returned, first = 0.0, float(state.distance[0])
     while True:
         offset = np.asarray(state.target - state.arm.tool_position)
@@ -167,7 +167,7 @@ def test_a_straight_descent_ends_as_success_and_pays_one(tutorial: Compiled) -> 
 
 
 def test_leaving_the_workspace_ends_the_episode_without_success(tutorial: Compiled) -> None:
-    state, transition = tutorial.rise(tutorial.start(lanes=1))
+    state, transition = tutorial.rise(tutorial.start(num_envs=1))
     assert transition.terminated[0]
     assert not transition.terms["success"][0]
     assert float(transition.terms["outside"][0]) == pytest.approx(-0.1)
@@ -257,7 +257,7 @@ def test_an_action_taken_several_times_ends_where_the_episode_does(sim: str, obs
 
 def test_a_lane_is_the_single_environment_with_its_own_seed(tutorial: Compiled) -> None:
     seed, lane, random = 11, 2, np.random.default_rng(5)
-    batch, single = tutorial.start(seed), tutorial.start(seed + lane, lanes=1)
+    batch, single = tutorial.start(seed), tutorial.start(seed + lane, num_envs=1)
     low, high = tutorial.env.action_bounds
     pushes = random.uniform(low, high, (13, LANES, 3)).astype(np.float32)
     ends = 0

@@ -13,24 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import binomtest, rankdata
 
-from reachlab.checks import InputError
-from reachlab.config import configure
-from reachlab.env import Env, EnvState
-from reachlab.evaluation import (
-    AGENTS,
-    LANES,
-    Episodes,
-    Report,
-    Runner,
-    evaluate,
-    examine,
-    make_runner,
-    run_episodes,
-    summarise,
-    wilson_interval,
-)
-from reachlab.policy import Policy
-from reachlab.streams import (
+from reachlab.agents.policy import Policy
+from reachlab.envs.core import Env, EnvState
+from reachlab.envs.streams import (
     AGENT_STREAM,
     LEARNER_STREAM,
     PARTS,
@@ -43,6 +28,21 @@ from reachlab.streams import (
     noise_keys,
     stream_key,
 )
+from reachlab.evaluation.report import (
+    AGENTS,
+    LANES,
+    Episodes,
+    Report,
+    Runner,
+    evaluate,
+    examine,
+    make_runner,
+    run_episodes,
+    summarise,
+    wilson_interval,
+)
+from reachlab.settings.config import configure
+from reachlab.settings.validation import InputError
 
 REPORT_FIELDS = [
     "task",
@@ -117,7 +117,7 @@ def test_wilson_intervals_are_scipys_and_exact_at_their_ends(trials: int) -> Non
 @pytest.mark.parametrize("sim", ["kinematic", "mujoco"])
 def test_whoever_watches_an_evaluation_is_told_of_all_episodes(sim: str) -> None:
     env, told = Env(configure(sim=sim, max_steps=5), 4), list[int]()
-    examine(env, "zero", seed=1, episodes=7, runner=replace(make_runner(env, "zero"), lanes=4), watch=told.append)
+    examine(env, "zero", seed=1, episodes=7, runner=replace(make_runner(env, "zero"), num_envs=4), watch=told.append)
     assert told == sorted(told)
     assert told[-1] == 7
 

@@ -18,25 +18,29 @@ import numpy as np
 import pytest
 import safetensors.numpy
 
-from reachlab import arrays, bench_faults, bench_trust, cli, task
-from reachlab.bench_faults import file_limit, make_run, no_space, state_of
-from reachlab.bench_hostile import HOSTILE, hostile_files
-from reachlab.checkpoint import RunDirectory
-from reachlab.checks import InputError
-from reachlab.config import configure, to_json
-from reachlab.interrupts import Interrupted
-from reachlab.loop import NotFiniteError, Progress
-from reachlab.manifest import MANIFEST, seal
-from reachlab.metrics import Metrics
+from reachlab.bench import faults as bench_faults
+from reachlab.bench import trust as bench_trust
+from reachlab.bench.faults import file_limit, make_run, no_space, state_of
+from reachlab.bench.hostile import HOSTILE, hostile_files
+from reachlab.cli import main as cli
+from reachlab.learn.interrupts import Interrupted
+from reachlab.learn.loop import NotFiniteError, Progress
+from reachlab.learn.train import train
+from reachlab.runs import arrays
+from reachlab.runs.directory import RunDirectory
+from reachlab.runs.files import read_json, write_json
+from reachlab.runs.manifest import MANIFEST, seal
+from reachlab.runs.metrics import Metrics
+from reachlab.settings.config import configure, to_json
+from reachlab.settings.validation import InputError
 from reachlab.sims.mujoco import MujocoSimulator
-from reachlab.storage import read_json, write_json
-from reachlab.task import Outcome
-from reachlab.training import train
+from reachlab.tasks import reach as task
+from reachlab.tasks.reach import Outcome
 
 EACH = 64
 """Environment steps of an iteration."""
 
-TINY: dict[str, Any] = {**bench_trust.TINY, "lanes": 8, "rollout_steps": 8, "total_steps": 6 * EACH}
+TINY: dict[str, Any] = {**bench_trust.TINY, "num_envs": 8, "rollout_steps": 8, "total_steps": 6 * EACH}
 """Six iterations, each saved."""
 
 
@@ -108,7 +112,7 @@ def test_hostile_files_are_refused() -> None:
 # --- configurations that mean harm, in a run that is otherwise sound -----------------------------
 
 HARMFUL: dict[str, dict[str, Any]] = {
-    "lanes": {"ppo": {"lanes": 10**9}},
+    "num_envs": {"ppo": {"num_envs": 10**9}},
     "layers": {"ppo": {"hidden": [64] * 1000}},
     "width": {"ppo": {"hidden": [10**9]}},
     "steps of an episode": {"rules": {"max_steps": 10**30}},
@@ -261,7 +265,7 @@ def test_a_reward_that_is_not_finite_stops_training_with_the_last_good_state_sav
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "run"
-    words = ["--lanes", "8", "--rollout-steps", "8", "--no-stop-early", "--hidden", "8", "--max-steps", "20"]
+    words = ["--num-envs", "8", "--rollout-steps", "8", "--no-stop-early", "--hidden", "8", "--max-steps", "20"]
     with reward_that_breaks():
         assert cli.main(["train", "--out", str(out), *words]) == cli.NOT_FINITE
     said = str(capsys.readouterr().err).splitlines()[-1]

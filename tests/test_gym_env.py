@@ -17,10 +17,10 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
-from reachlab.checks import InputError
-from reachlab.gym_env import ReachEnv, ReachVectorEnv
-from reachlab.robots import load_robot
-from reachlab.scene import Camera
+from reachlab.envs.gymnasium_faces import ReachEnv, ReachVectorEnv
+from reachlab.render.scene import Camera
+from reachlab.robots.loading import load_robot
+from reachlab.settings.validation import InputError
 
 IDS = ("reachlab/KukaReach-v0", "reachlab/Reach-v0")
 LANES = 3

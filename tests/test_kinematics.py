@@ -11,10 +11,10 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from reachlab.chain import chain_from_model
-from reachlab.compilation import jit
-from reachlab.kinematics import Pose, forward_kinematics, ik_point_step, ik_step, inverse_kinematics, jacobian
-from reachlab.robots import load_robot
+from reachlab.jax_setup import jit
+from reachlab.robots.chain import chain_from_model
+from reachlab.robots.kinematics import Pose, forward_kinematics, ik_point_step, ik_step, inverse_kinematics, jacobian
+from reachlab.robots.loading import load_robot
 from reference import Arm, angle_between, quaternion, random_quaternions, rotation_matrix
 
 TOOL = "link_7"
@@ -147,7 +147,7 @@ def solve(robot):
 
 
 @pytest.mark.parametrize("batch", ALL_BATCHES)
-def test_compiled_kernels_equal_float64_at_every_batch_size(arm, compiled, batch):
+def test_compiled_kernels_equal_float64_at_every_num_envs(arm, compiled, batch):
     rng = np.random.default_rng(batch)
     q = arm.sample(rng, batch)
     # Every other lane is to turn further than one step may.

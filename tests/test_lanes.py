@@ -5,11 +5,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reachlab import lanes
-from reachlab.compilation import jit
-from reachlab.kinematics import Pose, ik_step
-from reachlab.lanes import IDENTITY, Rotation, Vec
-from reachlab.robots import load_robot
+from reachlab.jax_setup import jit
+from reachlab.robots import scalars as lanes
+from reachlab.robots.kinematics import Pose, ik_step
+from reachlab.robots.loading import load_robot
+from reachlab.robots.scalars import IDENTITY, Rotation, Vec
 from reference import angle_between, quaternion, random_quaternions, rotation_matrix
 
 QUARTER_TURN = Rotation(Vec(1.0, 0.0, 0.0), Vec(0.0, 0.0, 1.0), Vec(0.0, -1.0, 0.0))

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from reachlab.checks import InputError
-from reachlab.config import configure
-from reachlab.metrics import Metrics, read_metrics
-from reachlab.training import train
+from reachlab.learn.train import train
+from reachlab.runs.metrics import Metrics, read_metrics
+from reachlab.settings.config import configure
+from reachlab.settings.validation import InputError
 
 ROWS = [{"steps": 128, "success_rate": 0.25}, {"steps": 256, "success_rate": 0.5, "validation_success": 0.75}]
 

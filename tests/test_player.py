@@ -7,11 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reachlab.config import configure
-from reachlab.env import Env
-from reachlab.evaluation import AGENTS, LANES, REPORT_STREAM, make_runner, run_episodes
-from reachlab.iteration import make_initial_policy
-from reachlab.player import LATE, LEFT, Player, target_box
+from reachlab.envs.core import Env
+from reachlab.evaluation.report import AGENTS, LANES, REPORT_STREAM, make_runner, run_episodes
+from reachlab.learn.method import make_initial_policy
+from reachlab.settings.config import configure
+from reachlab.watch.player import LATE, LEFT, Player, target_box
 
 FAR, NEAR = np.array([0.6, 0.2, -0.0083]), np.array([0.4, -0.2, -0.0083])
 

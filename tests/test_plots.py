@@ -12,12 +12,12 @@ import pytest
 from matplotlib.figure import Figure
 from PIL import Image
 
-from reachlab.checkpoint import RunDirectory
-from reachlab.checks import InputError
-from reachlab.config import RunConfig, configure, to_json
-from reachlab.curves import band, group_runs, read_evaluations
-from reachlab.names import AGENTS
-from reachlab.plots import plot
+from reachlab.runs.directory import RunDirectory
+from reachlab.settings.config import RunConfig, configure, to_json
+from reachlab.settings.names import AGENTS
+from reachlab.settings.validation import InputError
+from reachlab.watch.plots import plot
+from reachlab.watch.results import band, group_runs, read_evaluations
 
 
 def row(number: int, episodes: float = 120.0, **more: float) -> dict[str, float]:

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from reachlab.compilation import jit
-from reachlab.policy import Gaussian, Normaliser, distribution, make_policy, value
+from reachlab.agents.policy import Gaussian, Normaliser, distribution, make_policy, value
+from reachlab.jax_setup import jit
 
 K, A = 5, 3
 

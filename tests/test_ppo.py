@@ -9,16 +9,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reachlab import ppo
-from reachlab.compilation import jit
-from reachlab.config import PPOConfig
-from reachlab.policy import Normaliser, distribution, make_policy, value
-from reachlab.rollout import Rollout
+from reachlab.agents.policy import Normaliser, distribution, make_policy, value
+from reachlab.jax_setup import jit
+from reachlab.learn import ppo
+from reachlab.learn.rollout import Rollout
+from reachlab.settings.config import PPOConfig
 
 K, A, T, B = 4, 2, 6, 8
 
 CONFIG = PPOConfig(
-    lanes=B,
+    num_envs=B,
     rollout_steps=T,
     epochs=1,
     minibatches=1,
@@ -251,7 +251,7 @@ def test_the_norm_of_all_gradients_together_is_bounded():
 def test_learning_rate_falls_on_a_line_from_its_first_to_its_final_value(action_repeat):
     """A constant gradient makes every step of Adam as long as the learning rate."""
     config = PPOConfig(
-        lanes=10,
+        num_envs=10,
         rollout_steps=10 // action_repeat,
         action_repeat=action_repeat,
         epochs=2,
@@ -284,7 +284,7 @@ def test_noise_follows_its_schedule_or_what_is_learnt(policy, rollout, action_re
 # --- minibatches -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("steps", "lanes", "minibatches"), [(6, 8, 4), (16, 12, 3), (5, 4, 1), (1, 8, 2)])
+@pytest.mark.parametrize(("steps", "num_envs", "minibatches"), [(6, 8, 4), (16, 12, 3), (5, 4, 1), (1, 8, 2)])
 def test_each_minibatch_draws_its_own_lanes_at_every_step(steps, lanes, minibatches):
     order = np.asarray(jit(lambda key: ppo._shuffle(key, steps, lanes))(jax.random.key(0)))
     assert sorted(order) == list(range(steps * lanes))

@@ -10,18 +10,19 @@ import numpy as np
 import pytest
 from jax import Array
 
-from reachlab import bench_bound, bench_precise
-from reachlab.bench import to_markdown
-from reachlab.checkpoint import RunDirectory
-from reachlab.compilation import jit
-from reachlab.config import configure, override
-from reachlab.env import Env, EnvState
-from reachlab.evaluation import AGENTS, Report, evaluate
-from reachlab.kinematics import forward_kinematics, ik_point_step
-from reachlab.policy import Policy
-from reachlab.streams import lane_keys
-from reachlab.task import Situation, judge, nothing_held, remember
-from reachlab.training import train
+from reachlab.agents.policy import Policy
+from reachlab.bench import bound as bench_bound
+from reachlab.bench import precise as bench_precise
+from reachlab.bench.suites import to_markdown
+from reachlab.envs.core import Env, EnvState
+from reachlab.envs.streams import lane_keys
+from reachlab.evaluation.report import AGENTS, Report, evaluate
+from reachlab.jax_setup import jit
+from reachlab.learn.train import train
+from reachlab.robots.kinematics import forward_kinematics, ik_point_step
+from reachlab.runs.directory import RunDirectory
+from reachlab.settings.config import configure, override
+from reachlab.tasks.reach import Situation, judge, nothing_held, remember
 
 LANES = 40
 HOLD = 10
@@ -195,7 +196,7 @@ def test_measurements_are_noisy_and_the_score_is_not(perturbed):
 
 
 def test_training_on_perturbed_arms_is_reported_on_nominal_ones(tmp_path):
-    settings = {"lanes": 8, "rollout_steps": 20, "total_steps": 160, "hidden": (8,), "report_episodes": 8}
+    settings = {"num_envs": 8, "rollout_steps": 20, "total_steps": 160, "hidden": (8,), "report_episodes": 8}
     result = train(configure("precise", minibatches=2, **settings), tmp_path / "run")
     assert not result.report.perturb
     assert result.report.success_within is not None
@@ -204,7 +205,7 @@ def test_training_on_perturbed_arms_is_reported_on_nominal_ones(tmp_path):
 
 def test_the_suite_compares_all_agents_on_nominal_and_perturbed_arms(monkeypatch):
     tiny = configure(
-        "precise", lanes=8, rollout_steps=20, total_steps=160, hidden=(8,), minibatches=2, report_episodes=8
+        "precise", num_envs=8, rollout_steps=20, total_steps=160, hidden=(8,), minibatches=2, report_episodes=8
     )
     monkeypatch.setattr(bench_precise, "configure", lambda _, **settings: override(tiny, **settings))
     monkeypatch.setattr(bench_precise, "SEEDS", range(2))

@@ -14,24 +14,24 @@ from typing import Any
 import numpy as np
 import pytest
 
-from reachlab import cli
-from reachlab.checkpoint import RunDirectory
-from reachlab.checks import InputError
-from reachlab.config import RunConfig, configure
-from reachlab.interrupts import Interrupted
-from reachlab.lock import NAME, locked
-from reachlab.loop import Progress
-from reachlab.manifest import Counters, seal
-from reachlab.metrics import cut_metrics
-from reachlab.storage import read_json, write_json
-from reachlab.threads import threads
-from reachlab.training import train
+from reachlab.cli import main as cli
+from reachlab.jax_setup import threads
+from reachlab.learn.interrupts import Interrupted
+from reachlab.learn.loop import Progress
+from reachlab.learn.train import train
+from reachlab.runs.directory import RunDirectory
+from reachlab.runs.files import read_json, write_json
+from reachlab.runs.lock import NAME, locked
+from reachlab.runs.manifest import Counters, seal
+from reachlab.runs.metrics import cut_metrics
+from reachlab.settings.config import RunConfig, configure
+from reachlab.settings.validation import InputError
 
 EACH = 256
 """Environment steps of an iteration."""
 
 TINY: dict[str, Any] = {
-    "lanes": 16,
+    "num_envs": 16,
     "rollout_steps": 16,
     "total_steps": 8 * EACH,
     "hidden": (8,),
@@ -43,7 +43,7 @@ TINY: dict[str, Any] = {
 SIMS: dict[str, dict[str, Any]] = {
     "kinematic": {},
     "mujoco": {},
-    "pybullet": {"lanes": 2, "rollout_steps": 128, "max_steps": 100},
+    "pybullet": {"num_envs": 2, "rollout_steps": 128, "max_steps": 100},
 }
 RUNS = {sim: {"sim": sim, **settings} for sim, settings in SIMS.items()}
 RUNS["precise"] = {"task": "precise", "sim": "mujoco"}
@@ -156,7 +156,7 @@ def test_a_damaged_newest_checkpoint_gives_way_to_the_one_before(
     (newest / "state.safetensors").write_bytes(b"")
     train(config, tmp_path / "run", resume=True)
     assert weights(tmp_path / "run") == weights(unbroken)
-    (said,) = [record.getMessage() for record in caplog.records if "checkpoint" in record.name]
+    (said,) = [record.getMessage() for record in caplog.records if "directory" in record.name]
     assert "is damaged: its size does not fit" in said
     assert f"step_{3 * EACH:012d}" in said
 
@@ -211,8 +211,8 @@ def test_a_signal_saves_and_leaves_after_the_iteration(
 TWICE = """
 import os, signal, sys
 from pathlib import Path
-from reachlab.config import configure
-from reachlab.interrupts import Interrupts
+from reachlab.settings.config import configure
+from reachlab.learn.interrupts import Interrupts
 with Interrupts():
     os.kill(os.getpid(), signal.SIGINT)
     print("still here", flush=True)
@@ -246,7 +246,7 @@ def test_a_finished_run_says_so(unbroken: Path, capsys: pytest.CaptureFixture[st
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        (["--lanes", "32"], "was begun with lanes 16 and cannot go on with 32: leave the setting out"),
+        (["--num-envs", "32"], "was begun with lanes 16 and cannot go on with 32: leave the setting out"),
         (["--sim", "mujoco"], "was begun with sim 'kinematic' and cannot go on with 'mujoco'"),
         (["--deterministic"], "was begun with deterministic False and cannot go on with True"),
         (["--out", "elsewhere"], "leave --out out"),
@@ -261,7 +261,7 @@ def test_other_settings_than_the_runs_are_refused(
 
 
 def test_the_runs_own_settings_may_be_repeated(unbroken: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert say(capsys, "train", "--resume", unbroken, "--lanes", 16, "--seed=0")[0] == 0
+    assert say(capsys, "train", "--resume", unbroken, "--num-envs", 16, "--seed=0")[0] == 0
 
 
 def test_a_run_that_is_none_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -275,7 +275,7 @@ def test_a_run_that_is_none_is_refused(tmp_path: Path, capsys: pytest.CaptureFix
 HOLD = """
 import sys
 from pathlib import Path
-from reachlab.lock import locked
+from reachlab.runs.lock import locked
 with locked(Path(sys.argv[1])):
     print("held", flush=True)
     sys.stdin.read()
@@ -309,7 +309,7 @@ WEIGHTS = """
 import hashlib, os, sys
 os.sched_setaffinity(0, set(map(int, sys.argv[2].split(","))))
 from pathlib import Path
-from reachlab import cli
+from reachlab.cli import main as cli
 status = cli.main(["train", "--out", sys.argv[1], *sys.argv[3:]])
 state = max(Path(sys.argv[1]).glob("checkpoints/step_*/state.safetensors"))
 print(status, hashlib.sha256(state.read_bytes()).hexdigest())

@@ -6,9 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reachlab.checks import InputError
-from reachlab.kinematics import forward_kinematics
-from reachlab.robots import ROBOTS, load_robot
+from reachlab.robots.kinematics import forward_kinematics
+from reachlab.robots.loading import ROBOTS, load_robot
+from reachlab.settings.validation import InputError
 
 TWO_LINKS = """
 <mujoco model="two_links">

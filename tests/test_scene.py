@@ -10,13 +10,13 @@ import mujoco
 import numpy as np
 import pytest
 
-from reachlab.checks import InputError
-from reachlab.config import configure
-from reachlab.env import Env
-from reachlab.marks import Marks
-from reachlab.robots import Robot, load_robot
-from reachlab.scene import HEIGHT, WIDTH, Camera, scene_spec
-from reachlab.streams import lane_keys
+from reachlab.envs.core import Env
+from reachlab.envs.streams import lane_keys
+from reachlab.render.marks import Marks
+from reachlab.render.scene import HEIGHT, WIDTH, Camera, scene_spec
+from reachlab.robots.loading import Robot, load_robot
+from reachlab.settings.config import configure
+from reachlab.settings.validation import InputError
 
 TARGET = np.array([0.45, 0.1, -0.0083])
 

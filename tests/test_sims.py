@@ -8,13 +8,13 @@ import jax
 import numpy as np
 import pytest
 
-from reachlab.bench_soak import bad_actions, interleavings
-from reachlab.config import configure
-from reachlab.env import Env
-from reachlab.robots import load_robot
+from reachlab.bench.soak import bad_actions, interleavings
+from reachlab.envs.core import Env
+from reachlab.envs.streams import lane_keys
+from reachlab.robots.loading import load_robot
+from reachlab.settings.config import configure
 from reachlab.sims import SIMULATORS, make_simulator
 from reachlab.sims.mujoco import MujocoSimulator
-from reachlab.streams import lane_keys
 
 LANES = 4
 

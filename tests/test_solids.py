@@ -6,9 +6,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from reachlab.robots import ROBOTS, load_robot
-from reachlab.scene import scene_spec
-from reachlab.solids import SHAPES, Solid, solids
+from reachlab.render.scene import scene_spec
+from reachlab.robots.loading import ROBOTS, load_robot
+from reachlab.watch.solids import SHAPES, Solid, solids
 
 TETRAHEDRON = '<asset><mesh name="corner" vertex="0 0 0 0.3 0 0 0 0.3 0 0 0 0.3"/></asset>'
 

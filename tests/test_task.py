@@ -13,11 +13,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from jax import Array
 
-from reachlab.checks import InputError
-from reachlab.config import TaskConfig
-from reachlab.kinematics import forward_kinematics
-from reachlab.robots import load_robot
-from reachlab.task import (
+from reachlab.robots.kinematics import forward_kinematics
+from reachlab.robots.loading import load_robot
+from reachlab.settings.config import TaskConfig
+from reachlab.settings.validation import InputError
+from reachlab.tasks.reach import (
     ACTIONS,
     OBSERVATIONS,
     REWARDS,

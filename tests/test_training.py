@@ -14,16 +14,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from reachlab.checkpoint import RunDirectory
-from reachlab.checks import InputError
-from reachlab.config import configure, to_json
-from reachlab.env import Env
-from reachlab.evaluation import LANES, evaluate
-from reachlab.loop import ENOUGH_EPISODES, Loop, Progress
-from reachlab.training import TrainResult, load_policy, train
+from reachlab.envs.core import Env
+from reachlab.evaluation.report import LANES, evaluate
+from reachlab.learn.loop import ENOUGH_EPISODES, Loop, Progress
+from reachlab.learn.train import TrainResult, load_policy, train
+from reachlab.runs.directory import RunDirectory
+from reachlab.settings.config import configure, to_json
+from reachlab.settings.validation import InputError
 
 TINY = {
-    "lanes": 16,
+    "num_envs": 16,
     "rollout_steps": 16,
     "total_steps": 1024,
     "stop_early": False,
@@ -52,10 +52,10 @@ ROW = [
 IN_A_FRESH_PROCESS = """
 import hashlib, sys
 from pathlib import Path
-from reachlab.compilation import use_compilation_cache
+from reachlab.jax_setup import use_compilation_cache
 use_compilation_cache()
-from reachlab.config import configure
-from reachlab.training import train
+from reachlab.settings.config import configure
+from reachlab.learn.train import train
 out = Path(sys.argv[1])
 train(configure(seed=int(sys.argv[2]), **{tiny}), out)
 (state,) = out.glob("checkpoints/*/state.safetensors")
@@ -132,7 +132,7 @@ def test_times_and_speed_fit_together(tutorial: Trained) -> None:
 
 
 def loop_of(tmp_path: Path, **settings: object) -> Loop:
-    config = configure(lanes=8, **settings)  # type: ignore[arg-type]
+    config = configure(num_envs=8, **settings)  # type: ignore[arg-type]
     return Loop(config, Env(config, 8), RunDirectory(tmp_path / "run"), lambda _: None, 0.0)
 
 
@@ -203,7 +203,7 @@ def test_the_configuration_and_the_report_are_on_disk(tutorial: Trained) -> None
 
 def test_every_iteration_leaves_a_row(tutorial: Trained) -> None:
     steps = [row["steps"] for row in tutorial.rows]
-    each = configure().ppo.lanes * configure().ppo.rollout_steps
+    each = configure().ppo.num_envs * configure().ppo.rollout_steps
     assert steps == list(range(each, tutorial.result.steps + 1, each))
     assert (np.diff([row["wall_s"] for row in tutorial.rows]) > 0).all()
     for row in tutorial.rows:
@@ -254,7 +254,7 @@ def test_an_existing_directory_is_refused_and_left_as_it_is(tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("settings", "sentence"),
     [
-        ({"lanes": 10, "rollout_steps": 7, "minibatches": 4}, "10.*4 minibatches"),
+        ({"num_envs": 10, "rollout_steps": 7, "minibatches": 4}, "10.*4 minibatches"),
         ({"reward": "spars"}, "Did you mean 'sparse'"),
         ({"robot": "nowhere.xml"}, "robot file '.*nowhere.xml' does not exist"),
         ({"sim": "kinematik"}, "Did you mean 'kinematic'"),

@@ -10,18 +10,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from reachlab import cli, training
-from reachlab.checkpoint import RunDirectory
-from reachlab.checks import InputError
-from reachlab.config import TASKS, RunConfig, configure, in_simulator
-from reachlab.env import Env
-from reachlab.gym_env import ReachEnv
-from reachlab.reachability import survey
-from reachlab.robots import load_robot
+from reachlab.cli import main as cli
+from reachlab.envs.core import Env
+from reachlab.envs.gymnasium_faces import ReachEnv
+from reachlab.envs.settle import NEEDS, check, check_reach, in_evaluation
+from reachlab.envs.streams import lane_keys
+from reachlab.learn import train as training
+from reachlab.robots.loading import load_robot
+from reachlab.runs.directory import RunDirectory
+from reachlab.settings.config import TASKS, RunConfig, configure, in_simulator
+from reachlab.settings.validation import InputError
 from reachlab.sims import SIMULATORS
-from reachlab.streams import lane_keys
-from reachlab.task import OBSERVATIONS, REWARDS, make_reach
-from reachlab.validation import NEEDS, check, check_reach, in_evaluation
+from reachlab.tasks.reach import OBSERVATIONS, REWARDS, make_reach
+from reachlab.tasks.reachability import survey
 
 ARM = """
 <mujoco>
@@ -49,7 +50,7 @@ URDF = """
 
 
 def said(caplog: pytest.LogCaptureFixture) -> list[str]:
-    return [record.getMessage() for record in caplog.records if record.name == "reachlab.validation"]
+    return [record.getMessage() for record in caplog.records if record.name == "reachlab.envs.settle"]
 
 
 # --- settings -------------------------------------------------------------------------------------
@@ -89,7 +90,7 @@ WITHOUT_EFFECT: list[tuple[dict[str, Any], str]] = [
 CONTRADICTIONS: list[tuple[dict[str, Any], str]] = [
     ({"hold_steps": 200, "max_steps": 100}, "cannot be held for hold_steps 200 in an episode of max_steps 100"),
     ({"targets": "box", "target_low": (0.3, 0.5, 0.1)}, "target_low is above target_high in y, 0.5 against 0.4 m"),
-    ({"lanes": 10, "minibatches": 4}, "10 lanes cannot be divided among 4 minibatches"),
+    ({"num_envs": 10, "minibatches": 4}, "num_envs 10 cannot be divided among 4 minibatches"),
     ({"action_repeat": 11, "max_steps": 10}, "an action cannot be held for action_repeat 11"),
 ]
 
@@ -161,7 +162,13 @@ def test_a_control_period_of_ones_own_is_kept_in_another_simulator(chosen: float
 
 
 def test_settings_of_an_older_run_are_not_asked_about_when_it_goes_on(tmp_path: Path) -> None:
-    small: dict[str, Any] = {"total_steps": 256, "lanes": 8, "rollout_steps": 8, "report_episodes": 2, "max_steps": 20}
+    small: dict[str, Any] = {
+        "total_steps": 256,
+        "num_envs": 8,
+        "rollout_steps": 8,
+        "report_episodes": 2,
+        "max_steps": 20,
+    }
     config = configure(**small, collisions=True)
     RunDirectory(tmp_path / "run").create(config)
     assert training.train(config, tmp_path / "run", resume=True).steps == 256
@@ -262,7 +269,7 @@ def test_a_command_tells_what_follows_on_standard_error(
 ) -> None:
     caplog.set_level(logging.WARNING)
     flags = [
-        "--lanes",
+        "--num-envs",
         "8",
         "--rollout-steps",
         "8",

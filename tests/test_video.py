@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from reachlab import video
-from reachlab.caption import HEIGHT, VERDICTS, Caption, captioned, distance_text
-from reachlab.checks import InputError
-from reachlab.config import configure
-from reachlab.env import Env
-from reachlab.evaluation import LANES, make_runner, run_episodes
-from reachlab.player import Player, played
-from reachlab.streams import REPORT_STREAM
-from reachlab.video import BEGIN_PAUSE, ENCODERS, END_PAUSE, LONG_ENOUGH, SPEEDS, Clip, write_video
+from reachlab.envs.core import Env
+from reachlab.envs.streams import REPORT_STREAM
+from reachlab.evaluation.report import LANES, make_runner, run_episodes
+from reachlab.settings.config import configure
+from reachlab.settings.validation import InputError
+from reachlab.watch import video
+from reachlab.watch.captions import HEIGHT, VERDICTS, Caption, captioned, distance_text
+from reachlab.watch.player import Player, played
+from reachlab.watch.video import BEGIN_PAUSE, ENCODERS, END_PAUSE, LONG_ENOUGH, SPEEDS, Clip, write_video
 
 SIZE = (64, 48)
 """Of the pictures that stand for rendered ones here."""

@@ -17,21 +17,22 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 
-from reachlab import cli, panel
-from reachlab.bench_follow import follow
-from reachlab.bench_viewer import free_port
-from reachlab.checkpoint import RunDirectory
-from reachlab.checks import InputError
-from reachlab.chromium import Page, browser, drawn, executable, wait_until
-from reachlab.config import TASKS, RunConfig, configure
-from reachlab.env import Env
-from reachlab.iteration import initial_state
-from reachlab.marks import REACHED, TARGET_RADIUS
-from reachlab.player import PATH_STEP
-from reachlab.robots import load_robot
-from reachlab.stage import LOCAL, start_server
-from reachlab.training import load_policy
-from reachlab.viewer import COMMANDS, Viewer, save_page
+from reachlab.bench.chromium import Page, browser, drawn, executable, wait_until
+from reachlab.bench.follow import follow
+from reachlab.bench.viewer import free_port
+from reachlab.cli import main as cli
+from reachlab.envs.core import Env
+from reachlab.learn.method import initial_state
+from reachlab.learn.train import load_policy
+from reachlab.render.marks import REACHED, TARGET_RADIUS
+from reachlab.robots.loading import load_robot
+from reachlab.runs.directory import RunDirectory
+from reachlab.settings.config import TASKS, RunConfig, configure
+from reachlab.settings.validation import InputError
+from reachlab.watch import panel
+from reachlab.watch.player import PATH_STEP
+from reachlab.watch.stage import LOCAL, start_server
+from reachlab.watch.viewer import COMMANDS, Viewer, save_page
 
 CHECKPOINTS = (0, 128)
 
@@ -62,7 +63,7 @@ HERE_SCHEMES = {"data", "blob", "file", "about"}
 
 @pytest.fixture(scope="module")
 def config() -> RunConfig:
-    return configure(lanes=8, hidden=(8,))
+    return configure(num_envs=8, hidden=(8,))
 
 
 @pytest.fixture(scope="module")
@@ -72,7 +73,7 @@ def run(config: RunConfig, tmp_path_factory: pytest.TempPathFactory) -> RunDirec
 
 def untrained(config: RunConfig, path: Path) -> RunDirectory:
     """A run with two checkpoints of policies that have learnt nothing, and not the same."""
-    env = Env(config, config.ppo.lanes)
+    env = Env(config, config.ppo.num_envs)
     run = RunDirectory(path)
     run.create(config)
     begin = env.compile(lambda seed: initial_state(env, config, seed))
@@ -136,7 +137,7 @@ def stays_here(requests: list[str]) -> bool:
 def test_the_arm_follows_a_target_that_is_dragged_in_the_page_and_rests_there(
     page: Page, task: str, tmp_path: Path
 ) -> None:
-    config = configure(task, lanes=8, hidden=(8,))
+    config = configure(task, num_envs=8, hidden=(8,))
     with view(config, untrained(config, tmp_path / "run")) as viewer:
         rows = {row["name"].partition("/")[0]: row for row in follow(viewer, page, task, drags=2, seconds=1.0)}
         assert "to the target" in page.text()
@@ -160,7 +161,7 @@ def test_a_saved_page_plays_from_its_file_alone(page: Page, config: RunConfig, t
 
 
 def test_what_the_policy_sees_is_in_the_panel_and_before_its_camera(page: Page, tmp_path: Path) -> None:
-    config = configure(observation="image", lanes=8, hidden=(8,))
+    config = configure(observation="image", num_envs=8, hidden=(8,))
     with view(config, untrained(config, tmp_path / "run"), "trained") as viewer:
         page.open(viewer.url)
         wait_until(lambda: drawn(page.picture()), "a picture")

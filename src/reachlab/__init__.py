@@ -11,29 +11,29 @@ from typing import TYPE_CHECKING, Any
 from gymnasium.envs.registration import register
 
 if TYPE_CHECKING:
-    from reachlab.checks import InputError
-    from reachlab.config import RunConfig, configure
-    from reachlab.env import Env
-    from reachlab.evaluation import Report, evaluate
-    from reachlab.gym_env import ReachEnv, ReachVectorEnv
-    from reachlab.robots import Robot, load_robot
-    from reachlab.training import TrainResult, train
+    from reachlab.envs.core import Env
+    from reachlab.envs.gymnasium_faces import ReachEnv, ReachVectorEnv
+    from reachlab.evaluation.report import Report, evaluate
+    from reachlab.learn.train import TrainResult, train
+    from reachlab.robots.loading import Robot, load_robot
+    from reachlab.settings.config import RunConfig, configure
+    from reachlab.settings.validation import InputError
 
 __version__ = "0.1.0"
 
 _HOMES = {
-    "Env": "env",
-    "InputError": "config",
-    "ReachEnv": "gym_env",
-    "ReachVectorEnv": "gym_env",
-    "Report": "evaluation",
-    "Robot": "robots",
-    "RunConfig": "config",
-    "TrainResult": "training",
-    "configure": "config",
-    "evaluate": "evaluation",
-    "load_robot": "robots",
-    "train": "training",
+    "Env": "envs.core",
+    "InputError": "settings.validation",
+    "ReachEnv": "envs.gymnasium_faces",
+    "ReachVectorEnv": "envs.gymnasium_faces",
+    "Report": "evaluation.report",
+    "Robot": "robots.loading",
+    "RunConfig": "settings.config",
+    "TrainResult": "learn.train",
+    "configure": "settings.config",
+    "evaluate": "evaluation.report",
+    "load_robot": "robots.loading",
+    "train": "learn.train",
 }
 
 __all__ = [
@@ -62,7 +62,7 @@ def __dir__() -> list[str]:
     return __all__
 
 
-_FACE, _VECTOR_FACE = "reachlab.gym_env:ReachEnv", "reachlab.gym_env:ReachVectorEnv"
+_FACE, _VECTOR_FACE = "reachlab.envs.gymnasium_faces:ReachEnv", "reachlab.envs.gymnasium_faces:ReachVectorEnv"
 register("reachlab/Reach-v0", entry_point=_FACE, vector_entry_point=_VECTOR_FACE)
 register(
     "reachlab/KukaReach-v0",

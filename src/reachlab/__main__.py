@@ -2,6 +2,6 @@
 
 import sys
 
-from reachlab.cli import main
+from reachlab.cli.main import main
 
 sys.exit(main())

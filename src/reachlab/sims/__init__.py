@@ -10,11 +10,11 @@ import jax
 import numpy as np
 from jax import Array
 
-from reachlab.checks import choose
-from reachlab.config import SimConfig
-from reachlab.marks import Marks
-from reachlab.robots import Robot
-from reachlab.views import Views
+from reachlab.render.marks import Marks
+from reachlab.render.view_randomisation import Views
+from reachlab.robots.loading import Robot
+from reachlab.settings.config import SimConfig
+from reachlab.settings.validation import choose
 
 
 @jax.tree_util.register_dataclass
@@ -37,7 +37,7 @@ class ArmState:
     engine: Array | None = None
 
 
-Lanes = Array | np.ndarray
+BatchArray = Array | np.ndarray
 """A batch, on either side of JAX."""
 
 
@@ -52,7 +52,12 @@ class Simulator(Protocol):
     lag: tuple[float, ...]
 
     def reset(
-        self, state: ArmState | None, q: Lanes, target: Lanes, mask: Lanes | None, chance: Lanes | None = None
+        self,
+        state: ArmState | None,
+        q: BatchArray,
+        target: BatchArray,
+        mask: BatchArray | None,
+        chance: BatchArray | None = None,
     ) -> ArmState:
         """State with the lanes of `mask [B]` at rest at `q [B, n]`, their target drawn at `target [B, 3]`.
 
@@ -61,7 +66,7 @@ class Simulator(Protocol):
         """
         ...
 
-    def step(self, state: ArmState, target_q: Lanes) -> ArmState:
+    def step(self, state: ArmState, target_q: BatchArray) -> ArmState:
         """State one control period later, with the joints commanded to `target_q [B, n]`."""
         ...
 
@@ -111,11 +116,11 @@ SIMULATORS: dict[str, Entry] = {
 """Simulators by name. Adding one takes its file and its line here."""
 
 
-def make_simulator(name: str, robot: Robot, config: SimConfig, batch_size: int) -> Simulator:
-    """Simulator of that name with `batch_size` arms.
+def make_simulator(name: str, robot: Robot, config: SimConfig, num_envs: int) -> Simulator:
+    """Simulator of that name with `num_envs` arms.
 
     Raises:
         InputError: there is none of that name.
     """
     entry = SIMULATORS[choose("simulator", name, SIMULATORS)]
-    return vars(import_module(entry.module))[entry.name](robot, config, batch_size)
+    return vars(import_module(entry.module))[entry.name](robot, config, num_envs)

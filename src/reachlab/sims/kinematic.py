@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import jax.numpy as jnp
 
-from reachlab.config import SimConfig
-from reachlab.kinematics import forward_kinematics
-from reachlab.robots import Robot
-from reachlab.sims import ArmState, Lanes
-from reachlab.sims.drawn import Drawn
+from reachlab.robots.kinematics import forward_kinematics
+from reachlab.robots.loading import Robot
+from reachlab.settings.config import SimConfig
+from reachlab.sims import ArmState, BatchArray
+from reachlab.sims.drawing import Drawn
 
 
 class KinematicSimulator(Drawn):
@@ -16,15 +16,20 @@ class KinematicSimulator(Drawn):
 
     pure = True
 
-    def __init__(self, robot: Robot, config: SimConfig, batch_size: int) -> None:
-        """Simulator of `batch_size` arms; its functions take any batch."""
-        super().__init__(robot, config, batch_size)
+    def __init__(self, robot: Robot, config: SimConfig, num_envs: int) -> None:
+        """Simulator of `num_envs` arms; its functions take any batch."""
+        super().__init__(robot, config, num_envs)
         self._robot = robot
         self._period = config.control_period
         self.lag = (0.0,) * robot.chain.n
 
     def reset(
-        self, state: ArmState | None, q: Lanes, target: Lanes, mask: Lanes | None, chance: Lanes | None = None
+        self,
+        state: ArmState | None,
+        q: BatchArray,
+        target: BatchArray,
+        mask: BatchArray | None,
+        chance: BatchArray | None = None,
     ) -> ArmState:
         """See `Simulator.reset`."""
         del target, chance
@@ -35,11 +40,11 @@ class KinematicSimulator(Drawn):
             qd = jnp.zeros_like(q)
         return self._arm(q, qd)
 
-    def step(self, state: ArmState, target_q: Lanes) -> ArmState:
+    def step(self, state: ArmState, target_q: BatchArray) -> ArmState:
         """See `Simulator.step`."""
         return self._arm(target_q, (target_q - state.q) / self._period)
 
-    def _arm(self, q: Lanes, qd: Lanes) -> ArmState:
+    def _arm(self, q: BatchArray, qd: BatchArray) -> ArmState:
         q, qd = jnp.asarray(q), jnp.asarray(qd)
         pose = forward_kinematics(self._robot.chain, q)
         return ArmState(q, qd, pose.position, pose.quaternion)

@@ -9,14 +9,14 @@ import numpy as np
 from jax import Array
 from mujoco.batch import Batch
 
-from reachlab.checks import InputError
-from reachlab.compilation import jit
-from reachlab.config import SimConfig
-from reachlab.kinematics import forward_kinematics
-from reachlab.robots import Robot
-from reachlab.scene import add_table
-from reachlab.sims import ArmState, Lanes
-from reachlab.sims.drawn import Drawn
+from reachlab.jax_setup import jit
+from reachlab.render.scene import add_table
+from reachlab.robots.kinematics import forward_kinematics
+from reachlab.robots.loading import Robot
+from reachlab.settings.config import SimConfig
+from reachlab.settings.validation import InputError
+from reachlab.sims import ArmState, BatchArray
+from reachlab.sims.drawing import Drawn
 
 SERVO_STIFFNESS, SERVO_DAMPING = 2000.0, 200.0
 """Gains of servos added to an arm whose file has none [Nm/rad, Nm s/rad]; those of MuJoCo Menagerie's iiwa."""
@@ -38,12 +38,12 @@ class MujocoSimulator(Drawn):
 
     pure = False
 
-    def __init__(self, robot: Robot, config: SimConfig, batch_size: int, threads: int = 0) -> None:
-        """Simulator of `batch_size` arms on `threads` threads, 0 for one a core; results do not depend on them."""
-        super().__init__(robot, config, batch_size, threads)
+    def __init__(self, robot: Robot, config: SimConfig, num_envs: int, threads: int = 0) -> None:
+        """Simulator of `num_envs` arms on `threads` threads, 0 for one a core; results do not depend on them."""
+        super().__init__(robot, config, num_envs, threads)
         self._model = physics_model(robot, config)
         self._substeps = config.physics_steps
-        self._batch = Batch(self._model, nsim=batch_size, nthread=threads)
+        self._batch = Batch(self._model, nsim=num_envs, nthread=threads)
         self._qpos, self._qvel, self._ctrl = (self._batch.bind(name) for name in ("qpos", "qvel", "ctrl"))
         joints = list(robot.chain.joints)
         self._positions, self._speeds = self._model.jnt_qposadr[joints], self._model.jnt_dofadr[joints]
@@ -54,7 +54,12 @@ class MujocoSimulator(Drawn):
         self._pose = jit(lambda q: forward_kinematics(robot.chain, q))
 
     def reset(
-        self, state: ArmState | None, q: Lanes, target: Lanes, mask: Lanes | None, chance: Lanes | None = None
+        self,
+        state: ArmState | None,
+        q: BatchArray,
+        target: BatchArray,
+        mask: BatchArray | None,
+        chance: BatchArray | None = None,
     ) -> ArmState:
         """See `Simulator.reset`."""
         del target
@@ -68,7 +73,7 @@ class MujocoSimulator(Drawn):
             self._arms.become(np.where(lanes[:, None], np.asarray(chance, np.float64), self._arms.drawn))
         return self._arm()
 
-    def step(self, state: ArmState, target_q: Lanes) -> ArmState:
+    def step(self, state: ArmState, target_q: BatchArray) -> ArmState:
         """See `Simulator.step`.
 
         Raises:

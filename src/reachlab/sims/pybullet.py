@@ -17,12 +17,13 @@ import jax
 import numpy as np
 from jax import Array
 
-from reachlab.checks import InputError
-from reachlab.config import SimConfig
-from reachlab.marks import Marks
-from reachlab.robots import Robot
-from reachlab.sims import ArmState, Lanes
-from reachlab.views import FAR, FIELD_OF_VIEW, NEAR, SIZE, Views, greys
+from reachlab.render.marks import Marks
+from reachlab.render.view_randomisation import FAR, FIELD_OF_VIEW, NEAR, Views, greys
+from reachlab.robots.loading import Robot
+from reachlab.settings.config import SimConfig
+from reachlab.settings.validation import InputError
+from reachlab.sims import ArmState, BatchArray
+from reachlab.tasks.reach import SIZE
 
 MAX_LANES = 16
 """Each lane is a client of its own, of about 29 MB."""
@@ -73,14 +74,14 @@ class PybulletSimulator:
 
     pure = False
 
-    def __init__(self, robot: Robot, config: SimConfig, batch_size: int) -> None:
-        """Simulator of `batch_size` arms.
+    def __init__(self, robot: Robot, config: SimConfig, num_envs: int) -> None:
+        """Simulator of `num_envs` arms.
 
         Raises:
             InputError: PyBullet is not installed, has no such robot, or too many lanes or no display are there.
         """
-        if batch_size > MAX_LANES:
-            raise InputError(f"simulator 'pybullet' takes at most {MAX_LANES} lanes, got {batch_size}: use --lanes.")
+        if num_envs > MAX_LANES:
+            raise InputError(f"simulator 'pybullet' takes at most {MAX_LANES} lanes, got {num_envs}: use --num-envs.")
         if robot.name not in URDFS or robot.tool not in URDFS[robot.name].tools:
             raise InputError(f"simulator 'pybullet' has no tool {robot.tool!r} of robot {robot.name!r}, only iiwa14's.")
         self._bullet = import_pybullet()
@@ -90,7 +91,7 @@ class PybulletSimulator:
         self.lag = (0.0,) * robot.chain.n
         self._worlds = [
             _World(self._bullet, robot, urdf, config.control_period, gui=config.gui and lane == 0)
-            for lane in range(batch_size)
+            for lane in range(num_envs)
         ]
 
     def __deepcopy__(self, memo: dict[int, Any]) -> NoReturn:
@@ -110,7 +111,12 @@ class PybulletSimulator:
         return self._worlds
 
     def reset(
-        self, state: ArmState | None, q: Lanes, target: Lanes, mask: Lanes | None, chance: Lanes | None = None
+        self,
+        state: ArmState | None,
+        q: BatchArray,
+        target: BatchArray,
+        mask: BatchArray | None,
+        chance: BatchArray | None = None,
     ) -> ArmState:
         """See `Simulator.reset`."""
         del chance
@@ -124,7 +130,7 @@ class PybulletSimulator:
             return now
         return jax.tree.map(lambda new, old: np.where(lanes[:, None], new, old), now, state)
 
-    def step(self, state: ArmState, target_q: Lanes) -> ArmState:
+    def step(self, state: ArmState, target_q: BatchArray) -> ArmState:
         """See `Simulator.step`."""
         start = time.perf_counter()
         for world in self._lanes:

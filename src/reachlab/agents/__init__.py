@@ -1,0 +1,1 @@
+"""Who acts: the trained policy, and baselines."""

@@ -1,0 +1,196 @@
+"""The camera, measured: frames a second, distillations from nothing, other renderers, and pictures that are spoilt."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from jax import Array
+
+from reachlab.agents.policy import Policy
+from reachlab.bench.simulators import Row, row
+from reachlab.envs.core import Env, EnvState, Transition
+from reachlab.envs.streams import lane_keys
+from reachlab.evaluation.report import FRESH_SEED, Report, evaluate
+from reachlab.jax_setup import jit
+from reachlab.learn.train import distil, load_policy, train
+from reachlab.runs.directory import RunDirectory
+from reachlab.settings.config import configure, distillation, in_simulator, override
+from reachlab.sims import BatchArray
+
+SEEDS, HELD_OUT = range(3), 1000
+"""Seeds that are distilled; each is evaluated on so many targets of seed `FRESH_SEED` + s."""
+
+EPISODES_FROM_NOTHING = 200
+"""Episodes of the evaluation that counts to the time from nothing."""
+
+BULLET_EPISODES, BULLET_LANES = 300, 8
+"""Episodes through PyBullet's camera, and its lanes."""
+
+VARIED_STEPS = 245_760
+"""Steps of a distillation in random views, half as many again as in the tutorial's."""
+
+SPOILT_EPISODES, SPOILT_STEPS = 100, 400
+"""Episodes with each kind of spoilt picture, and their length: most that fail would last for the task's 1,000 steps."""
+
+LANES, FRAMES = 256, 20
+"""BatchArray of an evaluation, and pictures of each that are timed."""
+
+Spoil = Callable[[np.ndarray, np.random.Generator], np.ndarray]
+
+
+def _grain(pictures: np.ndarray, random: np.random.Generator) -> np.ndarray:
+    return np.clip(pictures + random.normal(0, 25, pictures.shape), 0, 255)
+
+
+def _salt(pictures: np.ndarray, random: np.random.Generator) -> np.ndarray:
+    return np.where(random.random(pictures.shape) < 0.05, 255 * random.integers(0, 2, pictures.shape), pictures)
+
+
+def _half_covered(pictures: np.ndarray, _: np.random.Generator) -> np.ndarray:
+    return np.where(np.arange(pictures.shape[-1]) < pictures.shape[-1] // 2, 0, pictures)
+
+
+SPOILT: dict[str, Spoil] = {
+    "black": lambda pictures, _: np.zeros_like(pictures),
+    "white": lambda pictures, _: np.full_like(pictures, 255),
+    "noise": lambda pictures, random: random.integers(0, 256, pictures.shape),
+    "grain": _grain,
+    "salt": _salt,
+    "shifted_2": lambda pictures, _: np.roll(pictures, 2, axis=-1),
+    "shifted_8": lambda pictures, _: np.roll(pictures, 8, axis=-1),
+    "dark": lambda pictures, _: pictures // 2,
+    "inverted": lambda pictures, _: 255 - pictures,
+    "half_covered": _half_covered,
+}
+"""Ways in which pictures `[B, SIZE, SIZE]` are spoilt: blank, noisy, shifted by pixels, badly lit, covered."""
+
+
+def camera() -> Iterator[Row]:
+    """What the README and docs/camera.md say of the camera, but for PPO from pixels."""
+    with tempfile.TemporaryDirectory() as folder:
+        runs, teachers = ([Path(folder) / f"{kind}-{seed}" for seed in SEEDS] for kind in ("student", "teacher"))
+        for seed, teacher, run in zip(SEEDS, teachers, runs, strict=True):
+            yield _from_nothing(seed, teacher, run)
+            for sim in ("kinematic", "mujoco"):
+                yield _success(f"camera/success/{sim}", run, sim, HELD_OUT, LANES, seed)
+        yield from frames_per_second(runs[0])
+        yield from spoilt(runs[0])
+        yield _success("camera/success/pybullet", runs[0], "pybullet", BULLET_EPISODES, BULLET_LANES, 0)
+        varied = Path(folder) / "varied"
+        _distil(teachers[0], varied, 0, randomise_view=True, total_steps=VARIED_STEPS)
+        yield _success("camera/success_randomised/pybullet", varied, "pybullet", BULLET_EPISODES, BULLET_LANES, 0)
+
+
+def _distil(teacher: Path, out: Path, seed: int, **settings: Any) -> None:
+    distil(distillation(str(teacher), RunDirectory(teacher).read_config(), seed=seed, **settings), out)
+
+
+def _from_nothing(seed: int, teacher: Path, student: Path) -> Row:
+    """Time of a teacher's training, of a distillation and of an evaluation [s]."""
+    start = time.perf_counter()
+    train(configure(seed=seed), teacher)
+    _distil(teacher, student, seed)
+    report = _evaluated(student, "kinematic", EPISODES_FROM_NOTHING, LANES, seed)
+    return row("camera/wall", time.perf_counter() - start, "s", seed=seed, success=report.success_rate)
+
+
+def _success(name: str, run: Path, sim: str, episodes: int, lanes: int, seed: int) -> Row:
+    report = _evaluated(run, sim, episodes, lanes, seed)
+    interval = [round(share, 4) for share in report.success_interval]
+    return row(name, report.success_rate, "rate", seed=seed, episodes=episodes, interval=interval)
+
+
+def _evaluated(run: Path, sim: str, episodes: int, lanes: int, seed: int) -> Report:
+    env, policy = _seeing(run, sim, lanes)
+    try:
+        return evaluate(env, "trained", policy, seed=FRESH_SEED + seed, episodes=episodes)
+    finally:
+        env.close()
+
+
+def _seeing(run: Path, sim: str, lanes: int, kind: type[Env] = Env, **settings: Any) -> tuple[Env, Policy]:
+    directory = RunDirectory(run)
+    config = override(in_simulator(directory.read_config(), sim), randomise_view=False, **settings)
+    env = kind(config, lanes)
+    return env, load_policy(directory, config, env)
+
+
+# --- speed ----------------------------------------------------------------------------------------
+
+
+def frames_per_second(run: Path) -> Iterator[Row]:
+    """Pictures a second, drawn and looked at by the policy."""
+    env, policy = _seeing(run, "kinematic", LANES)
+    state, act = env.init(lane_keys(0, LANES)), jit(lambda policy, seen: policy.act(seen))
+    jax.block_until_ready(act(policy, env.look(state)))
+    start = time.perf_counter()
+    for _ in range(FRAMES):
+        jax.block_until_ready(act(policy, env.look(state)))
+    rate = FRAMES * LANES / (time.perf_counter() - start)
+    env.close()
+    yield row("camera/frames_per_second", rate, "1/s", num_envs=LANES)
+
+
+# --- spoilt pictures ------------------------------------------------------------------------------
+
+
+@dataclass
+class Lens:
+    """What is before the camera: a way of `SPOILT`, or nothing."""
+
+    spoil: Spoil | None
+    random: np.random.Generator
+
+
+class SpoiltEnv(Env):
+    """An environment whose pictures are spoilt by its `lens`, and that bears no action that is not finite."""
+
+    lens = Lens(None, np.random.default_rng(0))
+
+    def see(self, state: EnvState, lanes: np.ndarray | None = None) -> np.ndarray | None:
+        """See `Env.see`."""
+        pictures = super().see(state, lanes)
+        if pictures is None or self.lens.spoil is None:
+            return pictures
+        return self.lens.spoil(pictures, self.lens.random).astype(np.uint8)
+
+    def step(
+        self, state: EnvState, action: BatchArray, times: int = 1, instead: Array | None = None
+    ) -> tuple[EnvState, Transition]:
+        """See `Env.step`."""
+        if not np.isfinite(np.asarray(action)).all():
+            raise FloatingPointError("an action is not finite")
+        return super().step(state, action, times, instead)
+
+
+def spoilt(run: Path) -> Iterator[Row]:
+    """Success with each kind of spoilt picture, and with none."""
+    env, policy = _seeing(run, "kinematic", SPOILT_EPISODES, SpoiltEnv, max_steps=SPOILT_STEPS)
+    assert isinstance(env, SpoiltEnv)  # noqa: S101
+    for name, spoil in {"none": None, **SPOILT}.items():
+        env.lens = Lens(spoil, np.random.default_rng(0))
+        report = evaluate(env, "trained", policy, seed=FRESH_SEED, episodes=SPOILT_EPISODES)
+        yield row(f"camera/spoilt/{name}", report.success_rate, "rate", episodes=SPOILT_EPISODES)
+    env.close()
+
+
+# --- PPO from pixels ------------------------------------------------------------------------------
+
+
+def pixels() -> Iterator[Row]:
+    """PPO from pixels: how long it takes [s], and what it comes to on held-out targets."""
+    with tempfile.TemporaryDirectory() as folder:
+        for seed in SEEDS:
+            run = Path(folder) / str(seed)
+            result = train(configure(observation="image", seed=seed), run)
+            pictures = result.steps // configure(observation="image").ppo.action_repeat
+            yield row("pixels/wall", result.total_wall_s, "s", seed=seed, pictures=pictures)
+            for sim in ("kinematic", "mujoco"):
+                yield _success(f"pixels/success/{sim}", run, sim, HELD_OUT, LANES, seed)

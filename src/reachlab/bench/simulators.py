@@ -1,0 +1,238 @@
+"""Measurements of the simulators against each other, against bare engines, and against the tutorial's way."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from mujoco.batch import Batch
+
+from reachlab.envs.core import Env
+from reachlab.envs.streams import lane_keys
+from reachlab.evaluation.report import FRESH_SEED, LANES, evaluate
+from reachlab.jax_setup import jit
+from reachlab.learn.train import train
+from reachlab.robots.kinematics import forward_kinematics
+from reachlab.robots.loading import Robot, load_robot
+from reachlab.settings.config import configure, in_simulator
+from reachlab.sims import make_simulator
+from reachlab.sims.mujoco import physics_model
+from reachlab.sims.pybullet import GRAVITY, GROUND, TABLE, URDFS, import_pybullet
+
+Row = dict[str, Any]
+
+TRANSFER_SEEDS, TRANSFER_EPISODES = range(3), 1000
+"""Policies, and held-out episodes for each."""
+
+LANES_OF = {"kinematic": LANES, "mujoco": LANES, "pybullet": 8}
+"""BatchArray of an evaluation in each simulator."""
+
+POSES = 10_000
+PARITY_EPISODES, PARITY_STEPS = 100, 100
+"""Random joint vectors, and random episodes, of the comparisons with PyBullet."""
+
+EPISODE_STEPS, AUTHOR_EPISODES, OUR_EPISODES = 100, 10, 30
+"""Length and number of the timed PyBullet episodes."""
+
+MUJOCO_BATCHES, MUJOCO_STEPS, MUJOCO_ROUNDS = (256, 512, 1024), 30, 6
+"""Batch sizes of the MuJoCo measurement, control steps of a round, and rounds."""
+
+
+def row(name: str, value: float, unit: str, **config: object) -> Row:
+    """A measurement."""
+    return {"name": name, "value": float(value), "unit": unit, "config": config}
+
+
+def simulators() -> Iterator[Row]:
+    """The rows of suite `simulators`."""
+    yield from transfer()
+    yield from pybullet_kinematics()
+    yield from pybullet_parity()
+    yield from pybullet_speed()
+    yield from mujoco_speed()
+
+
+def transfer() -> Iterator[Row]:
+    """Success in every simulator of policies trained in the kinematic one."""
+    with tempfile.TemporaryDirectory() as folder:
+        for seed in TRANSFER_SEEDS:
+            config = configure(seed=seed)
+            trained = train(config, Path(folder) / str(seed))
+            for name, lanes in LANES_OF.items():
+                env = Env(in_simulator(config, name), lanes)
+                report = evaluate(env, "trained", trained.policy, seed=FRESH_SEED + seed, episodes=TRANSFER_EPISODES)
+                env.close()
+                yield row(f"transfer/{name}", report.success_rate, "rate", seed=seed, episodes=TRANSFER_EPISODES)
+
+
+def pybullet_kinematics() -> Iterator[Row]:
+    """Our chain against PyBullet's own URDF."""
+    robot = load_robot("iiwa14")
+    chain, bullet = robot.chain, make_simulator("pybullet", robot, configure().physics, 1)
+    q = np.random.default_rng(1).uniform(chain.lower, chain.upper, (POSES, chain.n)).astype(np.float32)
+    ours = np.asarray(jit(lambda q: forward_kinematics(chain, q).position)(q))
+    target = np.zeros((1, 3), np.float32)
+    theirs = np.array([bullet.reset(None, joints[None], target, None).tool_position[0] for joints in q])
+    bullet.close()
+    yield row("forward_kinematics_error/pybullet", np.linalg.norm(ours - theirs, axis=1).max(), "m", poses=POSES)
+
+
+def pybullet_parity() -> Iterator[Row]:
+    """The same joint commands in the kinematic simulator and in PyBullet; and how far PyBullet's own IK strays."""
+    env = Env(configure(), PARITY_EPISODES)
+    low, high = env.action_bounds
+    actions = np.random.default_rng(2).uniform(low, high, (PARITY_STEPS, PARITY_EPISODES, len(low)))
+    step = env.compile(lambda state, action: env.step(state, action)[0])
+    states = [env.compile(env.init)(lane_keys(0, PARITY_EPISODES))]
+    for action in actions.astype(np.float32):
+        states.append(step(states[-1], action))
+    commands = np.array([state.arm.q for state in states])
+    points = np.array([state.arm.tool_position for state in states])
+
+    bullet = make_simulator("pybullet", env.reach.robot, env.config.physics, 1)
+    apart = 0.0
+    for lane in range(PARITY_EPISODES):
+        arm = bullet.reset(None, commands[0, lane : lane + 1], states[0].target[lane : lane + 1], None)
+        for command, point in zip(commands[1:, lane], points[1:, lane], strict=True):
+            arm = bullet.step(arm, command[None])
+            apart = max(apart, float(np.linalg.norm(np.asarray(arm.tool_position)[0] - point)))
+    bullet.close()
+    yield row("parity/pybullet", apart, "m", episodes=PARITY_EPISODES, steps=PARITY_STEPS)
+
+    author, stray = Author(env.reach.robot), []
+    for before, after, action in zip(points[:-1, 0], points[1:, 0], actions[:, 0], strict=True):
+        author.set_joints(author.solve(before + env.config.rules.tool_scale * action))
+        stray.append(np.linalg.norm(author.tool() - after))
+    author.close()
+    yield row("pybullet_ik_stray", float(np.median(stray)), "m, median", max=float(np.max(stray)), steps=PARITY_STEPS)
+
+
+class Author:
+    """The tutorial's way: one client, its world rebuilt from files at every reset, PyBullet's own IK."""
+
+    def __init__(self, robot: Robot) -> None:
+        """World with the arm at home."""
+        self._robot, self._bullet = robot, import_pybullet()
+        self._client = self._bullet.connect(self._bullet.DIRECT)
+        self.rebuild()
+
+    def rebuild(self) -> None:
+        """Load everything again."""
+        import pybullet_data
+
+        bullet, client = self._bullet, self._client
+        bullet.resetSimulation(physicsClientId=client)
+        bullet.setGravity(0, 0, GRAVITY, physicsClientId=client)
+        bullet.setAdditionalSearchPath(pybullet_data.getDataPath(), physicsClientId=client)
+        bullet.loadURDF("plane.urdf", basePosition=GROUND, physicsClientId=client)
+        bullet.loadURDF("table/table.urdf", basePosition=TABLE, physicsClientId=client)
+        self._arm = bullet.loadURDF(URDFS["iiwa14"].file, useFixedBase=True, physicsClientId=client)
+        bullet.loadURDF("random_urdfs/000/000.urdf", basePosition=(0.5, 0, 0.01), physicsClientId=client)
+        self.set_joints(self._robot.home)
+
+    def solve(self, position: np.ndarray) -> tuple[float, ...]:
+        """Joints of PyBullet's IK for a tool position, damped by 1e-5 a joint."""
+        w, x, y, z = self._robot.held_quaternion
+        damping = [1e-5] * self._robot.chain.n
+        return self._bullet.calculateInverseKinematics(
+            self._arm, URDFS["iiwa14"].link, position, (x, y, z, w), jointDamping=damping, physicsClientId=self._client
+        )
+
+    def set_joints(self, q: Sequence[float]) -> None:
+        """Set the joints one by one."""
+        for joint, value in enumerate(q):
+            self._bullet.resetJointState(self._arm, joint, value, physicsClientId=self._client)
+
+    def tool(self) -> np.ndarray:
+        """Tool position `[3]` m."""
+        state = self._bullet.getLinkState(
+            self._arm, URDFS["iiwa14"].link, computeForwardKinematics=True, physicsClientId=self._client
+        )
+        return np.array(state[4])
+
+    def step(self, action: np.ndarray) -> None:
+        """One step of the tutorial's environment."""
+        self.set_joints(self.solve(self.tool() + configure().rules.tool_scale * action))
+        self._bullet.stepSimulation(physicsClientId=self._client)
+        self.tool()
+
+    def close(self) -> None:
+        """Disconnect."""
+        self._bullet.disconnect(physicsClientId=self._client)
+
+
+def pybullet_speed() -> Iterator[Row]:
+    """Environment steps a second in PyBullet, with 1 and 16 lanes, beside the tutorial's way."""
+    author = _author_steps_per_second()
+    yield row("env_steps_per_second/pybullet-author", author, "1/s", episode_steps=EPISODE_STEPS)
+    for lanes in (1, 16):
+        env = Env(configure(sim="pybullet", max_steps=EPISODE_STEPS), lanes)
+        rate = _host_steps_per_second(env, EPISODE_STEPS * (OUR_EPISODES if lanes == 1 else OUR_EPISODES // 5))
+        env.close()
+        yield row("env_steps_per_second/pybullet", rate, "1/s", num_envs=lanes, ratio=round(rate / author, 2))
+
+
+def _author_steps_per_second() -> float:
+    author, random = Author(load_robot("iiwa14")), np.random.default_rng(0)
+    start = time.perf_counter()
+    for _ in range(AUTHOR_EPISODES):
+        author.rebuild()
+        for action in random.uniform(-0.4, 0.3, (EPISODE_STEPS, 3)):
+            author.step(action)
+    seconds = time.perf_counter() - start
+    author.close()
+    return AUTHOR_EPISODES * EPISODE_STEPS / seconds
+
+
+def _host_steps_per_second(env: Env, steps: int) -> float:
+    random = np.random.default_rng(0)
+    low, high = env.action_bounds
+    state = env.init(lane_keys(0, env.num_envs))
+    actions = random.uniform(low, high, (steps, env.num_envs, len(low))).astype(np.float32)
+    warm, timed = actions[:2], actions[2:]
+    for action in warm:
+        state = env.reset(env.step(state, action)[0], np.ones(env.num_envs, bool))
+    start = time.perf_counter()
+    for action in timed:
+        state, transition = env.step(state, action)
+        done = np.asarray(transition.done)
+        if done.any():
+            state = env.reset(state, done)
+    jax.block_until_ready(state.distance)
+    return len(timed) * env.num_envs / (time.perf_counter() - start)
+
+
+def mujoco_speed() -> Iterator[Row]:
+    """Control steps a second through the environment, and their share of the bare engine's, best of the batches.
+
+    Both are timed in turns, since other work on the machine comes and goes; the best of each counts.
+    """
+    results = []
+    for lanes in MUJOCO_BATCHES:
+        env = Env(configure(sim="mujoco"), lanes)
+        bare = _bare(env)
+        rates = [(_host_steps_per_second(env, MUJOCO_STEPS), bare()) for _ in range(MUJOCO_ROUNDS)]
+        env.close()
+        through, engine = (max(column) for column in zip(*rates, strict=True))
+        results.append((through, lanes, through / engine))
+    rate, lanes, share = max(results)
+    yield row("env_steps_per_second/mujoco", rate, "1/s", num_envs=lanes, share_of_bare=round(share, 3))
+
+
+def _bare(env: Env) -> Callable[[], float]:
+    """Measures the steps a second of the engine alone."""
+    batch = Batch(physics_model(env.reach.robot, env.config.physics), nsim=env.num_envs)
+    batch.bind("qpos")[:] = batch.bind("ctrl")[:] = env.reach.robot.home
+
+    def measure() -> float:
+        start = time.perf_counter()
+        for _ in range(MUJOCO_STEPS):
+            batch.step(nstep=env.config.physics.physics_steps)
+        return MUJOCO_STEPS * env.num_envs / (time.perf_counter() - start)
+
+    return measure

@@ -1,0 +1,163 @@
+"""Measurements of what an environment stands: bad actions, neighbours, and being made and closed again and again."""
+
+from __future__ import annotations
+
+import gc
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from reachlab.bench.simulators import Row, row
+from reachlab.envs.core import Env, EnvState
+from reachlab.envs.gymnasium_faces import ReachEnv
+from reachlab.envs.streams import lane_keys
+from reachlab.settings.config import configure
+from reachlab.settings.validation import InputError
+from reachlab.sims import SIMULATORS
+
+ACTIONS, BAD_SHARE = 100_000, 0.01
+"""Random actions, and how many of them are bad."""
+
+INTERLEAVINGS, LANES, STEPS = 100, 2, 25
+"""Random orders in which two environments take turns; lanes and steps of each."""
+
+OPENINGS, WARM_UP = 200, 20
+"""Times that a simulator is made and closed, and how many of them may still grow the process."""
+
+
+def soak() -> Iterator[Row]:
+    """The rows of suite `soak`."""
+    for name in SIMULATORS:
+        yield bad_actions(name)
+        yield interleavings(name)
+        yield openings(name)
+
+
+Spoil = Callable[[np.ndarray, np.random.Generator], object]
+
+
+def _put(value: float) -> Spoil:
+    def spoil(action: np.ndarray, random: np.random.Generator) -> np.ndarray:
+        spoilt = action.astype(np.float64)
+        spoilt[random.integers(len(action))] = value
+        return spoilt
+
+    return spoil
+
+
+BAD: dict[str, Spoil] = {
+    "nan": _put(np.nan),
+    "infinite": _put(-np.inf),
+    "beyond float32": _put(1e300),
+    "too long": lambda action, _: np.append(action, 0.0),
+    "too short": lambda action, _: action[:-1],
+    "batched": lambda action, _: action[None],
+    "text": lambda _, __: "left",
+    "nothing": lambda _, __: None,
+}
+"""Actions that have to be refused."""
+
+HUGE = 1e30
+"""Finite: not refused, but it must not break anything [action]."""
+
+
+def bad_actions(sim: str, actions: int = ACTIONS, share: float = BAD_SHARE) -> Row:
+    """Faults among random actions, without clipping: something not finite, or a refusal that was none or moved."""
+    env = ReachEnv(sim=sim, clip_actions=False)
+    random, faults, refused = np.random.default_rng(0), 0, 0
+    env.action_space.seed(0)
+    env.reset(seed=0)
+    for _ in range(actions):
+        action = env.action_space.sample()
+        if random.random() < share:
+            kind = random.choice([*BAD, "huge"])
+            if kind != "huge":
+                refused += 1
+                faults += not _refuses(env, BAD[kind](action, random))
+                continue
+            action = _put(HUGE)(action, random)
+        observation, reward, terminated, truncated, _ = env.step(np.asarray(action))
+        faults += not (np.isfinite(observation).all() and np.isfinite(reward))
+        if terminated or truncated:
+            env.reset()
+    env.close()
+    return row(f"bad_action_faults/{sim}", faults, "of all", actions=actions, refused=refused)
+
+
+def _refuses(env: ReachEnv, action: object) -> bool:
+    """Whether an action is refused, in a sentence, and nothing has moved."""
+    before = _plain(env.state)
+    try:
+        env.step(action)  # pyright: ignore[reportArgumentType]
+    except InputError as error:
+        return str(error).startswith("action") and _equal(before, _plain(env.state))
+    return False
+
+
+def interleavings(sim: str, count: int = INTERLEAVINGS) -> Row:
+    """Random orders of two environments' steps in which each went exactly as alone."""
+    envs = [Env(configure(sim=sim, max_steps=STEPS // 2), LANES) for _ in range(2)]
+    low, high = envs[0].action_bounds
+    turns = [_turn(env) for env in envs]
+    begin = envs[0].compile(envs[0].init)
+    same = 0
+    for number in range(count):
+        random = np.random.default_rng(number)
+        moves = random.uniform(low, high, (2, STEPS, LANES, len(low))).astype(np.float32)
+        alone = []
+        for which in range(2):
+            state = begin(lane_keys(number + which, LANES))
+            for move in moves[which]:
+                state = turns[which](state, move)
+            alone.append(_plain(state))
+        states = [begin(lane_keys(number + which, LANES)) for which in range(2)]
+        queues = [iter(moves[which]) for which in range(2)]
+        for which in random.permutation(np.repeat(range(2), STEPS)):
+            states[which] = turns[which](states[which], next(queues[which]))
+        same += all(_equal(x, _plain(state)) for x, state in zip(alone, states, strict=True))
+    for env in envs:
+        env.close()
+    return row(f"interleavings_as_alone/{sim}", same, f"of {count}", num_envs=LANES, steps=STEPS)
+
+
+def _turn(env: Env) -> Callable[[EnvState, np.ndarray], EnvState]:
+    """A step and the resets that it asks for."""
+    step, reset = env.compile(env.step), env.compile(env.reset)
+
+    def turn(state: EnvState, move: np.ndarray) -> EnvState:
+        state, transition = step(state, move)
+        return reset(state, transition.done) if np.asarray(transition.done).any() else state
+
+    return turn
+
+
+def _plain(state: EnvState) -> list[np.ndarray]:
+    return [np.array(x) for x in jax.tree.leaves((state.arm, state.target, state.target_q, state.clock))]
+
+
+def _equal(a: list[np.ndarray], b: list[np.ndarray]) -> bool:
+    return all(np.array_equal(x, y) for x, y in zip(a, b, strict=True))
+
+
+def openings(sim: str, count: int = OPENINGS) -> Row:
+    """Growth of the process over many times making and closing a simulator."""
+    config = configure(sim=sim)
+    begun = (0.0, 0, 0)
+    for number in range(count):
+        if number == WARM_UP:
+            begun = _held()
+        env = Env(config, 2)
+        env.init(lane_keys(0, 2))
+        env.close()
+        del env
+        gc.collect()
+    memory, files, threads = (now - before for now, before in zip(_held(), begun, strict=True))
+    return row(f"growth/{sim}", memory, "MB", openings=count, warm_up=WARM_UP, files=files, threads=threads)
+
+
+def _held() -> tuple[float, int, int]:
+    """What the process holds: memory [MB], open files, threads."""
+    status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text(encoding="utf-8").splitlines())
+    return int(status["VmRSS"].split()[0]) / 1024, len(list(Path("/proc/self/fd").iterdir())), int(status["Threads"])

@@ -1,0 +1,251 @@
+"""Trust, measured: runs that are killed, files that are damaged, numbers that are not finite, and what saving costs."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import os
+import random
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from reachlab.bench.faults import Trial, corruptions, cut_saves, failing_saves
+from reachlab.bench.hostile import hostile_files
+from reachlab.bench.simulators import Row, row
+from reachlab.envs.core import Env
+from reachlab.jax_setup import jit
+from reachlab.learn import method as iteration
+from reachlab.learn import ppo
+from reachlab.learn.method import TrainState, compile_iteration, initial_state
+from reachlab.learn.train import train
+from reachlab.runs.directory import RunDirectory
+from reachlab.settings.config import RunConfig, configure, in_simulator
+
+KILLS, KILLS_IN_A_RUN, CORRUPTIONS, FAILING_SAVES = 50, 10, 10_000, 20
+"""How often each fault is tried."""
+
+TINY: dict[str, Any] = {
+    "num_envs": 16,
+    "rollout_steps": 16,
+    "total_steps": 150 * 256,
+    "hidden": (8,),
+    "stop_early": False,
+    "report_episodes": 4,
+    "max_steps": 30,
+    "checkpoint_interval": 0.0,
+}
+"""A training that saves after every iteration."""
+
+LONGEST_DELAY = 4.0
+"""A process is killed at a random moment of this time after its start [s]: before, in and after its first steps."""
+
+SAVES_SEEN = 12
+"""A process that is to be killed inside a save has finished fewer saves than this."""
+
+SHARE_INSIDE = 5
+"""At least one in so many is killed inside a save."""
+
+POLL = 0.0003
+"""Time between two looks for a save under way [s]."""
+
+SAVES = 20
+"""Saves that are timed; the median counts."""
+
+
+def trust() -> Iterator[Row]:
+    """What goes wrong when processes, files, disks and numbers fail: nothing should."""
+    trials: dict[str, Callable[[], Trial]] = {
+        "killed_runs": lambda: killed_runs(KILLS),
+        "cut_saves": cut_saves,
+        "corruptions": lambda: corruptions(CORRUPTIONS),
+        "failing_saves": lambda: failing_saves(FAILING_SAVES),
+        "not_finite": not_finite,
+        "hostile_files": hostile_files,
+    }
+    for name, try_out in trials.items():
+        logging.disable(logging.WARNING)  # thousands of damaged checkpoints are warned of
+        try:
+            trial = try_out()
+        finally:
+            logging.disable(logging.NOTSET)
+        yield row(f"trust/{name}_gone_wrong", len(trial.wrong), f"of {trial.tried}", wrong=trial.wrong[:3])
+    for sim in ("kinematic", "mujoco"):
+        yield from _cost(sim)
+
+
+# --- killed runs ----------------------------------------------------------------------------------
+
+
+def killed_runs(count: int, seed: int = 0) -> Trial:
+    """Runs killed again and again, every second time inside a save, and resumed: the weights of an unbroken one."""
+    draw, wrong, inside, killed = random.Random(seed), [], 0, 0  # noqa: S311 (no secret)
+    with tempfile.TemporaryDirectory() as folder:
+        whole = Path(folder) / "whole"
+        train(configure(**TINY), whole)
+        while killed < count:
+            run, here = Path(folder) / str(killed), 0
+            while here < min(KILLS_IN_A_RUN, count - killed) and not RunDirectory(run).finished:
+                if _kill(run, draw, inside_a_save=here % 2 == 1):
+                    here += 1
+                    inside += any((run / "checkpoints").glob(".step_*.tmp"))
+            killed += here
+            if not RunDirectory(run).finished:
+                train(configure(**TINY), run, resume=run.exists())
+            if _weights(run) != _weights(whole):
+                wrong.append(f"run {run.name}: other weights")
+    if inside < count // SHARE_INSIDE:
+        wrong.append(f"only {inside} of {count} were killed inside a save")
+    return Trial(count, wrong)
+
+
+def _kill(run: Path, draw: random.Random, *, inside_a_save: bool) -> bool:
+    """Whether a trainer of the run, started here, was killed before its end."""
+    words = ["--resume", str(run)] if run.exists() else ["--out", str(run), *_flags()]
+    command = [sys.executable, "-m", "reachlab", "train", *words]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:  # noqa: S603
+        if inside_a_save:
+            _wait_for_a_save(run, process, after=draw.randrange(1, SAVES_SEEN))
+        else:
+            time.sleep(draw.uniform(0, LONGEST_DELAY))
+        alive = process.poll() is None
+        process.kill()
+    return alive
+
+
+def _wait_for_a_save(run: Path, process: subprocess.Popen[bytes], after: int) -> None:
+    """Wait until the process is inside a save, after so many others."""
+    left = {path.name for path in (run / "checkpoints").glob(".step_*")}
+    seen: set[str] = set()
+    while process.poll() is None:
+        names = {path.name for path in (run / "checkpoints").glob(".step_*.tmp")} - left
+        seen |= names
+        if names and len(seen) >= after:
+            return
+        time.sleep(POLL)
+
+
+def _flags() -> list[str]:
+    words = []
+    for name, value in TINY.items():
+        flag = name.replace("_", "-")
+        if isinstance(value, bool):
+            words.append(f"--{'' if value else 'no-'}{flag}")
+        else:
+            words += [f"--{flag}", *map(str, value if isinstance(value, tuple) else (value,))]
+    return words
+
+
+def _weights(run: Path) -> str:
+    newest = max((run / "checkpoints").glob("step_*"))
+    return hashlib.sha256((newest / "state.safetensors").read_bytes()).hexdigest()
+
+
+# --- numbers that are not finite ------------------------------------------------------------------
+
+BAD = {"NaN": np.nan, "inf": np.inf}
+"""Numbers that are not finite."""
+
+
+@dataclass
+class Poison:
+    """What is made not finite: the leaf of that number in what a function gives; -1 for none."""
+
+    leaf: int = -1
+    value: float = 0.0
+
+    def __call__(self, tree: Any, offset: int) -> Any:
+        """The tree, traced, with one number replaced when the program runs and its leaf's turn has come."""
+        places = _floats(tree)
+        leaf, value = jax.pure_callback(
+            lambda: (np.int32(self.leaf), np.float32(self.value)), (jnp.int32(0), jnp.float32(0))
+        )
+        leaves = jax.tree.leaves(tree)
+        for number, place in enumerate(places):
+            spoilt = leaves[place].at[(-1,) * leaves[place].ndim].set(value)
+            leaves[place] = jnp.where(leaf == offset + number, spoilt, leaves[place])
+        return jax.tree.unflatten(jax.tree.structure(tree), leaves)
+
+
+def _floats(tree: object) -> list[int]:
+    return [i for i, leaf in enumerate(jax.tree.leaves(tree)) if jnp.issubdtype(leaf.dtype, jnp.floating)]
+
+
+def not_finite() -> Trial:
+    """A number made not finite, in each array of rollout, environment and learner: noticed at once, nothing changes."""
+    config = configure(**{**TINY, "num_envs": 8, "rollout_steps": 4})
+    env, poison, wrong, places = Env(config, 8), Poison(), [], 0
+    state = jit(lambda seed: initial_state(env, config, seed))(np.uint32(0))
+    with _poisoned(poison) as sizes:
+        step = compile_iteration(env, config, jax.eval_shape(lambda: state))
+        state, watched = step(state)
+        if not watched.sound:
+            wrong.append("without poison: not finite")
+        for leaf in range(sum(sizes)):
+            for name, poison.value in BAD.items():
+                places, poison.leaf, before = places + 1, leaf, _bytes(state)
+                state, watched = step(state)
+                if watched.sound:
+                    wrong.append(f"{name} in leaf {leaf}: not noticed")
+                if _bytes(state) != before:
+                    wrong.append(f"{name} in leaf {leaf}: the state has changed")
+    return Trial(places, wrong)
+
+
+@contextmanager
+def _poisoned(poison: Poison) -> Iterator[list[int]]:
+    """Let what is collected and learnt be poisoned; the list is filled with the numbers of leaves."""
+    sizes: list[int] = []
+    collect, update = iteration.collect, ppo.update
+
+    def collect_poisoned(*arguments: Any) -> Any:
+        gathered = collect(*arguments)
+        sizes.append(len(_floats(gathered)))
+        return poison(gathered, 0)
+
+    def update_poisoned(*arguments: Any) -> Any:
+        learnt = update(*arguments)
+        sizes.append(len(_floats(learnt)))
+        return poison(learnt, sizes[0])
+
+    with mock.patch.object(iteration, "collect", collect_poisoned), mock.patch.object(ppo, "update", update_poisoned):
+        yield sizes
+
+
+def _bytes(state: TrainState) -> list[bytes]:
+    plain = jax.tree.map(lambda x: jax.random.key_data(x) if jnp.issubdtype(x.dtype, jax.dtypes.prng_key) else x, state)
+    return [np.asarray(leaf).tobytes() for leaf in jax.tree.leaves(plain)]
+
+
+# --- cost -----------------------------------------------------------------------------------------
+
+
+def _cost(sim: str) -> Iterator[Row]:
+    """Time of a save, and its share of training at the default interval."""
+    config: RunConfig = in_simulator(configure(), sim)
+    env = Env(config, config.ppo.num_envs)
+    state = env.compile(lambda seed: initial_state(env, config, seed))(np.uint32(0))
+    with tempfile.TemporaryDirectory(dir=os.environ.get("TMPDIR")) as folder:
+        run = RunDirectory(Path(folder) / "run")
+        run.create(config)
+        times = []
+        for step in range(SAVES):
+            start = time.perf_counter()
+            run.write_checkpoint(step, state)
+            times.append(time.perf_counter() - start)
+    env.close()
+    took, interval = statistics.median(times), config.ppo.checkpoint_interval
+    yield row(f"trust/save/{sim}", 1000 * took, "ms", num_envs=config.ppo.num_envs)
+    yield row(f"trust/saving_share/{sim}", took / interval, "of training time", interval=interval, slowest=max(times))

@@ -1,0 +1,162 @@
+"""The viewer as a headless Chromium meets it: its first picture, its updates, and whether it keeps real time."""
+
+from __future__ import annotations
+
+import signal
+import socket
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from reachlab.bench.simulators import Row, row
+from reachlab.envs.core import Env
+from reachlab.learn.method import initial_state
+from reachlab.learn.train import load_policy, train
+from reachlab.runs.directory import RunDirectory
+from reachlab.settings.config import TASKS, RunConfig
+from reachlab.settings.validation import InputError
+from reachlab.watch.stage import LOCAL
+from reachlab.watch.viewer import Viewer
+
+if TYPE_CHECKING:
+    from reachlab.bench.chromium import Page
+
+STARTS = 5
+"""Starts that are timed, after one that fills the compilation cache; the median counts."""
+
+SECONDS = 10.0
+"""Time for which updates and control steps are counted [s]."""
+
+SETTLING = 2.0
+"""Time before that, in which the browser comes to rest [s]."""
+
+SIZE = (1280, 720)
+"""The browser's window [pixels]."""
+
+COUNT_PICTURES = "pictures = 0; (function next() { pictures += 1; requestAnimationFrame(next) })()"
+"""Script that counts how often the page is drawn."""
+
+
+DRAGS, FOLLOWED = 20, 300.0
+"""Drags of which each is held until the arm rests, and the time in which more are let go [s]."""
+
+
+def viewer() -> Iterator[Row]:
+    """Time to the first picture, updates in a second, and the policy's time against the clock's.
+
+    And how the presets' default runs, which are trained here, follow a target that is dragged.
+
+    Raises:
+        InputError: viser or Chromium is not there.
+    """
+    try:
+        from reachlab.bench.chromium import browser, executable
+    except ImportError:
+        raise InputError("suite 'viewer' needs viser: pip install 'reachlab[viewer]'.") from None
+    if executable() is None:
+        raise InputError("suite 'viewer' needs Chromium: apt install chromium.")
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+        for task, config in TASKS.items():
+            run = _untrained(config, Path(folder) / task)
+            with browser(Path(folder) / f"browser-{task}", *SIZE) as page:
+                yield from _starts(page, run, task)
+                yield from _live(page, run, config)
+                yield from _followed(page, config, Path(folder) / f"trained-{task}")
+
+
+def _followed(page: Page, config: RunConfig, path: Path) -> Iterator[Row]:
+    """Figures of a trained policy whose target is dragged."""
+    from reachlab.bench.follow import follow
+
+    train(config, path)
+    run, env = RunDirectory(path), Env(config, 1)
+    load = partial(load_policy, run, config, env)
+    with Viewer(env, run.checkpoint_steps(), load, "trained", LOCAL, free_port()) as shown:
+        shown.prepare(seed=1)
+        yield from follow(shown, page, config.task, DRAGS, FOLLOWED)
+        page.open("about:blank")
+    env.close()
+
+
+def _untrained(config: RunConfig, path: Path) -> RunDirectory:
+    """A run whose policy has learnt nothing, which takes as long to compute as any other."""
+    env, run = Env(config, config.ppo.num_envs), RunDirectory(path)
+    run.create(config)
+    run.write_checkpoint(0, env.compile(partial(initial_state, env, config))(np.uint32(config.seed)))
+    env.close()
+    return run
+
+
+def _starts(page: Page, run: RunDirectory, task: str) -> Iterator[Row]:
+    served, seen = zip(*[_start(page, run) for _ in range(STARTS + 1)][1:], strict=True)
+    yield row(f"viewer_served/{task}", statistics.median(served), "s", starts=STARTS, worst=max(served))
+    yield row(f"viewer_first_picture/{task}", statistics.median(seen), "s", starts=STARTS, worst=max(seen), window=SIZE)
+
+
+def _start(page: Page, run: RunDirectory) -> tuple[float, float]:
+    """Times from the process's start until it tells its address and until the page shows the arm [s]."""
+    from reachlab.bench.chromium import drawn, wait_until
+
+    words = [sys.executable, "-m", "reachlab", "view", str(run.path), "--port", str(free_port())]
+    started = time.perf_counter()
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:  # noqa: S603 (our own program)
+        try:
+            said = process.stdout.readline() if process.stdout else ""
+            served = time.perf_counter() - started
+            if not said.startswith("Viewer: "):
+                raise InputError(f"the viewer does not start: {said.strip()}")
+            page.open(said.split()[1])
+            wait_until(lambda: drawn(page.picture()), "a picture")
+            return served, time.perf_counter() - started
+        finally:
+            page.open("about:blank")
+            process.send_signal(signal.SIGINT)
+            process.communicate()
+
+
+def _live(page: Page, run: RunDirectory, config: RunConfig) -> Iterator[Row]:
+    """Figures of a policy that plays, following one target, while the page is open."""
+    from reachlab.bench.chromium import drawn, wait_until
+
+    env = Env(config, 1)
+    load = partial(load_policy, run, config, env)
+    with Viewer(env, run.checkpoint_steps(), load, "trained", LOCAL, free_port()) as shown:
+        shown.prepare(seed=1)
+        shown.panel.endless = True
+        page.open(shown.url)
+        wait_until(lambda: drawn(page.picture()), "a picture")
+        page.evaluate(COUNT_PICTURES)
+        shown.run(_after(SETTLING))
+        pictures, steps = page.evaluate("pictures"), shown.player.steps
+        page.arrivals.clear()
+        started, used = time.perf_counter(), time.process_time()
+        shown.run(_after(SECONDS))
+        elapsed, used = time.perf_counter() - started, time.process_time() - used
+        steps, pictures = shown.player.steps - steps, page.evaluate("pictures") - pictures
+        page.open("about:blank")
+    env.close()
+    yield row(f"viewer_updates_per_second/{config.task}", len(page.arrivals) / elapsed, "1/s", seconds=SECONDS)
+    yield row(f"viewer_pictures_per_second/{config.task}", pictures / elapsed, "1/s", window=SIZE, drawn_by="software")
+    speed = steps * config.physics.control_period / elapsed
+    yield row(f"viewer_policy_time/{config.task}", speed, "of real time", steps=steps, seconds=SECONDS)
+    yield row(f"viewer_processor_time/{config.task}", used / elapsed, "of one core", seconds=SECONDS)
+
+
+def free_port() -> int:
+    """A port that nobody listens on."""
+    with socket.create_server((LOCAL, 0)) as listening:
+        return int(listening.getsockname()[1])
+
+
+def _after(seconds: float) -> Callable[[], bool]:
+    """Whether so much time has passed since now [s]."""
+    end = time.perf_counter() + seconds
+    return lambda: time.perf_counter() >= end

@@ -1,0 +1,133 @@
+"""What a person reads in the terminal: results on standard output, progress and warnings on standard error."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from reachlab.settings.config import RunConfig, TaskConfig
+
+PLAIN_WIDTH = 120
+"""Width of tables where there is no terminal [characters]."""
+
+
+class _Console(Console):
+    """A stream of the terminal. Results that nobody reads any more end the command; progress does not."""
+
+    def on_broken_pipe(self) -> None:
+        """See `Console`; called when a reader of the stream has gone."""
+        os.dup2(os.open(os.devnull, os.O_WRONLY), self.file.fileno())
+        if not self.stderr:
+            raise BrokenPipeError
+
+
+def _make_console(*, stderr: bool) -> Console:
+    made = _Console(stderr=stderr, highlight=False, markup=False)
+    if not made.is_terminal:
+        made.width = PLAIN_WIDTH
+    return made
+
+
+console = _make_console(stderr=False)
+"""Results."""
+
+notes = _make_console(stderr=True)
+"""Progress and warnings."""
+
+
+def say(text: str) -> None:
+    """Print a line of a result, which no width of a terminal breaks."""
+    console.print(text, soft_wrap=True)
+
+
+def note(text: str) -> None:
+    """Print a line of progress, or a warning."""
+    notes.print(text, soft_wrap=True)
+
+
+# --- words ----------------------------------------------------------------------------------------
+
+
+def asked(config: RunConfig) -> str:
+    """What a task asks for."""
+    rules, period = config.rules, config.physics.control_period
+    steps = f"{rules.max_steps:,} steps ({rules.max_steps * period:.2g} s)"
+    low, high = rules.target_low, rules.target_high
+    where = f"in the box from {low} to {high} m" if rules.targets == "box" else f"on the {rules.targets}"
+    if not rules.hold_steps:
+        return f"touch a point {where}: the tool comes within {success_mm(rules)} of it, in at most {steps}"
+    return f"hold a point {where}: {_held(rules, period)}; an episode has {steps}"
+
+
+def succeeded(config: RunConfig) -> str:
+    """What an episode has to come to, to count as a success."""
+    if config.rules.hold_steps:
+        return f"at the end {_held(config.rules, config.physics.control_period)}"
+    return f"the tool comes within {success_mm(config.rules)} of the target, which ends the episode"
+
+
+def _held(rules: TaskConfig, period: float) -> str:
+    return (
+        f"the tool has been within {success_mm(rules)} for {rules.hold_steps} steps"
+        f" ({rules.hold_steps * period:.2g} s), no joint faster than {rules.hold_speed:g} rad/s"
+    )
+
+
+def success_mm(rules: TaskConfig) -> str:
+    """Distance of success in words."""
+    return f"{1000 * rules.success_distance:g} mm"
+
+
+# --- tables ---------------------------------------------------------------------------------------
+
+
+def print_reports(reports: Sequence[dict[str, Any]], config: RunConfig) -> None:
+    """One table with a row for each report of a run's agents, and above it what counts as a success."""
+    first, held = reports[0], config.rules.hold_steps > 0
+    perturbed = ", perturbed" * first["perturb"] + ", random views" * first["perturb_view"]
+    what = f"{first['task']} task, {first['robot']}{perturbed}"
+    say(f"{what}: {first['episodes']:,} held-out targets of seed {first['seed']}.")
+    say(f"Success: {succeeded(config)}.")
+    table = Table("agent", "simulator")
+    # Where touching ends the episode, how far the tool is then is the success distance, and says nothing.
+    last = (
+        ("median error", "p99 error", "≤ 2 mm", "≤ 1 mm", "time to reach") if held else ("mean steps", "time to reach")
+    )
+    for heading in ("success", "95 % interval", *last):
+        table.add_column(heading, justify="right")
+    for report in reports:
+        low, high = report["success_interval"]
+        time_s = report["time_to_reach_s"]
+        table.add_row(
+            report["agent"],
+            report["sim"],
+            f"{100 * report['success_rate']:.2f} %",
+            f"{100 * low:.1f} to {100 * high:.1f}",
+            *(_precision(report) if held else [f"{report['steps_mean']:.0f}"]),
+            "" if time_s is None else f"{time_s:.2f} s",
+        )
+    console.print(table)
+
+
+def _precision(report: dict[str, Any]) -> list[str]:
+    error, shares = report["final_error_mm"], report["success_within"]
+    errors = [_millimetres(error[name]) for name in ("median", "p99")]
+    return [*errors, *(f"{100 * shares[limit]:.2f} %" for limit in ("2", "1"))]
+
+
+def _millimetres(error: float | None) -> str:
+    return "not held" if error is None else f"{error:.2g} mm" if error < 1 else f"{error:.1f} mm"
+
+
+def print_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """A plain table."""
+    table = Table(title=title, title_justify="left")
+    for heading in headings:
+        table.add_column(heading)
+    for row in rows:
+        table.add_row(*row)
+    console.print(table)

@@ -1,0 +1,171 @@
+"""Flags of the command line: the fields of a dataclass for each verb."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from reachlab.settings.config import DISTIL_DEFAULTS, PICTURED, DistilConfig, RunConfig
+from reachlab.settings.names import AGENTS, SUITES
+from reachlab.settings.validation import Checked, Count, NonNegative, Positive, Range, Seed, Steps
+
+Optional = tyro.conf.arg(metavar="PATH", help_behavior_hint="")
+"""A path that may be left out."""
+
+Agent = Annotated[str, tyro.conf.arg(help=f"Agent: {', '.join(AGENTS)}.")]
+Agents = Annotated[tuple[str, ...], tyro.conf.arg(help=f"Agents: {', '.join(AGENTS)}.")]
+
+
+@dataclass(frozen=True)
+class Train(Checked):
+    """Train a policy and report on held-out targets."""
+
+    # Without a name its own settings stand among the first flags, and its parts are called by their own names.
+    run: Annotated[RunConfig, tyro.conf.arg(name="")] = field(default_factory=RunConfig)
+    out: Annotated[Path | None, Optional] = None
+    """Run directory to make; by default a new one below runs/."""
+    resume: Annotated[Path | None, Optional] = None
+    """Run directory to resume: training continues from its newest checkpoint, with its own settings."""
+    tensorboard: bool = False
+    """Write TensorBoard's event file into the run directory too; needs the extra `tensorboard`."""
+    json: bool = False
+    """Print the result as one JSON object on standard output."""
+
+
+@dataclass(frozen=True)
+class Distil(Checked):
+    """Teach a policy that gets camera pictures, by one that gets the positions themselves."""
+
+    teacher: Annotated[Path | None, tyro.conf.Positional] = None
+    """Run directory of the teacher."""
+    observation: Annotated[str, tyro.conf.arg(help=f"What the student observes: {', '.join(PICTURED)}.")] = "image"
+    sim: Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")] = None
+    """Simulator, kinematic or mujoco; by default the teacher's."""
+    seed: Seed = 0
+    """Seed of everything random."""
+    out: Annotated[Path | None, Optional] = None
+    """Run directory to make; by default a new one below runs/."""
+    resume: Annotated[Path | None, Optional] = None
+    """Run directory to resume: training continues from its newest checkpoint, with its own settings."""
+    randomise_view: bool = False
+    """Vary light, colours and camera from episode to episode, see `randomise_view` of train."""
+    total_steps: Steps = DISTIL_DEFAULTS["total_steps"]
+    """Environment steps after which training ends: 4,096 an iteration, other with another `--action-repeat`."""
+    report_episodes: Count = DISTIL_DEFAULTS["report_episodes"]
+    """Held-out episodes of the report at the end."""
+    action_repeat: Count = DISTIL_DEFAULTS["action_repeat"]
+    """While training, steps from one picture to the next; the action is the same in between."""
+    deterministic: bool = False
+    """Compute on one thread: the same weights on any number of cores."""
+    settings: DistilConfig = field(default_factory=DistilConfig)
+    tensorboard: bool = False
+    """Write TensorBoard's event file into the run directory too; needs the extra `tensorboard`."""
+    json: bool = False
+    """Print the result as one JSON object on standard output."""
+
+
+LESSON = ("observation", "seed", "randomise_view", "total_steps", "report_episodes", "action_repeat", "deterministic")
+"""Flags of `Distil` that are settings of its run, beside `settings`."""
+
+
+@dataclass(frozen=True)
+class Eval(Checked):
+    """Evaluate a run beside its baselines, on held-out targets."""
+
+    run: Annotated[Path, tyro.conf.Positional]
+    """Run directory."""
+    sim: Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")] = None
+    """Simulator, or `all` of them; by default the run's own."""
+    agent: Agents = ("trained",)
+    episodes: Count = 1000
+    """Held-out episodes."""
+    seed: Seed = 1
+    """Seed of the targets."""
+    perturb: bool = False
+    """Vary the arm from episode to episode and measure with noise, see `perturb` of train."""
+    perturb_view: bool = False
+    """For a policy that gets pictures: vary light, colours and camera, see `randomise_view` of train."""
+    gui: bool = False
+    """PyBullet: open its window."""
+    slow: bool = False
+    """PyBullet: slow down to be followed by eye."""
+    json: bool = False
+    """Print the report as JSON on standard output; a list of them for several agents or simulators."""
+
+
+@dataclass(frozen=True)
+class Video(Checked):
+    """Film held-out episodes of a run."""
+
+    run: Annotated[Path, tyro.conf.Positional]
+    """Run directory."""
+    out: Annotated[Path | None, Optional] = None
+    """File to write (.webp, .gif, or .mp4 with the extra `video`); by default video.webp in the run."""
+    sim: Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")] = None
+    """Simulator; by default the run's own."""
+    agent: Agent = "trained"
+    episodes: Count = 4
+    """Episodes, one after the other: the first ones of `reachlab eval` with that seed."""
+    seed: Seed = 1
+    """Seed of the targets."""
+    fps: Positive = 30.0
+    """Pictures a second, about: each shows a whole number of control steps."""
+    speed: NonNegative = 0.0
+    """1 is real time, 0.5 half as fast; with 0 it is slow enough to be followed by eye."""
+    json: bool = False
+    """Print what was filmed as one JSON object on standard output."""
+
+
+@dataclass(frozen=True)
+class View(Checked):
+    """Watch a run in the browser and move its target by hand."""
+
+    run: Annotated[Path, tyro.conf.Positional]
+    """Run directory."""
+    sim: Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")] = None
+    """Simulator; by default the run's own."""
+    agent: Agent = "trained"
+    seed: Seed = 1
+    """Seed of the targets."""
+    host: str = "127.0.0.1"
+    """Address to listen on; by default no other machine reaches it."""
+    port: Annotated[int, Range(1, 65535)] = 8080
+    """Port to listen on; the next free one where it is taken."""
+    open: bool = False
+    """Open the page in the browser."""
+    save: Annotated[Path | None, Optional] = None
+    """Write recorded episodes as one page that needs no server and no network, and end."""
+    episodes: Count = 5
+    """Episodes of the saved page."""
+
+
+@dataclass(frozen=True)
+class Plot(Checked):
+    """Draw learning curves, and of what was evaluated the errors and failures."""
+
+    runs: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """Run directories; those that differ by their seeds alone become one curve with its interval."""
+    out: Annotated[Path | None, Optional] = None
+    """Picture to write (.png or .svg); by default plots.png in the first run."""
+
+
+@dataclass(frozen=True)
+class Bench(Checked):
+    """Measure speed, accuracy and learning on this machine."""
+
+    suite: Annotated[str, tyro.conf.arg(help=f"Suite: {', '.join(SUITES)}.")] = "speed"
+    json: bool = False
+    """Print the measurements as a JSON list on standard output."""
+    markdown: bool = False
+    """Print them as a Markdown table, with the machine and the versions."""
+
+
+@dataclass(frozen=True)
+class List(Checked):
+    """Show tasks, robots, simulators, observations, actions, rewards and agents."""
+
+    json: bool = False
+    """Print them as one JSON object on standard output."""

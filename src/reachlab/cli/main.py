@@ -1,0 +1,157 @@
+"""The command line: one verb, one function; flags are the fields of the dataclasses."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import itertools
+import os
+import re
+import sys
+from collections.abc import Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import tyro
+
+from reachlab.cli.flags import LESSON, Distil, Train
+from reachlab.cli.verbs import VERBS
+from reachlab.settings.config import CHOICES, DistilRunConfig, RunConfig, flatten, preset, to_json
+from reachlab.settings.validation import InputError, choose
+
+DONE, WRONG_INPUT, NOT_FINITE, INTERRUPTED = 0, 2, 3, 130
+"""Exit statuses."""
+
+UNREAD = 141
+"""Exit status where the reader of the results has gone, as in `reachlab list | head -1`: that of SIGPIPE."""
+
+
+MORE: dict[type, str] = {
+    Train: "\n\nNo flag is needed. The first group is enough for most runs, with --reward and --total-steps; the other"
+    " groups change the rules of the task, the physics and the training."
+}
+"""What the help of some commands says beside their docstring."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Exit status of the command line; see `DONE`, `WRONG_INPUT`, `NOT_FINITE`, `INTERRUPTED`, `UNREAD`."""
+    try:
+        try:
+            return _run(list(sys.argv[1:] if arguments is None else arguments))
+        finally:
+            sys.stdout.flush()
+    except BrokenPipeError:
+        # What is left in the buffers has no reader either: it must not fail again as Python ends.
+        for stream in (sys.stdout, sys.stderr):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+        return UNREAD
+
+
+def _run(words: list[str]) -> int:
+    """Exit status of a command.
+
+    Raises:
+        BrokenPipeError: nobody reads what it says.
+    """
+    try:
+        if not words or words[0] in ("-h", "--help"):
+            print(_overview())
+            return DONE
+        if words[0] == "--version":
+            print(f"reachlab {version('reachlab')}")
+            return DONE
+        verb = VERBS[choose("command", words[0], VERBS)]
+        verb.run(_parse(words[0], verb.flags, words[1:]))
+    except InputError as error:
+        print(f"reachlab: {error}", file=sys.stderr)
+        return WRONG_INPUT
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        print(f"reachlab: {error.filename or 'a file'} cannot be used: {error.strerror or error}.", file=sys.stderr)
+        return WRONG_INPUT
+    except FloatingPointError as error:
+        print(f"reachlab: {error}", file=sys.stderr)
+        return NOT_FINITE
+    except KeyboardInterrupt as interruption:
+        print(f"reachlab: {str(interruption) or 'interrupted.'}", file=sys.stderr)
+        return vars(interruption).get("status", INTERRUPTED)
+    return DONE
+
+
+def _overview() -> str:
+    width = max(map(len, VERBS))
+    verbs = "\n".join(f"  {name:{width}}  {verb.flags.__doc__}" for name, verb in VERBS.items())
+    return (
+        "usage: reachlab COMMAND [OPTIONS]\n\nTrains robot arms to reach, and proves how well they do it.\n\n"
+        f"commands:\n{verbs}\n\n`reachlab COMMAND --help` shows a command's options, `reachlab --version` the version."
+        " A first run: reachlab train"
+    )
+
+
+def _parse(verb: str, flags: type, words: list[str]) -> Any:
+    """Flags of a verb; `--task` and the flags of `CHOICES` are read first and set the other defaults.
+
+    Raises:
+        InputError: a flag or value that is not allowed, in one sentence.
+    """
+    default: Any = tyro.MISSING_NONPROP
+    if flags is Train:
+        default = Train(run=_defaults(words))
+    elif flags is Distil and isinstance(config := _resumed(words), DistilRunConfig):
+        settings = flatten(to_json(config))
+        default = Distil(**{name: settings[name] for name in LESSON}, settings=config.distil)
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(said):
+            return tyro.cli(
+                flags,
+                prog=f"reachlab {verb}",
+                description=f"{flags.__doc__}{MORE.get(flags, '')}",
+                args=words,
+                default=default,
+                config=(tyro.conf.OmitArgPrefixes,),
+            )
+    except SystemExit as end:
+        if not end.code:
+            raise
+        raise InputError(f"{_sentence(said.getvalue())} See `reachlab {verb} --help`.") from None
+
+
+def _defaults(words: Sequence[str]) -> RunConfig:
+    """Settings that the flags of a training change: those of the run to go on with, or a preset."""
+    if config := _resumed(words):
+        return config
+    return preset(_value_of("--task", words) or "tutorial", *(_value_of(f"--{name}", words) for name in CHOICES))
+
+
+def _resumed(words: Sequence[str]) -> RunConfig | None:
+    """Settings of the run to go on with, if there is one."""
+    if not (folder := _value_of("--resume", words)):
+        return None
+    from reachlab.runs.directory import RunDirectory
+
+    return RunDirectory(Path(folder)).read_config()
+
+
+def _value_of(flag: str, words: Sequence[str]) -> str | None:
+    """Value of a flag, the last one if it is there several times."""
+    value = None
+    for word, following in itertools.zip_longest(words, words[1:]):
+        if word == flag:
+            value = following
+        elif word.startswith(f"{flag}="):
+            value = word.partition("=")[2]
+    return value
+
+
+def _sentence(box: str) -> str:
+    """The first statement of tyro's framed message, and the flag it suggests; frames may be drawn in ASCII."""
+    rows = [line.strip("│╭╮╰╯|+ ") for line in box.splitlines()[1:]]
+    parts = [list(part) for rule, part in itertools.groupby(rows, lambda row: not row.strip("─-")) if not rule]
+    text = re.sub(r"^Error parsing [\w.]+: ", "", " ".join(parts[0])).rstrip(".") + "."
+    for heading, *rest in parts[1:]:
+        if heading.startswith("Perhaps you meant"):
+            text += f" Did you mean {next(row for row in rest if row.startswith('--')).split()[0].rstrip(',')}?"
+    return text

@@ -1,0 +1,1 @@
+"""Episodes: a simulator, a task and a clock as one environment."""

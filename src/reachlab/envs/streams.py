@@ -1,0 +1,47 @@
+"""Random keys: which of them is for what, so that none is used twice.
+
+A seed has streams, and a stream has a key for each of its episodes. In JAX `split(key, n)[i]` is `fold_in(key, i)`: an
+episode's key is split into `PARTS` keys when the episode is drawn, and what varies within the episode is folded in with
+numbers that no split reaches.
+"""
+
+from __future__ import annotations
+
+import jax
+import numpy as np
+from jax import Array
+
+TRAINING_STREAM, REPORT_STREAM, VALIDATION_STREAM, LEARNER_STREAM, GYMNASIUM_STREAM = range(5)
+"""Streams of a seed: episodes of training, reports and validations; the learner's own draws; Gymnasium's episodes."""
+
+PARTS = 4
+"""Keys that an episode's key is split into: the next episode's, its target's, its start's and its arm's."""
+
+VIEW_STREAM, NOISE_STREAM, AGENT_STREAM, CHAIN_STREAM = (2**32 - 1 - i for i in range(4))
+"""Streams of an episode's key beside these parts: its view, the noise of its measurements, its agent's draws, and where
+the next episode begins."""
+
+
+def stream_key(seed: int | Array, stream: int) -> Array:
+    """Key of one of a seed's streams."""
+    return jax.random.fold_in(jax.random.key(seed), stream)
+
+
+def episode_keys(seed: int | Array, stream: int, first: int, count: int) -> Array:
+    """Keys of the episodes `first ... first + count - 1` of a seed's stream; they depend on nothing else."""
+    return jax.vmap(jax.random.fold_in, (None, 0))(stream_key(seed, stream), jax.numpy.arange(first, first + count))
+
+
+def lane_keys(seed: int, num_envs: int) -> Array:
+    """Keys `[B]` of Gymnasium's episodes: lane i of seed s has the key of lane 0 of seed s + i."""
+    return gymnasium_keys(np.arange(num_envs, dtype=np.uint32) + np.uint32(seed))
+
+
+def gymnasium_keys(seeds: np.ndarray) -> Array:
+    """Keys `[B]` of the first episodes of seeds `[B]` uint32."""
+    return jax.vmap(lambda seed: stream_key(seed, GYMNASIUM_STREAM))(seeds)
+
+
+def noise_keys(keys: Array, clock: Array) -> Array:
+    """Keys `[B]` of the measurement noise at the steps `clock [B]` of the episodes with `keys [B]`."""
+    return jax.vmap(lambda key, step: jax.random.fold_in(jax.random.fold_in(key, NOISE_STREAM), step))(keys, clock)

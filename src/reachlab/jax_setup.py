@@ -1,0 +1,122 @@
+"""How JAX is set up here: compiler options, the compilation cache on disk, and the threads it computes with."""
+
+from __future__ import annotations
+
+import functools
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+from jax.stages import Wrapped
+
+from reachlab.settings.validation import InputError
+
+CPU_OPTIONS = {
+    # Without this XLA's CPU compiler drops optimisation barriers before it fuses (see `lanes.once`).
+    "xla_disable_hlo_passes": "cse_barrier_expander",
+    # The kernels are simple loops: higher levels take a fifth longer to compile and run no faster.
+    "xla_backend_optimization_level": 1,
+}
+"""Compiler options on the CPU."""
+
+
+def jit(function: Callable[..., Any], *, donate: tuple[int, ...] = ()) -> Wrapped:
+    """`jax.jit` with `CPU_OPTIONS` on the CPU; `donate` names arguments whose memory is reused.
+
+    For the outermost function only: JAX refuses compiler options inside another trace.
+    """
+    options: dict[str, str | int] | None = CPU_OPTIONS if jax.default_backend() == "cpu" else None
+    return jax.jit(function, donate_argnums=donate, compiler_options=options)
+
+
+def use_compilation_cache() -> None:
+    """Keep compiled programs in the user's cache folder, unless `JAX_COMPILATION_CACHE_DIR` says where."""
+    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+        home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+        jax.config.update("jax_compilation_cache_dir", str(home / "reachlab" / "jax"))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
+    jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
+
+
+def dispatch_inline() -> None:
+    """Run programs on the thread that calls them; without effect once JAX has started.
+
+    Most programs here are short: handing one to a thread that has to wake up first takes longer than the program
+    (one lane of PyBullet: 175 µs a step, and 100 without). `JAX_CPU_ENABLE_ASYNC_DISPATCH` overrides it.
+    """
+    if "JAX_CPU_ENABLE_ASYNC_DISPATCH" not in os.environ:
+        jax.config.update("jax_cpu_enable_async_dispatch", False)
+
+
+# --- threads --------------------------------------------------------------------------------------
+
+VARIABLE = "NPROC"
+"""XLA reads the number from here when JAX starts its backend; otherwise it takes the cores that it may use.
+
+On fewer cores than threads the results stay the same: the work is divided by this number and by nothing else.
+"""
+
+WORKER = "tf_XLAEigen"
+"""Name of XLA's compute threads, one for each."""
+
+
+def set_threads(count: int) -> None:
+    """Make JAX compute with `count` threads.
+
+    Raises:
+        InputError: JAX runs already, with another number.
+    """
+    if _started():
+        if (running := threads()) != count:
+            raise InputError(
+                f"this run needs JAX to compute with {count} thread{'s'[: count > 1]}, and it runs already with"
+                f" {running}: set {VARIABLE}={count} in the environment before Python starts."
+            )
+    elif (said := os.environ.get(VARIABLE, str(count))) != str(count):
+        raise InputError(
+            f"this run needs JAX to compute with {count} thread{'s'[: count > 1]}, and the environment says"
+            f" {VARIABLE}={said}: leave {VARIABLE} out or set it to {count}."
+        )
+    else:
+        os.environ[VARIABLE] = str(count)
+
+
+def threads() -> int:
+    """Threads that JAX computes with; JAX is started if it has not been."""
+    jax.devices()
+    try:
+        names = [(task / "comm").read_text().strip() for task in Path("/proc/self/task").iterdir()]
+    except OSError:
+        names = []  # not Linux
+    return names.count(WORKER) or int(os.environ.get(VARIABLE) or os.cpu_count() or 1)
+
+
+@functools.cache
+def first_process() -> int:
+    """Number of the process in which this was first asked for; forks of it are told the same."""
+    return os.getpid()
+
+
+def refuse_fork() -> None:
+    """Refuse to compute in a fork of the process in which JAX was started: it would wait for ever.
+
+    A fork takes over JAX's state, but not the threads that do its work.
+
+    Raises:
+        InputError: this is such a process.
+    """
+    if first_process() != os.getpid():
+        raise InputError(
+            "JAX cannot compute in this process, a fork of one that uses it: start it with the context 'spawn' or"
+            " 'forkserver' (in gymnasium.make_vec: vector_kwargs={'context': 'spawn'}), or let one process step all"
+            " environments with vectorization_mode='vector_entry_point', which is faster."
+        )
+
+
+def _started() -> bool:
+    # JAX has no public question for it; asked of what is imported only, so that asking does not start it.
+    bridge = sys.modules.get("jax._src.xla_bridge")
+    return bridge is not None and bridge.backends_are_initialized()

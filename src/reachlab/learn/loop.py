@@ -1,0 +1,270 @@
+"""The loop of a training: iterations, validations and checkpoints, until it is done, stopped or broken."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import NoReturn
+
+import jax
+import numpy as np
+from jax.stages import Wrapped
+
+from reachlab.agents.policy import Policy
+from reachlab.envs.core import Env
+from reachlab.envs.streams import VALIDATION_STREAM, episode_keys
+from reachlab.evaluation.report import Runner, make_runner, run_episodes
+from reachlab.jax_setup import jit
+from reachlab.learn.interrupts import Interrupted, Interrupts
+from reachlab.learn.method import PPO, Method, TrainState
+from reachlab.learn.rollout import EngineError
+from reachlab.runs import arrays
+from reachlab.runs.directory import RunDirectory
+from reachlab.runs.files import write_synced
+from reachlab.runs.manifest import Counters
+from reachlab.runs.metrics import Metrics
+from reachlab.settings.config import RunConfig
+from reachlab.settings.validation import InputError
+
+VALIDATE_FROM = 0.9
+"""Success rate of training episodes from which validations are worth their time, or `stop_success` if it is lower."""
+
+ENOUGH_EPISODES = 20
+"""Training episodes from which on their success rate says something: a single one may succeed by chance."""
+
+SAVING_SHARE = 0.02
+"""Checkpoints take at most this share of the time, on average."""
+
+log = logging.getLogger(__name__)
+
+
+class NotFiniteError(FloatingPointError):
+    """A number in training is not finite; the last good state is saved, and the rollout beside it."""
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where training stands: `steps` of `total_steps`, the metrics of the last iteration, and all time so far [s]."""
+
+    steps: int
+    total_steps: int
+    metrics: dict[str, float]
+    elapsed_s: float
+
+
+class Loop:
+    """Iterations until the steps are used up or a validation holds.
+
+    Attributes:
+        now: where training stands.
+        saved: where the newest checkpoint stands, None without one.
+    """
+
+    def __init__(
+        self,
+        config: RunConfig,
+        env: Env,
+        run: RunDirectory,
+        watch: Callable[[Progress], None],
+        start: float,
+        method: Method = PPO,
+    ) -> None:
+        """Loop that has taken no step yet; `start` is when training began [s]."""
+        self.method = method
+        self.config, self.env, self.run, self.watch, self.start = config, env, run, watch, start
+        self.now = Counters(0)
+        self.saved: Counters | None = None
+        self.runner = make_runner(env, "trained")
+        self._save_after = config.ppo.checkpoint_interval
+        self._clock = 0.0
+
+    @property
+    def validated(self) -> bool:
+        """Whether enough validations in a row have held."""
+        return self.now.streak >= self.config.ppo.stop_streak
+
+    @property
+    def steps_per_second(self) -> float:
+        """Steps for each second of collecting and updating."""
+        return self.now.steps / self.now.busy_s if self.now.busy_s else 0.0
+
+    # --- before -----------------------------------------------------------------------------------
+
+    def prepare(self, *, resume: bool) -> TrainState:
+        """First state, or the saved one; the iteration is compiled the same for both.
+
+        With a pure simulator three programs are compiled at once.
+        """
+        env, config = self.env, self.config
+        resume = resume and self.run.newest_manifest() is not None
+        if not env.pure:
+            state = self.method.initial_state(env, config, config.seed)
+            self._step = self.method.compile_iteration(env, config, state)
+            return self._saved_state(state) if resume else state
+        shape = jax.eval_shape(lambda: self.method.initial_state(env, config, config.seed))
+        saved = self._saved_state(shape) if resume else None
+        with ThreadPoolExecutor(2) as pool:
+            begun = pool.submit(jit(lambda seed: self.method.initial_state(env, config, seed)), np.uint32(config.seed))
+            runner = pool.submit(self._compiled_runner, shape.learner.policy)
+            self._step = self.method.compile_iteration(env, config, shape)
+            self.runner = runner.result()
+            return saved or begun.result()
+
+    def _saved_state(self, template: TrainState) -> TrainState:
+        self.now, state = self.run.read_state(template)
+        self.saved = self.now
+        self.start -= self.now.train_s
+        return state
+
+    def _compiled_runner(self, policy: Policy) -> Runner:
+        if not isinstance(self.runner.run, Wrapped):
+            return self.runner
+        keys = jax.eval_shape(lambda: episode_keys(0, VALIDATION_STREAM, 0, self.runner.num_envs))
+        return Runner(self.runner.run.lower(policy, keys).compile(), self.runner.num_envs)
+
+    # --- iterations -------------------------------------------------------------------------------
+
+    def iterate(self, state: TrainState, metrics: Metrics, interrupts: Interrupts) -> TrainState:
+        """State after training, saved."""
+        self._clock = time.perf_counter()
+        self._loop_start = self._clock - self.now.loop_s
+        while self.now.steps < self.config.ppo.total_steps and not self.validated:
+            state = self._advance(state, metrics)
+            if interrupts.received is not None:
+                self._leave(state, metrics, interrupts.received)
+            if time.perf_counter() - self._clock >= self._save_after:
+                self._try_to_save(state, metrics)
+        try:
+            self._save(state, metrics)
+        except (OSError, InputError) as error:
+            raise unwritable("last checkpoint", self.run, error, self.config.verb) from None
+        return state
+
+    def _advance(self, state: TrainState, metrics: Metrics) -> TrainState:
+        settings, tick = self.config.ppo, time.perf_counter()
+        try:
+            state, watched = self._step(state)
+        except EngineError as error:
+            self._stop(state, metrics, str(error), error.rollout)
+        row = {name: float(x) for name, x in sorted(jax.device_get(watched.metrics).items())}
+        if missing := jax.device_get(watched.finite).missing():
+            self._stop(state, metrics, f"a number is not finite in: {', '.join(missing)}", watched.rollout)
+        self.now = replace(
+            self.now,
+            steps=self.now.steps + settings.iteration_steps,
+            busy_s=self.now.busy_s + time.perf_counter() - tick,
+            validated=False,
+        )
+        self._count(row)
+        if self._due():
+            row["validation_success"] = self._validate(state, metrics)
+        self.now = replace(self.now, loop_s=time.perf_counter() - self._loop_start)
+        row |= {"steps": self.now.steps, "wall_s": self.now.loop_s, "steps_per_second": self.steps_per_second}
+        metrics.write(row)
+        self.watch(Progress(self.now.steps, settings.total_steps, row, time.perf_counter() - self.start))
+        return state
+
+    def _count(self, row: dict[str, float]) -> None:
+        """Count the training episodes of an iteration; they are judged once there are enough."""
+        episodes = self.now.episodes + round(row["episodes"])
+        successes = self.now.successes + round(row["episodes"] * row["success_rate"])
+        rate = self.now.training_success
+        if episodes >= ENOUGH_EPISODES:
+            rate, episodes, successes = successes / episodes, 0, 0
+        self.now = replace(self.now, success=rate, training_success=rate, episodes=episodes, successes=successes)
+
+    def _due(self) -> bool:
+        settings = self.config.ppo
+        count = self.now.steps // settings.iteration_steps
+        near = self.now.training_success >= min(VALIDATE_FROM, settings.stop_success)
+        return settings.stop_early and count % settings.validation_interval == 0 and near
+
+    def _validate(self, state: TrainState, metrics: Metrics) -> float:
+        """Success rate of the validation so far; it ends as soon as it can no longer hold."""
+        settings, lanes = self.config.ppo, self.runner.num_envs
+        failures, seen = 0, 0
+        while seen < settings.validation_episodes and self._can_hold(failures):
+            count = min(lanes, settings.validation_episodes - seen)
+            try:
+                result = run_episodes(
+                    self.runner, state.learner.policy, self.config.seed, VALIDATION_STREAM, count, first=seen
+                )
+            except FloatingPointError as error:
+                self._stop(state, metrics, f"in a validation {error}", None)
+            seen, failures = seen + count, failures + int((~result.success).sum())
+        success = 1 - failures / seen
+        streak = self.now.streak + 1 if self._can_hold(failures) else 0
+        self.now = replace(self.now, streak=streak, success=success, validated=True)
+        return success
+
+    def _can_hold(self, failures: int) -> bool:
+        """Whether a validation holds if it has no more than these failures."""
+        settings = self.config.ppo
+        # As one quotient: 0.9 of 1000 is 900 then, where (1 - 0.9) * 1000 is less than 100.
+        return (settings.validation_episodes - failures) / settings.validation_episodes >= settings.stop_success
+
+    # --- saving -----------------------------------------------------------------------------------
+
+    def _save(self, state: TrainState, metrics: Metrics) -> None:
+        """Save the state, unless it is saved."""
+        begun = time.perf_counter()
+        self.now = replace(self.now, train_s=begun - self.start)
+        if self.saved is None or self.saved.steps != self.now.steps:
+            metrics.sync()
+            self.run.write_checkpoint(self.now.steps, state, self.now, self.config.ppo.keep_checkpoints)
+            self.saved = self.now
+        self._clock = time.perf_counter()
+        if interval := self.config.ppo.checkpoint_interval:
+            self._save_after = max(interval, (self._clock - begun) / SAVING_SHARE)
+
+    def _try_to_save(self, state: TrainState, metrics: Metrics) -> bool:
+        """Whether the state is saved; if it cannot be, training goes on and tries again after the next interval."""
+        try:
+            self._save(state, metrics)
+        except (OSError, InputError) as error:
+            self._clock = time.perf_counter()
+            log.warning(
+                "reachlab: the checkpoint of step %s cannot be written to '%s' (%s).",
+                f"{self.now.steps:,}",
+                self.run.checkpoints,
+                _reason(error),
+            )
+            return False
+        return True
+
+    def _leave(self, state: TrainState, metrics: Metrics, signal: int) -> NoReturn:
+        self._try_to_save(state, metrics)
+        raise Interrupted(signal, f"interrupted at step {self.now.steps:,}; {self._how_to_go_on()}")
+
+    def _stop(self, state: TrainState, metrics: Metrics, why: str, rollout: object) -> NoReturn:
+        """End training at numbers that are not finite: the state is the one before them."""
+        self._try_to_save(state, metrics)
+        kept = ""
+        if rollout is not None:
+            try:
+                write_synced(self.run.offending_file, arrays.to_bytes(rollout))
+                kept = f" The rollout is in '{self.run.offending_file}'."
+            except (OSError, InputError) as error:
+                kept = f" The rollout cannot be written ({_reason(error)})."
+        raise NotFiniteError(f"training stopped after step {self.now.steps:,}: {why}.{kept} {self._how_to_go_on()}")
+
+    def _how_to_go_on(self) -> str:
+        if self.saved is None:
+            return "nothing is saved."
+        command = f"reachlab {self.config.verb} --resume {self.run.path}"
+        return f"step {self.saved.steps:,} is saved: `{command}` goes on from there."
+
+
+def unwritable(what: str, run: RunDirectory, error: Exception, verb: str = "train") -> InputError:
+    """An error that says what of a run could not be written, and what to do."""
+    return InputError(
+        f"the {what} cannot be written to '{run.path}' ({_reason(error)}): make room there, and go on with"
+        f" `reachlab {verb} --resume {run.path}`."
+    )
+
+
+def _reason(error: Exception) -> str:
+    return (error.strerror or str(error)) if isinstance(error, OSError) else str(error).rstrip(".")

@@ -1,0 +1,146 @@
+"""Rollouts: a policy's experience in the environment, `[T, B]`, with resets in between."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from reachlab.agents.policy import Policy, distribution
+from reachlab.envs.core import Env, EnvState, Transition, merge
+from reachlab.jax_setup import jit
+from reachlab.settings.config import PPOConfig
+from reachlab.tasks.reach import Observed
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Rollout:
+    """`T` actions of `B` lanes.
+
+    Attributes:
+        observation: what the policy saw `[T, B, k]`.
+        output: what its network drew `[T, B, a]`, in halves of the action box.
+        log_prob: log density of that draw `[T, B]`.
+        next_observation: what came of it `[T, B, k]`, the final observation where an episode ended.
+        reward: `[T, B]`.
+        terminated, truncated: ends of episodes `[T, B]`.
+        success: `[T, B]`.
+        distance: tool to target after the step `[T, B]` [m].
+        clock: number of the step in its episode `[T, B]`.
+    """
+
+    observation: Observed
+    output: Array
+    log_prob: Array
+    next_observation: Observed
+    reward: Array
+    terminated: Array
+    truncated: Array
+    success: Array
+    distance: Array
+    clock: Array
+
+    @property
+    def done(self) -> Array:
+        """Ends of episodes, either way `[T, B]`."""
+        return self.terminated | self.truncated
+
+
+class EngineError(FloatingPointError):
+    """An engine's state is not finite any more; `rollout` is what was collected before, None if nothing was."""
+
+    def __init__(self, message: str, rollout: Rollout | None) -> None:
+        super().__init__(message)
+        self.rollout = rollout
+
+
+Collect = Callable[[Env, Policy, EnvState, Array, PPOConfig], tuple[EnvState, Rollout]]
+
+
+def collect(env: Env, policy: Policy, state: EnvState, key: Array, config: PPOConfig) -> tuple[EnvState, Rollout]:
+    """State after `rollout_steps` actions of every lane, and the experience; lanes that end begin anew."""
+
+    def step(state: EnvState, key: Array) -> tuple[EnvState, Rollout]:
+        choice = draw(policy, env.observe(state), key)
+        state, transition = env.step(state, choice.action, config.action_repeat)
+        row = _row(choice, state, transition, transition.observation)
+        return env.reset(state, transition.done, config.chained_starts or None), row
+
+    return jax.lax.scan(step, state, jax.random.split(key, config.rollout_steps))
+
+
+def host_collector() -> Collect:
+    """As `collect`, for a simulator that JAX cannot trace: compiled parts around its steps."""
+    choose = jit(draw)
+
+    def collect(env: Env, policy: Policy, state: EnvState, key: Array, config: PPOConfig) -> tuple[EnvState, Rollout]:
+        rows, seen = [], env.look(state)
+        for step_key in jax.random.split(key, config.rollout_steps):
+            choice = choose(policy, seen, step_key)
+            try:
+                state, transition = env.step(state, choice.action, config.action_repeat)
+            except FloatingPointError as error:
+                raise EngineError(str(error), _stacked(rows) if rows else None) from None
+            seen = env.look(state) if env.pictured else transition.observation
+            rows.append(_row(choice, state, transition, seen))
+            if (done := np.asarray(transition.done)).any():
+                state = env.reset(state, done, config.chained_starts or None)
+                seen = merge(done, env.look(state, done), seen)
+        return state, _stacked(rows)
+
+    return collect
+
+
+def _stacked(rows: Sequence[Rollout]) -> Rollout:
+    return jax.tree.map(lambda *x: np.stack(x), *rows)
+
+
+class Choice(NamedTuple):
+    """What a policy saw and drew: `observation [B, k]`, `output`, `action [B, a]`, `log_prob [B]`."""
+
+    observation: Observed
+    output: Array
+    action: Array
+    log_prob: Array
+
+
+def draw(policy: Policy, observation: Observed, key: Array) -> Choice:
+    """A draw from the policy's distribution."""
+    head = distribution(policy.parameters, policy.normaliser(observation))
+    output = head.sample(key)
+    return Choice(observation, output, policy.action(output), head.log_prob(output))
+
+
+def _row(choice: Choice, state: EnvState, transition: Transition, seen: Observed) -> Rollout:
+    return Rollout(
+        observation=choice.observation,
+        output=choice.output,
+        log_prob=choice.log_prob,
+        next_observation=seen,
+        reward=transition.reward,
+        terminated=transition.terminated,
+        truncated=transition.truncated,
+        success=transition.terms["success"],
+        distance=transition.terms["distance"],
+        clock=state.clock,
+    )
+
+
+def episode_statistics(rollout: Rollout) -> dict[str, Array]:
+    """Scalars of the episodes that ended in the rollout: how many, their success rate and mean length."""
+    done = rollout.done
+    episodes = done.sum()
+    at_least_one = jnp.maximum(episodes, 1)
+    return {
+        "episodes": episodes,
+        "success_rate": (rollout.success & done).sum() / at_least_one,
+        "episode_length": (rollout.clock * done).sum() / at_least_one,
+        "final_distance": (rollout.distance * done).sum() / at_least_one,
+        "reward": rollout.reward.mean(),
+    }

@@ -1,0 +1,232 @@
+"""Training: iterations, validations and checkpoints, and in the end a report."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jax
+
+from reachlab.agents.policy import Policy
+from reachlab.envs.core import Env
+from reachlab.envs.settle import check, check_reach
+from reachlab.evaluation.report import Report, evaluate
+from reachlab.jax_setup import set_threads
+from reachlab.learn.dagger import check_distillation, dagger
+from reachlab.learn.interrupts import Interrupts
+from reachlab.learn.loop import Loop, Progress, unwritable
+from reachlab.learn.method import PPO, Method, make_initial_policy
+from reachlab.runs.directory import RunDirectory
+from reachlab.runs.files import write_json
+from reachlab.runs.lock import locked
+from reachlab.runs.metrics import Metrics, cut_metrics, event_writer
+from reachlab.settings.config import DistilRunConfig, RunConfig, override
+from reachlab.settings.validation import InputError
+
+
+@dataclass(frozen=True)
+class TrainResult:
+    """What training came to.
+
+    Attributes:
+        report: on held-out targets.
+        policy: what was learnt.
+        steps: environment steps taken.
+        train_wall_s: time of the loop, compilation and validations included [s].
+        total_wall_s: time of everything, the report included [s].
+        steps_per_second: of collecting and updating, without the first iteration and validations.
+        validated: whether a validation held; None if none was asked for.
+    """
+
+    report: Report
+    policy: Policy
+    steps: int
+    train_wall_s: float
+    total_wall_s: float
+    steps_per_second: float
+    validated: bool | None
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain form: the report's fields and the times."""
+        times = {name: value for name, value in vars(self).items() if name not in ("report", "policy")}
+        return self.report.to_json() | times
+
+
+def load_policy(run: RunDirectory, config: RunConfig, env: Env, step: int | None = None) -> Policy:
+    """Policy of a run's newest checkpoint, or of the one after `step`.
+
+    Raises:
+        InputError: see `RunDirectory.read_checkpoint`.
+    """
+    return run.read_checkpoint("learner/policy", _policy_template(config, env), step)
+
+
+@dataclass(frozen=True)
+class Saved:
+    """A policy, and the identity of the checkpoint that it is from, see `Manifest.identity`."""
+
+    policy: Policy
+    checkpoint: dict[str, Any]
+
+
+def load_saved(run: RunDirectory, config: RunConfig, env: Env) -> Saved:
+    """Policy of a run's newest checkpoint, with that one's identity; it acts in every simulator.
+
+    Raises:
+        InputError: see `RunDirectory.read_checkpoint`.
+    """
+    checkpoint, policy = run.read_identified("learner/policy", _policy_template(config, env))
+    return Saved(policy, checkpoint)
+
+
+def _policy_template(config: RunConfig, env: Env) -> Policy:
+    return jax.eval_shape(lambda key: make_initial_policy(config, env, key), jax.random.key(0))
+
+
+def train(
+    config: RunConfig,
+    out: Path,
+    watch: Callable[[Progress], None] = lambda _: None,
+    *,
+    resume: bool = False,
+    tensorboard: bool = False,
+) -> TrainResult:
+    """Result of training, whose files are in the directory `out`.
+
+    SIGINT and SIGTERM end it after the iteration under way, with everything saved; a second one ends the process.
+
+    Args:
+        config: every setting.
+        out: run directory, made here; with `resume` one that is there.
+        watch: called after every iteration.
+        resume: go on from the newest checkpoint of `out`, bit for bit as if training had never stopped.
+        tensorboard: write TensorBoard's event file too.
+
+    Raises:
+        InputError: a setting that does not exist or fit, a directory that does, one that cannot be gone on with, or
+            tensorboardX is wanted and missing.
+        NotFiniteError: a number is not finite.
+        Interrupted: a signal asked for it.
+    """
+    return run_method(PPO, config, out, watch, resume=resume, tensorboard=tensorboard)
+
+
+def distil(
+    config: DistilRunConfig,
+    out: Path,
+    watch: Callable[[Progress], None] = lambda _: None,
+    *,
+    resume: bool = False,
+    tensorboard: bool = False,
+) -> TrainResult:
+    """Result of learning to see from the teacher in the run directory `config.teacher`; see `train`.
+
+    Raises:
+        InputError: see `train`; or a teacher, observation or simulator that cannot be learnt with.
+    """
+    _choose_threads(RunDirectory(out), config)
+    teacher = None if resume else _teacher(config)
+    return run_method(dagger(teacher), config, out, watch, resume=resume, tensorboard=tensorboard)
+
+
+def _teacher(config: DistilRunConfig) -> Policy:
+    check_distillation(config)
+    run = RunDirectory(Path(config.teacher))
+    trained = run.read_config()
+    env = Env(trained, 1)
+    try:
+        return load_policy(run, trained, env)
+    finally:
+        env.close()
+
+
+def run_method(
+    method: Method,
+    config: RunConfig,
+    out: Path,
+    watch: Callable[[Progress], None],
+    *,
+    resume: bool,
+    tensorboard: bool,
+) -> TrainResult:
+    """Result of learning by a method; see `train`."""
+    start = time.perf_counter()
+    inherited = resume or isinstance(config, DistilRunConfig)
+    check(config, config if inherited else None)
+    if tensorboard:
+        event_writer()
+    run = RunDirectory(out)
+    if resume:
+        _check_unfinished(run, config)
+    else:
+        run.refuse_existing()
+    _choose_threads(run, config)
+    if not resume:
+        check_reach(config)
+    env = Env(override(config, perturb=True) if config.ppo.randomise else config, config.ppo.num_envs)
+    try:
+        env.open_eyes()
+        if not resume:
+            run.create(config)
+        with locked(out):
+            return _train(Loop(config, env, run, watch, start, method), resume=resume, tensorboard=tensorboard)
+    finally:
+        env.close()
+
+
+def _check_unfinished(run: RunDirectory, config: RunConfig) -> None:
+    run.read_unfinished(config)
+    if run.finished:
+        raise InputError(f"run '{run.path}' is finished: its report is '{run.report_file}'.")
+
+
+def _choose_threads(run: RunDirectory, config: RunConfig) -> None:
+    """Compute with as many threads as the run has so far; a new one chooses only to be deterministic."""
+    saved = run.newest_manifest()
+    if saved or config.ppo.deterministic:
+        set_threads(saved.threads if saved else 1)
+
+
+def _train(loop: Loop, *, resume: bool, tensorboard: bool) -> TrainResult:
+    run, config = loop.run, loop.config
+    state = loop.prepare(resume=resume)
+    cut_metrics(run.metrics_file, loop.now.steps)
+    with Metrics(run.metrics_file, tensorboard=tensorboard) as metrics, Interrupts() as interrupts:
+        state = loop.iterate(state, metrics, interrupts)
+    trained = time.perf_counter()
+    report = _report(loop, state.learner.policy)
+    result = TrainResult(
+        report=report,
+        policy=state.learner.policy,
+        steps=loop.now.steps,
+        train_wall_s=loop.now.train_s,
+        total_wall_s=loop.now.train_s + time.perf_counter() - trained,
+        steps_per_second=loop.steps_per_second,
+        validated=loop.validated if config.ppo.stop_early else None,
+    )
+    try:
+        write_json(run.report_file, result.to_json())
+    except OSError as error:
+        raise unwritable("report", run, error, config.verb) from None
+    return result
+
+
+def _report(loop: Loop, policy: Policy) -> Report:
+    """Report on held-out targets, on arms and in the view as they are even where training had others."""
+    config = override(loop.config, randomise_view=False)
+    newest = loop.run.newest_manifest()
+    asked: dict[str, Any] = {
+        "seed": config.seed,
+        "episodes": config.ppo.report_episodes,
+        "checkpoint": newest.identity if newest else None,
+    }
+    if loop.env.config == config:
+        return evaluate(loop.env, "trained", policy, **asked, runner=loop.runner)
+    env = Env(config, loop.env.num_envs)
+    try:
+        return evaluate(env, "trained", policy, **asked)
+    finally:
+        env.close()

@@ -1,0 +1,1 @@
+"""How it looks: the scene, and the cameras in it."""

@@ -1,0 +1,136 @@
+"""How the observation camera sees the scene: the tutorial's way, or light, colours and pose drawn at random."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from reachlab.tasks.reach import SIZE
+
+LOOKS_AT, DISTANCE, PITCH = (0.55, 0.0, 0.05), 0.7, -70.0
+"""Point in the middle of the picture [m], how far the camera is from it [m], and how it looks down [deg]; it looks
+against the x axis (PyBullet's yaw of 90°). The tutorial's."""
+
+FIELD_OF_VIEW, NEAR, FAR = 60.0, 0.1, 100.0
+"""Angle from the picture's lower to its upper edge [deg], near and far plane [m]. The tutorial's."""
+
+SHIFT, TURN = 0.02, 2.0
+"""Random views: the camera is displaced along and turned about each axis within this [m, deg]."""
+
+AMBIENT, AMBIENT_SPREAD = 0.45, 0.2
+"""Light from everywhere, and how far it varies in random views [share of white]."""
+
+LAMP, LAMP_SPREAD = 0.5, 0.25
+"""Light of the lamp, and how far it varies in random views [share of white]."""
+
+LAMP_DIRECTION, LAMP_TILT = (-0.3, 0.2, -1.0), 0.6
+"""Where the lamp shines, and how far each part of that varies in random views."""
+
+TABLE, GROUND, TARGET = (0.9, 0.3), (0.7, 0.4), (0.16, 0.14)
+"""Greys of table, ground and target (the blue of the tutorial's object), and how far they vary [share of white]."""
+
+ARM_SPREAD = 0.5
+"""How far the grey of each of the arm's parts varies in random views [share of white]."""
+
+DARKEST = 0.02
+"""No grey is drawn below this."""
+
+ARM_GREYS = 24
+"""Random greys of the arm's parts; with more parts they are used again."""
+
+SHADE = 0.3
+"""Random views: the picture's edges are brighter or darker than its middle by at most this share."""
+
+GRAIN = 8.0
+"""Random views: spread of the grain that lies on every surface, at most [of 255]. It stands for their textures."""
+
+CHANCES = 14 + ARM_GREYS + 5
+"""Random numbers of a view."""
+
+
+class Views(NamedTuple):
+    """Views of `B` lanes.
+
+    Attributes:
+        position: of the camera `[B, 3]` [m].
+        rotation: the picture's right, its up and what is behind the camera, as columns `[B, 3, 3]`.
+        ambient, lamp: light `[B]` [share of white].
+        lamp_direction: where the lamp shines `[B, 3]`.
+        table, ground, target: greys `[B]` [share of white].
+        arm: what is added to the greys of the arm's parts `[B, ARM_GREYS]`.
+        shade: how much brighter the picture is at its right and its lower edge than in the middle `[B, 2]` [share].
+        grain: spread of the grain `[B]` [of 255].
+        grain_corner: where it is cut from a larger pattern `[B, 2]` [pixels].
+    """
+
+    position: np.ndarray
+    rotation: np.ndarray
+    ambient: np.ndarray
+    lamp: np.ndarray
+    lamp_direction: np.ndarray
+    table: np.ndarray
+    ground: np.ndarray
+    target: np.ndarray
+    arm: np.ndarray
+    shade: np.ndarray
+    grain: np.ndarray
+    grain_corner: np.ndarray
+
+
+def make_views(chance: np.ndarray) -> Views:
+    """Views of `chance [B, CHANCES]` in -1 to 1; zeros are the tutorial's view."""
+    chance = np.asarray(chance, np.float64)
+    position, rotation = tutorial_pose()
+    turn = Rotation.from_rotvec(TURN * chance[:, 3:6], degrees=True).as_matrix()
+
+    def grey(nominal: tuple[float, float], column: int) -> np.ndarray:
+        return np.clip(nominal[0] + nominal[1] * chance[:, column], DARKEST, 1.0)
+
+    return Views(
+        position=position + SHIFT * chance[:, :3],
+        rotation=turn @ rotation,
+        ambient=AMBIENT + AMBIENT_SPREAD * chance[:, 6],
+        lamp=LAMP + LAMP_SPREAD * chance[:, 7],
+        lamp_direction=np.array(LAMP_DIRECTION) + LAMP_TILT * chance[:, 8:11],
+        table=grey(TABLE, 11),
+        ground=grey(GROUND, 12),
+        target=grey(TARGET, 13),
+        arm=ARM_SPREAD * chance[:, 14 : 14 + ARM_GREYS],
+        shade=SHADE * chance[:, -5:-3],
+        grain=GRAIN * np.abs(chance[:, -3]),
+        grain_corner=((chance[:, -2:] + 1) / 2 * SIZE).astype(int),
+    )
+
+
+def develop(pictures: np.ndarray, views: Views) -> np.ndarray:
+    """Pictures `[B, SIZE, SIZE]` uint8 with the shade and the grain of their views."""
+    if not (views.shade.any() or views.grain.any()):
+        return pictures
+    across = np.linspace(-1, 1, SIZE, dtype=np.float32)
+    pattern = np.random.default_rng(0).standard_normal((2 * SIZE, 2 * SIZE), np.float32)
+    out = np.empty_like(pictures)
+    for i, (right, down) in enumerate(views.shade.astype(np.float32)):
+        row, column = views.grain_corner[i]
+        grain = np.float32(views.grain[i]) * pattern[row : row + SIZE, column : column + SIZE]
+        light = 1 + right * across + down * across[:, None]
+        out[i] = np.clip(pictures[i] * light + grain, 0, 255)
+    return out
+
+
+def tutorial_pose() -> tuple[np.ndarray, np.ndarray]:
+    """Position `[3]` m and rotation `[3, 3]` of the tutorial's camera."""
+    pitch = np.radians(PITCH)
+    back = np.array([np.cos(pitch), 0.0, -np.sin(pitch)])
+    right = np.array([0.0, 1.0, 0.0])
+    return np.array(LOOKS_AT) + DISTANCE * back, np.stack([right, np.cross(back, right), back], axis=1)
+
+
+def greys(pictures: np.ndarray) -> np.ndarray:
+    """Greys `[...]` uint8 of colours `[..., 3]` uint8."""
+    return np.rint(pictures @ np.array(LUMA, np.float32)).astype(np.uint8)
+
+
+LUMA = (0.299, 0.587, 0.114)
+"""Weights of red, green and blue in a grey (ITU-R BT.601); OpenCV's and the tutorial's."""

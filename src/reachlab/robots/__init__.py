@@ -1,0 +1,1 @@
+"""What an arm is: its model file, chain, kinematics and limits."""

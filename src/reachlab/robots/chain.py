@@ -1,0 +1,134 @@
+"""A serial chain of hinge and slide joints, taken from a compiled MuJoCo model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from reachlab.robots.scalars import Rotation, Vec, rotation_from_quaternion
+
+ROUND_TO_EXACT = 1e-12
+"""Constants of a joint frame this close to 0 or 1 are those numbers; they differ by float64 rounding."""
+
+
+@dataclass(frozen=True)
+class Chain:
+    """A serial chain; constants of the robot, known while tracing.
+
+    The pose of the tool is `F_0 J_0(q_0) F_1 J_1(q_1) ... F_n`, where `J_i` turns about the z axis of
+    its frame (hinge) or moves along it (slide).
+
+    Attributes:
+        frames: the fixed transforms `F_0 ... F_n`, `n + 1` pairs of rotation and position [m].
+        slides: for each joint, whether it slides.
+        lower, upper: joint limits [rad or m]; infinite where the joint has none.
+        joints: the joints' indices in the model, base to tool.
+    """
+
+    frames: tuple[tuple[Rotation, Vec], ...]
+    slides: tuple[bool, ...]
+    lower: tuple[float, ...]
+    upper: tuple[float, ...]
+    joints: tuple[int, ...]
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.slides)
+
+    def finite_limits(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lower and upper limits `[n]`; a joint without any is taken to turn by ±π [rad] or slide by ±π [m]."""
+        lower, upper = np.array(self.lower), np.array(self.upper)
+        return np.where(np.isinf(lower), -np.pi, lower), np.where(np.isinf(upper), np.pi, upper)
+
+
+def chain_from_model(model: mujoco.MjModel, tool: str) -> Chain:
+    """Chain from the world to the site or body `tool` of a compiled MuJoCo model.
+
+    Raises:
+        ValueError: no such site or body, or a ball or free joint on the way.
+    """
+    body, tip = _tool_body(model, tool)
+    path = []
+    while body != 0:
+        path.append(body)
+        body = int(model.body_parentid[body])
+    frames, slides, lower, upper, joints = [], [], [], [], []
+    transform = np.eye(4)
+    for body in reversed(path):
+        transform = transform @ _transform(model.body_pos[body], model.body_quat[body])
+        first = int(model.body_jntadr[body])
+        for joint in range(first, first + int(model.body_jntnum[body])):
+            kind, name = mujoco.mjtJoint(model.jnt_type[joint]), model.joint(joint).name
+            if kind not in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
+                raise ValueError(f"joint {name!r} is a ball or free joint; a chain takes hinge and slide joints only")
+            slide = kind == mujoco.mjtJoint.mjJNT_SLIDE
+            align = _align_z(model.jnt_pos[joint], model.jnt_axis[joint])
+            back = np.linalg.inv(align)
+            reference = float(model.qpos0[model.jnt_qposadr[joint]])
+            frames.append(transform @ align @ _joint_transform(slide, -reference))
+            transform = back
+            limited = bool(model.jnt_limited[joint])
+            slides.append(slide)
+            low, high = model.jnt_range[joint] if limited else (-np.inf, np.inf)
+            lower.append(_inward(low, np.inf))
+            upper.append(_inward(high, -np.inf))
+            joints.append(joint)
+    if not slides:
+        raise ValueError(f"no joint moves tool {tool!r}")
+    frames.append(transform @ tip)
+    return Chain(tuple(map(_constants, frames)), tuple(slides), tuple(lower), tuple(upper), tuple(joints))
+
+
+def _tool_body(model: mujoco.MjModel, tool: str) -> tuple[int, np.ndarray]:
+    site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, tool)
+    if site >= 0:
+        return int(model.site_bodyid[site]), _transform(model.site_pos[site], model.site_quat[site])
+    body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, tool)
+    if body < 0:
+        named = (
+            [str(of(i).name) for i in range(n)] for of, n in ((model.site, model.nsite), (model.body, model.nbody))
+        )
+        sites, bodies = (", ".join(name for name in names if name not in ("", "world")) for names in named)
+        raise ValueError(
+            f"tool {tool!r} is neither a site nor a body of the model, which has the sites {sites or '(none)'} and the"
+            f" bodies {bodies or '(none)'}"
+        )
+    return body, np.eye(4)
+
+
+def _inward(limit: float, inside: float) -> float:
+    """The limit as a float32 number that is not beyond it."""
+    rounded = np.float32(limit)
+    beyond = rounded < limit if inside > limit else rounded > limit
+    return float(np.nextafter(rounded, np.float32(inside)) if beyond else rounded)
+
+
+def _transform(position: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
+    w, x, y, z = (float(c) for c in np.asarray(quaternion) / np.linalg.norm(quaternion))
+    transform = np.eye(4)
+    transform[:3, :3] = np.array(rotation_from_quaternion(w, x, y, z)).T
+    transform[:3, 3] = position
+    return transform
+
+
+def _align_z(position: np.ndarray, axis: np.ndarray) -> np.ndarray:
+    """Transform to a frame at `position` whose z is `axis`, by the shortest turn."""
+    axis = axis / np.linalg.norm(axis)
+    half = np.array([1.0 + axis[2], -axis[1], axis[0], 0.0])
+    return _transform(position, half if half[0] > ROUND_TO_EXACT else np.array([0.0, 1.0, 0.0, 0.0]))
+
+
+def _joint_transform(slide: bool, value: float) -> np.ndarray:
+    if slide:
+        return _transform(np.array([0.0, 0.0, value]), np.array([1.0, 0.0, 0.0, 0.0]))
+    return _transform(np.zeros(3), np.array([np.cos(value / 2), 0.0, 0.0, np.sin(value / 2)]))
+
+
+def _constants(transform: np.ndarray) -> tuple[Rotation, Vec]:
+    nearest = np.round(transform)
+    exact = np.where(np.abs(transform - nearest) < ROUND_TO_EXACT, nearest, transform)
+    rotation = Rotation(*(Vec(*(float(c) for c in column)) for column in exact[:3, :3].T))
+    return rotation, Vec(*(float(c) for c in exact[:3, 3]))

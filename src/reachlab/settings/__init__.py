@@ -1,0 +1,1 @@
+"""What can be set: configurations, presets, and input that is refused."""

@@ -1,0 +1,1 @@
+"""What is asked of an arm: goals, observations, actions, rewards, and when an episode ends."""

@@ -1,0 +1,92 @@
+"""What an arm can reach of the targets of a task, found out before any time is spent on training."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from reachlab.jax_setup import jit
+from reachlab.robots.kinematics import forward_kinematics, ik_point_step
+from reachlab.robots.loading import Robot
+from reachlab.tasks.reach import TARGETS, Reach
+
+SAMPLES = 256
+"""Targets and starts that are drawn."""
+
+POSES = 4096
+"""Random joint vectors from which the nearest to a target are taken to begin at."""
+
+BEGINNINGS = 4
+"""So many of them for each target."""
+
+ITERATIONS = 50
+"""Steps of the solver from each; those that arrive do so in about ten."""
+
+LONGEST_STEP = 0.1
+"""Largest tool displacement of one step of the solver [m]."""
+
+ROUNDING = 1e-3
+"""A tool this far outside the workspace counts as on its edge [m]: the solver stops within a tenth of it."""
+
+
+@dataclass(frozen=True)
+class Survey:
+    """Shares, of `SAMPLES` each.
+
+    Attributes:
+        reached: targets to which the tool comes within the distance of success, inside the workspace where leaving it
+            ends the episode.
+        outside: starts outside the workspace where leaving it ends the episode, at the first step.
+    """
+
+    reached: float
+    outside: float
+
+
+def survey(reach: Reach) -> Survey:
+    """What the arm can reach of the task within its joint limits, in whatever orientation; dynamics are not asked.
+
+    An orientation that is held counts for nothing: where joint limits leave no choice, position outranks it.
+    """
+    random, robot, bounded = np.random.default_rng(0), reach.robot, not reach.config.hold_steps
+    targets = random.uniform(*TARGETS[reach.config.targets](reach), (SAMPLES, 3))
+    low, high = np.array(robot.workspace)
+    points = _nearest(robot, np.clip(targets, low, high) if bounded else targets)
+    inside = ((points >= low - ROUNDING) & (points <= high + ROUNDING)).all(axis=-1)
+    near = np.linalg.norm(points - targets, axis=-1) < reach.config.success_distance
+
+    noise = reach.config.start_noise
+    starts = robot.home + random.uniform(-noise, noise, (SAMPLES, robot.chain.n))
+    begun = _tool(robot, np.clip(starts, robot.chain.lower, robot.chain.upper))
+    outside = bounded & ((begun < low) | (begun > high)).any(axis=-1)
+    return Survey(float((near & (inside | (not bounded))).mean()), float(outside.mean()))
+
+
+def _tool(robot: Robot, q: np.ndarray) -> np.ndarray:
+    """Tool positions `[B, 3]` m at joints `[B, n]`."""
+    return np.asarray(jit(lambda q: forward_kinematics(robot.chain, q).position)(q.astype(np.float32)))
+
+
+def _nearest(robot: Robot, aims: np.ndarray) -> np.ndarray:
+    """Points `[B, 3]` m nearest to `aims [B, 3]` that the tool comes to."""
+    chain = robot.chain
+    lower, upper = chain.finite_limits()
+    drawn = np.random.default_rng(1).uniform(lower, upper, (POSES, chain.n)).astype(np.float32)
+
+    def solve(aims: Array, poses: Array) -> Array:
+        def step(_: int, q: Array) -> Array:
+            way = aims[:, None] - forward_kinematics(chain, q).position
+            way *= LONGEST_STEP / jnp.maximum(jnp.linalg.norm(way, axis=-1, keepdims=True), LONGEST_STEP)
+            return q + ik_point_step(chain, q, q, way)
+
+        apart = jnp.linalg.norm(aims[:, None] - forward_kinematics(chain, poses).position, axis=-1)
+        _, near = jax.lax.top_k(-apart, BEGINNINGS)
+        found = forward_kinematics(chain, jax.lax.fori_loop(0, ITERATIONS, step, poses[near])).position
+        best = jnp.linalg.norm(aims[:, None] - found, axis=-1).argmin(axis=-1)
+        return jnp.take_along_axis(found, best[:, None, None], axis=1)[:, 0]
+
+    return np.asarray(jit(solve)(aims.astype(np.float32), drawn))

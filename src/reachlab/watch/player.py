@@ -1,0 +1,226 @@
+"""Plays an agent's episodes on one arm; the target may be moved by hand, and is then followed."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from reachlab.agents.policy import Policy
+from reachlab.envs.core import Env, EnvState, Transition
+from reachlab.envs.streams import AGENT_STREAM, REPORT_STREAM, episode_keys
+from reachlab.evaluation.report import compile_agent
+from reachlab.tasks import reach as task
+
+Advance = Callable[[Policy | None, EnvState, Array, bool, np.ndarray], tuple[EnvState, Transition, Array]]
+
+PATH_POINTS, PATH_STEP = 300, 0.004
+"""Points of the tool's path at most, and their least distance [m]."""
+
+TRAINED = "trained"
+"""The agent that takes a policy."""
+
+LEFT, LATE = "left the workspace", "did not arrive in time"
+"""Why an arm does not follow its target."""
+
+
+@dataclass(frozen=True)
+class Moment:
+    """What there is to see.
+
+    Attributes:
+        q: joints `[n]` [rad or m].
+        tool, orientation: of the tool, `[3]` [m] and `[4]` wxyz.
+        target: `[3]` [m].
+        distance: from tool to target [m].
+        reached: the tool is near enough now and, where the task asks for it, was held.
+        path: points `[k, 3]` [m] through which the tool came.
+    """
+
+    q: np.ndarray
+    tool: np.ndarray
+    orientation: np.ndarray
+    target: np.ndarray
+    distance: float
+    reached: bool
+    path: np.ndarray
+
+
+class Player:
+    """One arm, driven step by step through the episodes that `evaluate` counts.
+
+    While it follows no success ends an episode: the arm rests at the target, its joint command held, and acts again
+    when the target is moved away. Where the task asks the policy to hold the target, the policy acts all the time.
+    A policy whose episodes all began at home knows no other way: the arm first goes back there on the way it came.
+
+    Attributes:
+        moment: the arm now.
+        state: of the environment, now.
+        number: of the episode, from 0.
+        clock: control steps since the episode began or the target was moved.
+        over: the episode has ended; `go_on` begins what comes next.
+        success: the last step was one, by the task's rules.
+        failed: `LEFT` or `LATE`, where the arm does not follow a target that was moved; else empty.
+        steps: control steps taken.
+        episodes, successes: those that ended, and in success. One whose target was followed or moved does not count.
+    """
+
+    moment: Moment
+    state: EnvState
+
+    def __init__(self, env: Env, seed: int) -> None:
+        """Player of the held-out targets of a seed, on an environment of one lane."""
+        self._env, self._seed = env, seed
+        self._advances: dict[str, Advance] = {}
+        self._init = env.compile(env.init)
+        rules = env.config.rules
+        self._knows_home_alone = not (rules.hold_steps or rules.start_noise or env.config.ppo.chained_starts)
+        self._nothing = np.full(env.reach.robot.chain.n, np.nan, np.float32)
+        self._following = False
+        self.steps = self.episodes = self.successes = 0
+        self.begin(0)
+
+    def begin(self, number: int) -> None:
+        """Begin the episode of that number."""
+        keys = episode_keys(self._seed, REPORT_STREAM, number, 1)
+        self.number, self._key = number, jax.random.fold_in(keys[0], AGENT_STREAM)
+        self._touched, self._at_home = self._following, True
+        self.state, self.clock = self._init(keys), 0
+        self.over, self.success, self.failed = False, False, ""
+        self._path: deque[np.ndarray] = deque(maxlen=PATH_POINTS)
+        self._way: list[np.ndarray] = []
+        self._going_back = False
+        self._look()
+
+    def step(self, agent: str, policy: Policy | None) -> None:
+        """Take one control step with an agent of `AGENTS`."""
+        if agent not in self._advances:
+            self._advances[agent] = make_advance(self._env, agent)
+        advance, command = self._advances[agent], self._way_back(agent)
+        self.state, transition, self._key = advance(policy, self.state, self._key, self._following, command)
+        self.steps, self.clock = self.steps + 1, self.clock + 1
+        self._look()
+        done, terminated, success = (
+            bool(np.asarray(row)[0]) for row in (transition.done, transition.terminated, transition.terms["success"])
+        )
+        self.success = success
+        if self._touched:
+            self.failed = self._failure()
+            self.over = bool(self.failed) or (done and not self._following and (success or not terminated))
+        elif done:
+            self.over = True
+            self.episodes += 1
+            self.successes += success
+
+    def _way_back(self, agent: str) -> np.ndarray:
+        """Joint command `[n]` on the way back home; not a number where the agent acts, whose way is remembered."""
+        if self._going_back and self._way and agent == TRAINED:
+            return self._way.pop()
+        if self._going_back:
+            self._going_back = False
+            self._renew()
+        last = np.asarray(self.state.target_q)[0]
+        if not self._way or not np.array_equal(last, self._way[-1]):  # an arm at rest makes no way
+            self._way.append(last)
+        return self._nothing
+
+    def _failure(self) -> str:
+        """Why the arm does not follow; empty where it does.
+
+        A tool near a target at the workspace's edge may be outside by the success distance: that is no failure.
+        """
+        rules, (low, high) = self._env.config.rules, np.array(self._env.reach.robot.workspace)
+        away = np.linalg.norm(self.moment.tool - np.clip(self.moment.tool, low, high))
+        if not rules.hold_steps and away > rules.success_distance:
+            return LEFT
+        late = self.clock >= rules.max_steps and self.moment.distance >= rules.success_distance
+        return LATE if late else ""
+
+    def go_on(self) -> None:
+        """Begin the next episode; after a failure to follow, begin anew from home with the target as it is.
+
+        A target that nobody holds any more is tried from home only once.
+        """
+        if not self.failed or (self._at_home and not self._following):
+            self.begin(self.number + 1)
+            return
+        target = self.state.target
+        self.begin(self.number)
+        self.move_target(np.asarray(target[0]))
+        self._at_home = True
+
+    def see(self) -> np.ndarray | None:
+        """What the policy sees now, `[SIZE, SIZE, 3]` uint8, if that is a picture."""
+        seen = self._env.see(self.state)
+        return None if seen is None else np.stack([seen[0]] * 3, axis=-1)
+
+    def follow(self, following: bool) -> None:
+        """Follow the target, or play episodes to their end."""
+        self._following, self._touched = following, self._touched or following
+        self.over = self.over and (bool(self.failed) or not following)
+
+    def move_target(self, target: np.ndarray) -> None:
+        """Put the target at `[3]` [m]; the arm goes on from where it is, with all the time of an episode."""
+        row = jnp.asarray(target, jnp.float32)[None]
+        distance = jnp.linalg.norm(self.state.arm.tool_position - row, axis=-1)
+        self.state = replace(self.state, target=row, distance=distance)
+        away = float(distance[0]) >= self._env.config.rules.success_distance
+        self._going_back = self._knows_home_alone and away and bool(self._way)
+        self._touched, self._at_home, self.over = True, False, bool(self.failed)
+        self._renew()
+        self._look()
+
+    def _renew(self) -> None:
+        """Give the arm all the time of an episode again."""
+        recent, clock = task.nothing_held(self._env.reach, 1), jnp.zeros_like(self.state.clock)
+        self.state, self.clock = replace(self.state, recent=recent, clock=clock), 0
+
+    def _look(self) -> None:
+        arm = self.state.arm
+        rows = (arm.q, arm.tool_position, arm.tool_quaternion, self.state.target, self.state.distance)
+        q, tool, orientation, target, distance = (np.asarray(row)[0] for row in rows)
+        longer = not self._path or np.linalg.norm(self._path[-1] - tool) >= PATH_STEP
+        if longer:
+            self._path.append(tool)
+        path = np.array(self._path) if longer else self.moment.path
+        self.moment = Moment(q, tool, orientation, target, float(distance), self._env.reached(self.state), path)
+
+
+def played(player: Player, agent: str, policy: Policy | None, stride: int) -> Iterator[None]:
+    """Plays the episode that has begun, and stops at its begin, at every `stride`-th step and at its end."""
+    yield
+    while not player.over:
+        player.step(agent, policy)
+        if player.over or player.clock % stride == 0:
+            yield
+
+
+def make_advance(env: Env, agent: str) -> Advance:
+    """Function that gives state, transition and random key after a control step of an agent, which may follow.
+
+    A joint command `[n]` that is a number is taken in place of the agent's.
+    """
+    decide, rules = compile_agent(env, agent), env.config.rules
+
+    def advance(
+        policy: Policy | None, state: EnvState, key: Array, following: bool, command: np.ndarray
+    ) -> tuple[EnvState, Transition, Array]:
+        key, now = jax.random.split(key)
+        action, instead = decide(policy, state, now, None), None
+        if not rules.hold_steps:
+            rests = (state.distance < rules.success_distance) & (following | (rules.at_goal == "hold"))
+            instead = jnp.where(rests[:, None], state.target_q, command)
+        state, transition = env.step(state, action, instead=instead)
+        return state, transition, key
+
+    return env.compile(advance)
+
+
+def target_box(reach: task.Reach) -> np.ndarray:
+    """Lower and upper corner `[2, 3]` of the task's targets [m]."""
+    return np.stack(task.TARGETS[reach.config.targets](reach))

@@ -1,0 +1,241 @@
+"""The scene in the browser: arm, table, target and the tool's path, drawn by viser."""
+
+from __future__ import annotations
+
+import ipaddress
+import socket
+import sys
+from collections.abc import Sequence
+from types import ModuleType
+from typing import TYPE_CHECKING
+from unittest import mock
+
+import mujoco
+import numpy as np
+import rich
+from scipy.spatial.transform import Rotation
+
+from reachlab.render import view_randomisation as views
+from reachlab.render.marks import PATH, Colour, Marks
+from reachlab.render.scene import TABLE_CENTRE, TABLE_SIZE, scene_spec
+from reachlab.robots.loading import Robot
+from reachlab.settings.validation import InputError
+from reachlab.watch.player import Moment
+from reachlab.watch.solids import Solid, solids
+
+if TYPE_CHECKING:
+    import viser
+
+LOCAL = "127.0.0.1"
+"""Address of this machine that no other reaches."""
+
+TITLE = "reachlab"
+"""Title of the panel and the page."""
+
+EDGES, EDGE_WIDTH = (150, 155, 166), 0.002
+"""Colour of the workspace's edges, and their width [m]."""
+
+PATH_WIDTH = 0.004
+"""Width of the tool's drawn path [m]."""
+
+AXES_LENGTH, AXES_RADIUS = 0.12, 0.004
+"""Size of the tool's drawn axes [m]."""
+
+HANDLE_SIZE = 0.16
+"""Size of the arrows by which the target is moved [m]."""
+
+LABEL_BELOW = (0.0, 0.0, -0.05)
+"""Where the label hangs under the target [m]."""
+
+HEADING_AT = (0.3, 0.0, 0.8)
+"""Where a recording tells what it shows [m]."""
+
+GRID_CELL, GRID_FADE = 0.1, 6.0
+"""The ground's cells, and how far it is seen [m]."""
+
+VIEW_FROM, VIEW_TO = (1.5, -1.1, 0.95), (0.3, -0.02, 0.26)
+"""Where the first camera stands, and where it looks [m]."""
+
+FIELD_OF_VIEW = 0.8
+"""Vertical field of view of the first camera [rad]."""
+
+
+EYE_LENGTH, EYE_WIDTH, EYE = 0.07, 0.002, (90, 95, 106)
+"""The drawn camera: its length, the width of its edges [m], and their colour."""
+
+SKY, GROUND, SKY_INTENSITY = (255, 255, 255), (150, 155, 165), 2.2
+"""Light from above and below, and its strength."""
+
+
+class Stage:
+    """Draws a robot at work on a viser server.
+
+    Attributes:
+        workspace: the edges of the robot's workspace.
+        path: the tool's way in this episode, once it has moved.
+        label: the text below the target.
+        balls: the target, and around it the ball in which the tool is near enough.
+        eye: the observation camera with what it sees, once there is a picture.
+    """
+
+    def __init__(self, server: viser.ViserServer, robot: Robot, success_distance: float) -> None:
+        """Stage with the arm at home; the target shows with the first moment, in a ball of the success distance [m]."""
+        self._scene = server.scene
+        self._model = scene_spec(robot, success_distance).compile()
+        self._data = mujoco.MjData(self._model)
+        self._joints = self._model.jnt_qposadr[list(robot.chain.joints)]
+        self._drawn_path = np.empty(0)
+        self.path: viser.LineSegmentsHandle | None = None
+        self.eye: viser.CameraFrustumHandle | None = None
+        self._set_view(server)
+        self._frames = [self._scene.add_frame(self._name(body), show_axes=False) for body in range(self._model.nbody)]
+        parts = [(solid.body, self._add(number, solid)) for number, solid in enumerate(solids(self._model))]
+        edges = np.array(robot.workspace_edges(), np.float32)
+        self.workspace = self._scene.add_line_segments("/workspace", edges, EDGES, thickness=EDGE_WIDTH)
+        target = self._model.body("target").id
+        self._target, self.balls = self._frames[target], [mesh for body, mesh in parts if body == target]
+        self._target.visible = False
+        # Not a child of the target: a recording moves children only when they themselves change.
+        self.label = self._scene.add_label("/label", "", anchor="top-center", visible=False)
+        self._heading: viser.LabelHandle | None = None
+        self._axes = self._scene.add_frame("/tool", axes_length=AXES_LENGTH, axes_radius=AXES_RADIUS, visible=False)
+        self._place(np.array(robot.home), None)
+
+    def add_handle(self, free: Sequence[bool]) -> viser.TransformControlsHandle:
+        """Handle by which a person moves the target, along the axes x, y, z that are free."""
+        x, y, z = free
+        return self._scene.add_transform_controls(
+            "/handle", scale=HANDLE_SIZE, active_axes=(x, y, z), disable_rotations=True, depth_test=False
+        )
+
+    def show(self, moment: Moment, *, axes: bool = False, seen: np.ndarray | None = None) -> None:
+        """Show a moment, and in front of the camera what the policy has `seen`, `[height, width, 3]` uint8."""
+        self._place(moment.q, moment.target)
+        self._target.visible, self.label.visible, self._axes.visible = True, True, axes
+        self.label.position = moment.target + np.array(LABEL_BELOW)
+        self._axes.position, self._axes.wxyz = moment.tool, moment.orientation
+        for ball in self.balls:
+            ball.color = _bytes(Marks(reached=moment.reached).colour)
+        self._show_path(moment.path)
+        if seen is not None:
+            self._show_seen(seen)
+
+    def head(self, text: str) -> None:
+        """Write a text above the scene."""
+        if self._heading is None:
+            self._heading = self._scene.add_label("/heading", text, position=HEADING_AT, anchor="bottom-center")
+        self._heading.text = text
+
+    def cast_shadows(self, cast: bool) -> None:
+        """Draw shadows, or not."""
+        self._scene.configure_default_lights(cast_shadow=cast)
+
+    def _set_view(self, server: viser.ViserServer) -> None:
+        camera = server.initial_camera
+        camera.position, camera.look_at, camera.fov = VIEW_FROM, VIEW_TO, FIELD_OF_VIEW
+        self._scene.world_axes.visible = False
+        # Without a graphics card an environment map or shadows take longer to draw than all the rest.
+        self._scene.configure_environment_map(None)
+        self.cast_shadows(False)
+        self._scene.add_light_hemisphere("/sky", sky_color=SKY, ground_color=GROUND, intensity=SKY_INTENSITY)
+        ground = (0.0, 0.0, TABLE_CENTRE[2] - TABLE_SIZE[2])
+        self._scene.add_grid(
+            "/ground", infinite_grid=True, cell_size=GRID_CELL, fade_distance=GRID_FADE, position=ground
+        )
+
+    def _name(self, body: int) -> str:
+        return f"/{self._model.body(body).name or body}"
+
+    def _add(self, number: int, solid: Solid) -> viser.MeshHandle:
+        red, green, blue, opacity = solid.colour
+        return self._scene.add_mesh_simple(
+            f"{self._name(solid.body)}/{number}",
+            solid.vertices,
+            solid.faces,
+            color=(red, green, blue),
+            opacity=opacity if opacity < 1 else None,
+            cast_shadow=opacity == 1,
+        )
+
+    def _place(self, q: np.ndarray, target: np.ndarray | None) -> None:
+        self._data.qpos[self._joints] = q
+        if target is not None:
+            self._data.mocap_pos[0] = target
+        mujoco.mj_kinematics(self._model, self._data)
+        for frame, position, quaternion in zip(self._frames, self._data.xpos, self._data.xquat, strict=True):
+            frame.position, frame.wxyz = position, quaternion
+
+    def _show_seen(self, picture: np.ndarray) -> None:
+        if self.eye is None:
+            position, rotation = views.tutorial_pose()
+            down_and_ahead = rotation * (1, -1, -1)
+            self.eye = self._scene.add_camera_frustum(
+                "/eye",
+                fov=np.radians(views.FIELD_OF_VIEW),
+                aspect=1.0,
+                scale=EYE_LENGTH,
+                thickness=EYE_WIDTH,
+                color=EYE,
+                image=picture,
+                format="png",
+                position=position,
+                wxyz=Rotation.from_matrix(down_and_ahead).as_quat(scalar_first=True),
+                cast_shadow=False,
+            )
+        else:
+            self.eye.image = picture
+
+    def _show_path(self, path: np.ndarray) -> None:
+        if path is self._drawn_path:
+            return
+        self._drawn_path = path
+        corners = np.array([path[0], *path], np.float32)
+        points = np.stack([corners[:-1], corners[1:]], axis=1)
+        if self.path is None:
+            self.path = self._scene.add_line_segments("/path", points, _bytes(PATH), thickness=PATH_WIDTH)
+        else:
+            self.path.points = points
+
+
+def start_server(host: str, port: int) -> viser.ViserServer:
+    """Viser's server, without its banner and without its way to share a scene through a server of its makers.
+
+    Raises:
+        InputError: viser is not installed, or the address is not this machine's.
+    """
+    try:
+        import viser
+    except ImportError:
+        raise InputError("viewing needs viser: pip install 'reachlab[viewer]'.") from None
+    try:
+        # Viser tries a thousand ports and waits forever on an address that has none.
+        socket.create_server((host, 0)).close()
+    except OSError as error:
+        why = str(error.strerror).partition(" (")[0]
+        raise InputError(f"host {host!r} is no address of this machine ({why}): leave it out.") from None
+    # Its threads talk on standard output, and say goodbye there long after it has stopped.
+    silent = ModuleType("rich")
+    vars(silent).update(vars(rich), print=_say_nothing)
+    with mock.patch.dict(sys.modules, rich=silent):
+        server = viser.ViserServer(host=host, port=port, label=TITLE, verbose=False)
+    # Any page open in the browser could ask for it: a websocket does not heed where a page is from.
+    server.request_share_url = _share_nothing
+    return server
+
+
+def _bytes(colour: Colour) -> tuple[int, int, int]:
+    red, green, blue = (round(255 * part) for part in colour)
+    return red, green, blue
+
+
+def is_local(host: str) -> bool:
+    """Whether no other machine reaches an address."""
+    return ipaddress.ip_address(socket.gethostbyname(host)).is_loopback
+
+
+def _share_nothing(verbose: bool = True) -> None:
+    del verbose
+
+
+def _say_nothing(*words: object) -> None:
+    del words

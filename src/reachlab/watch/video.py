@@ -1,0 +1,202 @@
+"""Videos of held-out episodes: animated WebP and GIF, and MP4 with the extra `video`."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import subprocess
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any, cast
+
+import numpy as np
+from PIL import Image
+
+from reachlab.agents.policy import Policy
+from reachlab.envs.core import Env
+from reachlab.evaluation.report import AGENTS
+from reachlab.settings.validation import InputError, choose
+from reachlab.watch.captions import Caption, captioned, inset
+from reachlab.watch.player import Player, played
+
+BEGIN_PAUSE, END_PAUSE = 0.8, 2.0
+"""Times for which an episode's first and last picture stand [s]."""
+
+LONGEST_PICTURE = 60.0
+"""Time for which a picture may stand [s]; the formats hold no more than some hours."""
+SPEEDS, LONG_ENOUGH = (1.0, 0.5, 0.25, 0.1), 2.0
+"""Speeds of which a film takes the fastest at which its longest episode moves for so long [s], or the slowest."""
+
+WEBP_QUALITY = 82
+"""Of 100: the lowest at which the workspace's thin edges stay clean."""
+
+MP4_QUALITY = 20
+"""Constant rate factor of x264: 18 is visually lossless, 23 its default."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A picture and the time for which it is shown [s]."""
+
+    image: Image.Image
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Clip:
+    """A video that was written: its length [s], what it shows, and its size [bytes]."""
+
+    out: str
+    episodes: int
+    successes: int
+    frames: int
+    seconds: float
+    bytes: int
+
+
+def write_video(
+    env: Env,
+    agent: str,
+    policy: Policy | None,
+    out: Path,
+    *,
+    seed: int,
+    episodes: int,
+    fps: float,
+    speed: float = 0.0,
+) -> Clip:
+    """Film the first episodes of a seed's evaluation, one after the other; the clip says what was written.
+
+    Args:
+        env: the environment, of one lane.
+        agent: name in `evaluation.AGENTS`.
+        policy: the trained policy, for agent `trained`.
+        out: file to write; its ending is one of `ENCODERS`.
+        seed: seed of the targets.
+        episodes: how many.
+        fps: pictures for each second of the video, about: each shows a whole number of control steps.
+        speed: 1 is real time, 0.5 half as fast; 0 chooses among `SPEEDS`.
+
+    Raises:
+        InputError: an ending that is none of them, a file that cannot be written, or no OpenGL to draw with.
+    """
+    encode = ENCODERS[choose("video format", out.suffix.lower(), ENCODERS)]
+    if not out.parent.is_dir():
+        raise InputError(f"the video cannot be written to '{out}': there is no folder '{out.parent}'.")
+    choose("agent", agent, AGENTS)
+    period, player = env.config.physics.control_period, Player(env, seed)
+    speed = speed or _slow_enough(player, agent, policy, period, episodes)
+    stride = max(1, round(speed / (fps * period)))
+    interval = stride * period / speed
+    if interval > LONGEST_PICTURE:
+        raise InputError(
+            f"a picture would stand for {interval:.3g} s, and at most {LONGEST_PICTURE:g} are written: choose a higher"
+            " --fps or --speed."
+        )
+    tally: Counter[str] = Counter()
+
+    def film() -> Iterator[Frame]:
+        for number in range(episodes):
+            player.begin(number)
+            for _ in played(player, agent, policy, stride):
+                seconds = END_PAUSE if player.over else interval + BEGIN_PAUSE * (player.clock == 0)
+                tally.update(frames=1, milliseconds=round(1000 * seconds))
+                caption = _caption(env, agent, player, f"Episode {number + 1} of {episodes}", speed)
+                yield Frame(captioned(_picture(env, player), caption), seconds)
+            tally.update(successes=player.success)
+
+    try:
+        encode(out, film(), 1 / interval)
+    except OSError as error:
+        raise InputError(f"the video cannot be written to '{out}': {error}.") from None
+    seconds = tally["milliseconds"] / 1000
+    return Clip(str(out), episodes, tally["successes"], tally["frames"], seconds, out.stat().st_size)
+
+
+def _slow_enough(player: Player, agent: str, policy: Policy | None, period: float, episodes: int) -> float:
+    """The speed at which a person can follow the longest of the episodes, without waiting for it."""
+    longest = 0
+    for number in range(episodes):
+        player.begin(number)
+        for _ in played(player, agent, policy, 1):
+            pass
+        longest = max(longest, player.clock)
+    return next((speed for speed in SPEEDS if longest * period / speed >= LONG_ENOUGH), SPEEDS[-1])
+
+
+def _picture(env: Env, player: Player) -> np.ndarray:
+    """Picture of the arm now, and in a corner what the policy sees if that is a picture too."""
+    picture, seen = env.render(player.state, path=player.moment.path), player.see()
+    return picture if seen is None else inset(picture, seen)
+
+
+def _caption(env: Env, agent: str, player: Player, title: str, speed: float) -> Caption:
+    config = env.config
+    parts = [f"{config.task} task", env.reach.robot.name, config.sim, agent]
+    return Caption(
+        title=title,
+        detail=" · ".join(parts if speed == 1 else [*parts, f"{speed:g}× speed"]),
+        distance=player.moment.distance,
+        time=player.clock * config.physics.control_period,
+        verdict=("success" if player.success else "failed") if player.over else "",
+    )
+
+
+# --- files ----------------------------------------------------------------------------------------
+
+
+def _webp(out: Path, frames: Iterator[Frame], rate: float) -> None:
+    """Animated WebP, which browsers show like a GIF; the smallest."""
+    del rate
+    images, ends = _timed(frames, 1000)
+    settings: dict[str, Any] = {"quality": WEBP_QUALITY, "method": 4}
+    images[0].save(out, save_all=True, append_images=images[1:], duration=np.diff(ends).tolist(), loop=0, **settings)
+
+
+def _gif(out: Path, frames: Iterator[Frame], rate: float) -> None:
+    """Animated GIF, which everything shows; 256 colours a picture."""
+    del rate
+    colours = (Frame(frame.image.quantize(dither=Image.Dither.NONE), frame.seconds) for frame in frames)
+    images, ends = _timed(colours, 100)
+    durations = (10 * np.diff(ends)).tolist()
+    images[0].save(out, save_all=True, append_images=images[1:], duration=durations, loop=0)
+
+
+def _timed(frames: Iterator[Frame], ticks: int) -> tuple[list[Image.Image], np.ndarray]:
+    """Images, and the times of their changes in ticks of a second, rounded so that no error adds up."""
+    images, seconds = zip(*((frame.image, frame.seconds) for frame in frames), strict=True)
+    return list(images), np.rint(ticks * np.cumsum([0.0, *seconds])).astype(int)
+
+
+def _mp4(out: Path, frames: Iterator[Frame], rate: float) -> None:
+    """H.264 in MP4, by the ffmpeg that imageio-ffmpeg brings; frames are handed over one by one."""
+    program, first = _ffmpeg(), next(frames)
+    width, height = first.image.size
+    source = f"-f rawvideo -pix_fmt rgb24 -s {width}x{height} -r {rate} -i -".split()
+    codec = f"-c:v libx264 -crf {MP4_QUALITY} -pix_fmt yuv420p -movflags +faststart".split()
+    command = [program, "-loglevel", "error", "-y", *source, *codec, str(out)]
+    # A bare pipe: imageio-ffmpeg's own writer forks, which can hang beside JAX's threads.
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as process:  # noqa: S603
+        pipe = cast("IO[bytes]", process.stdin)
+        with contextlib.suppress(BrokenPipeError):
+            for frame in itertools.chain([first], frames):
+                pipe.write(frame.image.tobytes() * max(1, round(frame.seconds * rate)))
+        _, said = process.communicate()
+    if process.returncode:
+        raise OSError(said.decode(errors="replace").strip().splitlines()[-1])
+
+
+def _ffmpeg() -> str:
+    try:
+        from imageio_ffmpeg import get_ffmpeg_exe
+    except ImportError:
+        raise InputError(
+            "MP4 needs ffmpeg: pip install 'reachlab[video]', or name a file that ends in .webp or .gif."
+        ) from None
+    return get_ffmpeg_exe()
+
+
+ENCODERS: dict[str, Callable[[Path, Iterator[Frame], float], None]] = {".webp": _webp, ".gif": _gif, ".mp4": _mp4}
+"""Writers of video files by ending: from a file, frames and their number in a second."""

@@ -1,0 +1,302 @@
+"""The viewer: an agent at work in the browser, live or recorded in one page."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
+
+import numpy as np
+
+from reachlab.agents.policy import Policy
+from reachlab.envs.core import Env
+from reachlab.evaluation.report import AGENTS
+from reachlab.settings.validation import InputError, choose
+from reachlab.watch.panel import Panel
+from reachlab.watch.player import TRAINED, Player, played, target_box
+from reachlab.watch.stage import LOCAL, TITLE, Stage, start_server
+
+if TYPE_CHECKING:
+    import viser
+
+FRAME_RATE = 50.0
+"""Pictures in a second [1/s]; viser sends at most 60."""
+
+TEXT_RATE = 5.0
+"""Updates of the panel's figures in a second [1/s]."""
+
+PAUSE = 0.8
+"""Time for which the end of an episode stays in view, and in a recording its begin [s]."""
+
+MOST_BEHIND = 0.5
+"""Time that is made up for where steps take longer than they should [s]; the rest is dropped."""
+
+Load = Callable[[int], Policy]
+"""Policy of the checkpoint after so many steps."""
+
+
+class Viewer:
+    """A server for the browser, and the loop that plays.
+
+    Attributes:
+        url: where the browser finds it.
+        player, handle: the arm, and the handle by which its target is moved; there once `prepare` was called.
+        paused: nothing moves.
+        panel, stage: what a person has chosen, and what is drawn.
+        box: corners `[2, 3]` of where targets may be [m]; there once `prepare` was called.
+    """
+
+    player: Player
+    box: np.ndarray
+    handle: viser.TransformControlsHandle
+
+    def __init__(self, env: Env, checkpoints: Sequence[int], load: Load, agent: str, host: str, port: int) -> None:
+        """Viewer that shows the arm at home, before anything is compiled.
+
+        Args:
+            env: environment of one lane.
+            checkpoints: steps of the run's checkpoints, oldest first.
+            load: policy of one of them.
+            agent: the first one to play, of `AGENTS`.
+            host: address to listen on.
+            port: port to listen on; the next free one where it is taken.
+
+        Raises:
+            InputError: viser is not installed, there is no such agent, or the address is not this machine's.
+        """
+        choose("agent", agent, AGENTS)
+        self._env, self._load = env, load
+        self._policies: dict[int, Policy] = {}
+        self._playing: int | None = None
+        self._server = start_server(host, port)
+        self.stage = Stage(self._server, env.reach.robot, env.config.rules.success_distance)
+        self.panel = Panel(self._server.gui, agent, checkpoints, tuple(COMMANDS), pictured=env.pictured)
+        self.panel.on_shadows(self.stage.cast_shadows)
+        self._pace = Pace()
+        self._dragged = self.paused = self._told_reached = False
+        self._owed = self._rest = 0.0
+        self.url = f"http://{host}:{self._server.get_port()}"
+
+    def __enter__(self) -> Self:
+        """Use it until it is closed."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Stop the server."""
+        self._server.stop()
+
+    def prepare(self, seed: int) -> None:
+        """Compile what playing takes and show the first held-out target of a seed."""
+        self.player = Player(self._env, seed)
+        self.box = target_box(self._env.reach)
+        self.handle = self.stage.add_handle((self.box[1] > self.box[0]).tolist())
+
+        async def drag(event: viser.TransformControlsEvent) -> None:
+            self._dragged = event.phase != "end"
+
+        self.handle.on_update(drag)
+        self._put_handle()
+        self._policy()
+        self._play(1)
+
+    def run(self, ended: Callable[[], bool]) -> None:
+        """Play until it has ended."""
+        last = time.perf_counter()
+        while not ended():
+            now = time.perf_counter()
+            self.frame(now - last)
+            last = now
+            time.sleep(max(0.0, now + 1 / FRAME_RATE - time.perf_counter()))
+
+    def frame(self, elapsed: float) -> None:
+        """Play the time since the last picture [s]. Nothing moves while no browser is there."""
+        while not self.panel.pressed.empty():
+            COMMANDS[self.panel.pressed.get()](self)
+        self._follow_hand()
+        if self.paused or not self._server.get_clients():
+            return
+        self.player.follow(self._dragged or self.panel.endless)
+        if self.player.over:
+            self._rest -= elapsed
+            if self._rest <= 0:
+                self._go_on()
+        else:
+            self._play(self._due(elapsed))
+
+    def toggle_pause(self) -> None:
+        """Stop or go on."""
+        self.paused = not self.paused
+        self._tell()
+
+    def step(self) -> None:
+        """Take one control step and pause."""
+        self.paused = True
+        if self.player.over:
+            self._go_on()
+        self._play(1)
+        self._tell()
+
+    def reset(self) -> None:
+        """Begin a new episode, with a new target."""
+        self.player.begin(self.player.number + 1)
+        self._begun()
+
+    def _go_on(self) -> None:
+        """Begin a new episode, or after a failure to follow a new try from home."""
+        self.player.go_on()
+        self._begun()
+
+    def _begun(self) -> None:
+        if not self._dragged:
+            self._put_handle()
+        self._show()
+        self._tell()
+
+    def _due(self, elapsed: float) -> int:
+        """Control steps for which it is time."""
+        period = self._env.config.physics.control_period
+        self._owed += min(elapsed, MOST_BEHIND) * self.panel.speed
+        steps = int(self._owed / period)
+        self._owed -= steps * period
+        return steps
+
+    def _play(self, steps: int) -> None:
+        player, agent = self.player, self.panel.agent
+        policy = self._policy() if agent == TRAINED else None
+        for _ in range(steps):
+            if not player.over:
+                player.step(agent, policy)
+        self._rest = PAUSE
+        if steps:
+            self._show()
+
+    def _policy(self) -> Policy:
+        """Policy of the chosen checkpoint; the last one goes on where that one cannot be read, and the panel says why.
+
+        Raises:
+            InputError: it cannot be read, and there is no last one.
+        """
+        steps = self.panel.checkpoint
+        if steps != self._playing:
+            try:
+                if steps not in self._policies:
+                    self._policies[steps] = self._load(steps)
+            except InputError as error:
+                if self._playing is None:
+                    raise
+                self.panel.refuse(str(error))
+                self.panel.checkpoint = steps = self._playing
+            else:
+                self.panel.refuse("")
+                self._playing = steps
+        return self._policies[steps]
+
+    def _follow_hand(self) -> None:
+        """Bring the target to where its handle was moved, and the handle back to where a target may be."""
+        hand = np.array(self.handle.position)
+        if not np.array_equal(hand, self._hand):
+            self._hand = hand
+            self.player.move_target(np.clip(hand, *self.box))
+            self._show()
+        elif not self._dragged:
+            self._put_handle()
+
+    def _put_handle(self) -> None:
+        self.handle.position = self.player.moment.target
+        self._hand = np.array(self.handle.position)
+
+    def _show(self) -> None:
+        seen = self.player.see()
+        with self._server.atomic():
+            self.stage.show(self.player.moment, axes=self.panel.axes, seen=seen)
+            if seen is not None:
+                self.panel.show_seen(seen)
+            if (
+                self._pace.due(self.player.steps)
+                or self.player.over
+                or self.player.moment.reached != self._told_reached
+            ):
+                self._tell()
+
+    def _tell(self) -> None:
+        """Write the figures of one moment into the panel and below the target, both at once."""
+        player, moment = self.player, self.player.moment
+        rate = "paused" if self.paused else f"{self._pace.rate:.0f} steps/s"
+        distance, self._told_reached = _in_millimetres(moment.distance), moment.reached
+        after = (
+            ", **reached**" if moment.reached else f": **{player.failed}**, begins again at home" * bool(player.failed)
+        )
+        with self._server.atomic():
+            self.stage.label.text = distance
+            self.panel.say(
+                f"**{distance}** to the target{after}\n\n"
+                f"{player.successes} of {player.episodes} episodes reached · {rate}"
+            )
+
+
+def _in_millimetres(distance: float) -> str:
+    return f"{1000 * distance:.1f} mm"
+
+
+COMMANDS: dict[str, Callable[[Viewer], None]] = {
+    "Pause": Viewer.toggle_pause,
+    "Step": Viewer.step,
+    "Reset": Viewer.reset,
+}
+"""Buttons of the panel, and what they do."""
+
+
+class Pace:
+    """Measures control steps in a second, `TEXT_RATE` times in each."""
+
+    def __init__(self) -> None:
+        """Pace from now on."""
+        self.rate = 0.0
+        self._since, self._steps = time.perf_counter(), 0
+
+    def due(self, steps: int) -> bool:
+        """Whether it is time for a new figure, which is then taken from all the `steps` so far."""
+        elapsed = time.perf_counter() - self._since
+        if elapsed < 1 / TEXT_RATE:
+            return False
+        self.rate = (steps - self._steps) / elapsed
+        self._since, self._steps = time.perf_counter(), steps
+        return True
+
+
+def save_page(env: Env, agent: str, policy: Policy | None, seed: int, episodes: int, out: Path) -> None:
+    """Write episodes of an agent as one page that needs no server and no network.
+
+    Raises:
+        InputError: viser is not installed, there is no such agent, or the file cannot be written.
+    """
+    choose("agent", agent, AGENTS)
+    if not out.parent.is_dir():
+        raise InputError(f"page '{out}' cannot be written: there is no folder '{out.parent}'.")
+    steps = max(1, round(1 / FRAME_RATE / env.config.physics.control_period))
+    title = f"{TITLE} · {env.config.task} task · {agent}"
+    server = start_server(LOCAL, 0)
+    try:
+        stage, player = Stage(server, env.reach.robot, env.config.rules.success_distance), Player(env, seed)
+        recording = server.get_scene_serializer()
+        for number in range(episodes):
+            player.begin(number)
+            for _ in played(player, agent, policy, steps):
+                with server.atomic():
+                    stage.show(player.moment, seen=player.see())
+                    stage.label.text = _in_millimetres(player.moment.distance)
+                    stage.head(f"{title} · episode {number + 1} of {episodes}")
+                # The page shows texts and colours a little later than poses: an episode's begin stands too.
+                stands = player.over or player.clock == 0
+                recording.insert_sleep(PAUSE if stands else steps * env.config.physics.control_period)
+        page = recording.as_html()
+    finally:
+        server.stop()
+    try:
+        out.write_text(page.replace("<title>Viser</title>", f"<title>{title}</title>", 1), encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"page '{out}' cannot be written: {error.strerror}.") from None
