@@ -284,7 +284,7 @@ def test_noise_follows_its_schedule_or_what_is_learnt(policy, rollout, action_re
 # --- minibatches -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("steps", "num_envs", "minibatches"), [(6, 8, 4), (16, 12, 3), (5, 4, 1), (1, 8, 2)])
+@pytest.mark.parametrize(("steps", "lanes", "minibatches"), [(6, 8, 4), (16, 12, 3), (5, 4, 1), (1, 8, 2)])
 def test_each_minibatch_draws_its_own_lanes_at_every_step(steps, lanes, minibatches):
     order = np.asarray(jit(lambda key: ppo._shuffle(key, steps, lanes))(jax.random.key(0)))
     assert sorted(order) == list(range(steps * lanes))

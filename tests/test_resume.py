@@ -246,7 +246,7 @@ def test_a_finished_run_says_so(unbroken: Path, capsys: pytest.CaptureFixture[st
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        (["--num-envs", "32"], "was begun with lanes 16 and cannot go on with 32: leave the setting out"),
+        (["--num-envs", "32"], "was begun with num_envs 16 and cannot go on with 32: leave the setting out"),
         (["--sim", "mujoco"], "was begun with sim 'kinematic' and cannot go on with 'mujoco'"),
         (["--deterministic"], "was begun with deterministic False and cannot go on with True"),
         (["--out", "elsewhere"], "leave --out out"),
