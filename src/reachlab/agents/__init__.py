@@ -1,1 +1,34 @@
 """Who acts: the trained policy, and baselines."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from reachlab.settings.tables import Lazy
+
+
+@dataclass(frozen=True)
+class AgentEntry(Lazy):
+    """An agent of the table: a function that gives actions, see `acting.Agent`.
+
+    Attributes:
+        trained: it needs a policy, and is given the observation's picture.
+    """
+
+    trained: bool = False
+
+
+AGENTS: dict[str, AgentEntry] = {
+    "trained": AgentEntry("the trained policy, without noise", "reachlab.agents.acting:trained", trained=True),
+    "random": AgentEntry("actions sampled uniformly from their box", "reachlab.agents.baselines:random"),
+    "zero": AgentEntry("actions of zero", "reachlab.agents.baselines:zero"),
+    "ik": AgentEntry(
+        "inverse kinematics in a closed loop: to the target from where the tool is measured, at every step",
+        "reachlab.agents.baselines:ik",
+    ),
+    "ik_open": AgentEntry(
+        "inverse kinematics without feedback: to the target from where the tool was commanded, whatever is measured",
+        "reachlab.agents.baselines:ik_open",
+    ),
+}
+"""Agents by name: the trained policy, and what it has to beat. Adding one takes its function and its line here."""

@@ -1,4 +1,4 @@
-"""From a picture to features: a network of matrix products, which XLA computes well on the CPU."""
+"""From a picture to features: a small network of matrix products, which XLA computes well on the CPU."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ PATCH = 6
 convolution takes four times as long as this whole network's."""
 
 CHANNELS, WIDTH, FEATURES = 24, 128, 32
-"""Numbers that are kept of a square, width of the layer that sees all squares, and features that come out."""
+"""Numbers that are kept of a square, width of the layer over all squares, and features that come out."""
 
 WHITE = 255.0
 """Value of a white pixel."""
@@ -35,10 +35,10 @@ def make_encoder(key: Array, size: int) -> Layers:
 
 def encode(layers: Layers, picture: Array) -> Array:
     """Features `[..., FEATURES]` of pictures `[..., SIZE, SIZE]` uint8."""
-    (see, bias), (gather, bias_2), (name, bias_3) = layers
+    (patches, bias), (gather, bias_2), (output, bias_3) = layers
     *batch, height, width = picture.shape
     x = picture.reshape(-1, height // PATCH, PATCH, width // PATCH, PATCH).transpose(0, 1, 3, 2, 4)
     x = x.reshape(-1, PATCH**2).astype(jnp.float32) / WHITE - 0.5
-    x = jax.nn.relu(x @ see + bias).reshape(-1, gather.shape[0])
+    x = jax.nn.relu(x @ patches + bias).reshape(-1, gather.shape[0])
     x = jax.nn.relu(x @ gather + bias_2)
-    return (x @ name + bias_3).reshape(*batch, -1)
+    return (x @ output + bias_3).reshape(*batch, -1)

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 
 from reachlab.agents.encoder import FEATURES, Layers, encode, make_encoder
-from reachlab.tasks.reach import Observed
+from reachlab.tasks.observations import SIZE, Observed, Schema
+from reachlab.tasks.task import Bounds
 
 OBSERVATION_CLIP = 10.0
 """Normalised observations beyond this many standard deviations are clipped."""
@@ -29,7 +29,7 @@ et al., "What matters in on-policy reinforcement learning?", 2021)."""
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Parameters:
-    """What is trained: layers of actor and critic, `log_std [a]`, and the encoder where there are pictures to see."""
+    """What is trained: layers of actor and critic, `log_std [a]`, and the encoder where observations hold a picture."""
 
     actor: Layers
     critic: Layers
@@ -37,34 +37,36 @@ class Parameters:
     encoder: Layers | None = None
 
 
+class Inputs(NamedTuple):
+    """What the networks are given: a picture `[..., SIZE, SIZE]` uint8 and a normalised vector `[..., k]`, or one."""
+
+    picture: Array | None
+    vector: Array | None
+
+
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Normaliser:
-    """Running mean `[k]` and variance `[k]` of `count` observations; of their vectors, pictures stay as they are."""
+    """Running mean `[k]` and variance `[k]` of the vectors in `count` observations; pictures stay as they are."""
 
     mean: Array
     variance: Array
     count: Array
 
-    def __call__(self, observation: Observed) -> Observed:
-        """Observation whose vector `[..., k]` has mean 0 and variance 1, clipped."""
-        return _with_vector(observation, self._scaled)
-
-    def _scaled(self, vector: Array) -> Array:
+    def __call__(self, vector: Array) -> Array:
+        """Vector `[..., k]` of mean 0 and variance 1, clipped."""
         scaled = (vector - self.mean) / (jnp.sqrt(self.variance) + SMALLEST_STD)
         return jnp.clip(scaled, -OBSERVATION_CLIP, OBSERVATION_CLIP)
 
-    def update(self, observed: Observed) -> Normaliser:
-        """Normaliser that has also seen vectors `[N, k]`.
+    def update(self, vectors: Array | None, n: int) -> Normaliser:
+        """Normaliser of `n` more observations, with vectors `[n, k]` in them if they have any.
 
         Merging of moments: Chan, Golub, LeVeque, "Updating formulae and a pairwise algorithm for computing
         sample variances", 1979.
         """
-        picture, observations = parts(observed)
-        if observations is None:
-            return replace(self, count=self.count + len(picture))
-        n = observations.shape[0]
-        mean, variance = observations.mean(0), observations.var(0)
+        if vectors is None:
+            return replace(self, count=self.count + n)
+        mean, variance = vectors.mean(0), vectors.var(0)
         count = self.count + n
         shift = mean - self.mean
         moment = self.variance * self.count + variance * n + shift**2 * (self.count * n / count)
@@ -78,7 +80,7 @@ class Gaussian(NamedTuple):
     log_std: Array
 
     def sample(self, key: Array) -> Array:
-        """A draw `[..., a]`."""
+        """A sample `[..., a]`."""
         return self.mean + jnp.exp(self.log_std) * jax.random.normal(key, self.mean.shape)
 
     def log_prob(self, value: Array) -> Array:
@@ -98,78 +100,73 @@ class Policy:
     """Actor and critic with all they need to be used.
 
     Networks work on normalised observations and on actions in halves of their box: the action is
-    `centre + half · output`.
+    `centre + half · output`. The schema says what an observation is made of.
     """
 
     parameters: Parameters
     normaliser: Normaliser
     centre: Array
     half: Array
+    schema: Schema = field(metadata={"static": True})
 
     def act(self, observation: Observed, key: Array | None = None) -> Array:
-        """Action `[..., a]` for `observation [..., k]`: the mean without a key, a draw with one."""
-        head = distribution(self.parameters, self.normaliser(observation))
+        """Action `[..., a]` for an observation: the mean without a key, a sample with one."""
+        head = distribution(self.parameters, self.inputs(observation))
         return self.action(head.mean if key is None else head.sample(key))
+
+    def inputs(self, observation: Observed) -> Inputs:
+        """What the networks are given of an observation."""
+        picture, vector = self.schema.split(observation)
+        return Inputs(picture, None if vector is None else self.normaliser(vector))
+
+    def observed(self, observation: Observed) -> Policy:
+        """Policy whose normaliser knows a batch `[n, ...]` of observations more."""
+        picture, vector = self.schema.split(observation)
+        count = len(vector) if picture is None else len(picture)
+        return replace(self, normaliser=self.normaliser.update(vector, count))
 
     def action(self, output: Array) -> Array:
         """Action `[..., a]` in the environment's units of a network output."""
         return self.centre + self.half * output
 
 
-def parts(observation: Any) -> tuple[Any, Any]:
-    """Picture and vector of an observation, each None if it has none."""
-    leaves = jax.tree.leaves(observation)
-    picture = next((leaf for leaf in leaves if leaf.dtype == jnp.uint8), None)
-    return picture, next((leaf for leaf in leaves if leaf.dtype != jnp.uint8), None)
-
-
-def _with_vector(observation: Observed, change: Callable[[Array], Array]) -> Observed:
-    return jax.tree.map(lambda leaf: leaf if leaf.dtype == jnp.uint8 else change(leaf), observation)
-
-
-def features(parameters: Parameters, normalised: Observed) -> Array:
+def features(parameters: Parameters, inputs: Inputs) -> Array:
     """What actor and critic are given `[..., f]`: the vector, and what the encoder makes of the picture."""
-    picture, vector = parts(normalised)
-    if parameters.encoder is None:
+    picture, vector = inputs
+    if picture is None or parameters.encoder is None:
+        assert vector is not None, "an observation has a picture or a vector"  # noqa: S101
         return vector
-    seen = encode(parameters.encoder, picture)
-    return seen if vector is None else jnp.concatenate([seen, vector], axis=-1)
+    encoded = encode(parameters.encoder, picture)
+    return encoded if vector is None else jnp.concatenate([encoded, vector], axis=-1)
 
 
-def distribution(parameters: Parameters, normalised: Observed) -> Gaussian:
-    """Distribution of network outputs at normalised observations `[..., k]`."""
-    return Gaussian(_forward(parameters.actor, features(parameters, normalised)), parameters.log_std)
+def distribution(parameters: Parameters, inputs: Inputs) -> Gaussian:
+    """Distribution of network outputs."""
+    return Gaussian(_forward(parameters.actor, features(parameters, inputs)), parameters.log_std)
 
 
-def value(parameters: Parameters, normalised: Observed) -> Array:
-    """Expected return `[...]` at normalised observations `[..., k]`."""
-    return _forward(parameters.critic, features(parameters, normalised))[..., 0]
+def value(parameters: Parameters, inputs: Inputs) -> Array:
+    """Expected return `[...]`."""
+    return _forward(parameters.critic, features(parameters, inputs))[..., 0]
 
 
-def make_policy(
-    key: Array,
-    observation_bounds: tuple[Any, Any],
-    action_bounds: tuple[np.ndarray, np.ndarray],
-    hidden: Sequence[int],
-    initial_std: float,
-) -> Policy:
-    """Untrained policy for observations and actions with these lower and upper bounds, trees of `[k]` and `[a]`.
+def make_policy(key: Array, schema: Schema, action_bounds: Bounds, hidden: Sequence[int], initial_std: float) -> Policy:
+    """Untrained policy for observations of a schema and actions with these lower and upper bounds `[a]`.
 
-    Where the observation holds a picture, which its bounds tell by their type, the policy has an encoder.
+    Where the observation holds a picture the policy has an encoder.
     """
     low, high = (jnp.asarray(bound) for bound in action_bounds)
-    picture, vector = parts(observation_bounds[0])
-    k, a = 0 if vector is None else len(vector), len(low)
-    inputs = k + (0 if picture is None else FEATURES)
+    k, a, pictured = schema.vector_size, len(low), bool(schema.pictures)
+    inputs = k + pictured * FEATURES
     for_actor, for_critic, for_encoder = jax.random.split(key, 3)
     parameters = Parameters(
         actor=_layers(for_actor, (inputs, *hidden, a), ACTOR_OUTPUT_GAIN),
         critic=_layers(for_critic, (inputs, *hidden, 1), 1.0),
         log_std=jnp.full(a, math.log(initial_std), jnp.float32),
-        encoder=None if picture is None else make_encoder(for_encoder, len(picture)),
+        encoder=make_encoder(for_encoder, SIZE) if pictured else None,
     )
     normaliser = Normaliser(jnp.zeros(k), jnp.ones(k), jnp.zeros(()))
-    return Policy(parameters, normaliser, (low + high) / 2, (high - low) / 2)
+    return Policy(parameters, normaliser, (low + high) / 2, (high - low) / 2, schema)
 
 
 def _layers(key: Array, widths: Sequence[int], output_gain: float) -> Layers:

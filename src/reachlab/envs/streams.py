@@ -1,8 +1,8 @@
 """Random keys: which of them is for what, so that none is used twice.
 
 A seed has streams, and a stream has a key for each of its episodes. In JAX `split(key, n)[i]` is `fold_in(key, i)`: an
-episode's key is split into `PARTS` keys when the episode is drawn, and what varies within the episode is folded in with
-numbers that no split reaches.
+episode's key is split into `PARTS` keys when the episode is sampled, and what varies within the episode is folded in
+with numbers that no split reaches.
 """
 
 from __future__ import annotations
@@ -12,14 +12,14 @@ import numpy as np
 from jax import Array
 
 TRAINING_STREAM, REPORT_STREAM, VALIDATION_STREAM, LEARNER_STREAM, GYMNASIUM_STREAM = range(5)
-"""Streams of a seed: episodes of training, reports and validations; the learner's own draws; Gymnasium's episodes."""
+"""Streams of a seed: episodes of training, reports and validations; what the learner samples; Gymnasium's episodes."""
 
 PARTS = 4
 """Keys that an episode's key is split into: the next episode's, its target's, its start's and its arm's."""
 
 VIEW_STREAM, NOISE_STREAM, AGENT_STREAM, CHAIN_STREAM = (2**32 - 1 - i for i in range(4))
-"""Streams of an episode's key beside these parts: its view, the noise of its measurements, its agent's draws, and where
-the next episode begins."""
+"""Streams of an episode's key beside these parts: its view, the noise of its measurements, what its agent samples, and
+where the next episode begins."""
 
 
 def stream_key(seed: int | Array, stream: int) -> Array:
@@ -32,8 +32,8 @@ def episode_keys(seed: int | Array, stream: int, first: int, count: int) -> Arra
     return jax.vmap(jax.random.fold_in, (None, 0))(stream_key(seed, stream), jax.numpy.arange(first, first + count))
 
 
-def lane_keys(seed: int, num_envs: int) -> Array:
-    """Keys `[B]` of Gymnasium's episodes: lane i of seed s has the key of lane 0 of seed s + i."""
+def env_keys(seed: int, num_envs: int) -> Array:
+    """Keys `[B]` of Gymnasium's episodes: environment i of seed s has the key of the first one of seed s + i."""
     return gymnasium_keys(np.arange(num_envs, dtype=np.uint32) + np.uint32(seed))
 
 

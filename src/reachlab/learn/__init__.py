@@ -1,1 +1,11 @@
 """How a policy is learnt: rollouts, PPO, DAgger and the loop around them."""
+
+from __future__ import annotations
+
+from reachlab.settings.tables import Lazy
+
+METHODS: dict[str, Lazy] = {
+    "ppo": Lazy("proximal policy optimisation, by trial and error", "reachlab.learn.ppo_method:PPO"),
+    "dagger": Lazy("dataset aggregation, from a teacher", "reachlab.learn.dagger:DAGGER"),
+}
+"""Ways of learning by name, each a `Method`; a configuration says which, see `RunConfig.method`."""

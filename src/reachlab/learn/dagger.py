@@ -1,13 +1,14 @@
-"""Learning to see from a teacher that knows the state: DAgger (Ross, Gordon, Bagnell, arXiv:1011.0686).
+"""DAgger: learning to act on pictures from a teacher that knows the state (Ross, Gordon, Bagnell, arXiv:1011.0686).
 
-The student acts on what it sees, the teacher says what it would have done there, and the student learns that of
-everything seen so far.
+The student acts on what it observes, the teacher says what it would have done there, and the student learns that of
+everything observed so far.
 """
 
 from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import cast
 
 import jax
@@ -16,92 +17,86 @@ import numpy as np
 import optax
 from jax import Array
 
-from reachlab.agents.policy import Normaliser, Parameters, Policy, distribution, features
-from reachlab.envs.core import Env, EnvState, Transition
+from reachlab.agents.policy import Parameters, Policy, distribution, features
+from reachlab.envs.core import Env
+from reachlab.envs.functions import EnvState, Transition
 from reachlab.envs.streams import LEARNER_STREAM, TRAINING_STREAM, episode_keys, stream_key
 from reachlab.jax_setup import jit
-from reachlab.learn import ppo
-from reachlab.learn.dagger_buffer import Album, Memory, make_memory, remember
-from reachlab.learn.method import (
-    Finite,
-    Method,
-    Watched,
-    all_finite,
-    make_initial_policy,
-)
-from reachlab.robots.loading import Robot
-from reachlab.settings.config import DistilRunConfig, RunConfig, override
+from reachlab.learn.dagger_buffer import DaggerBuffer, Pictures, add, make_buffer
+from reachlab.learn.learner import Learner, make_initial_policy, make_learner, make_optimiser
+from reachlab.learn.method import Finite, Method, Watched, all_finite
+from reachlab.learn.saved import load_policy
+from reachlab.robots.robot import Robot
+from reachlab.runs.directory import RunDirectory
+from reachlab.settings.config import DistilRunConfig, RunConfig
+from reachlab.settings.plain import override
 from reachlab.settings.validation import InputError
-from reachlab.tasks import reach as task
-from reachlab.tasks.reach import OBSERVATIONS
+from reachlab.sims import SIMULATORS
+from reachlab.tasks.observations import OBSERVATIONS, observe, remembered_situation
 
 PLACES = 6
-"""The first features are taught where target and tool are: three numbers each."""
+"""The first features are taught where goal and tool are: three numbers each."""
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class DistilState:
-    """All that a distillation changes, and its teacher: enough to go on from."""
+    """All that a distillation changes, and its teacher: enough to continue from."""
 
-    learner: ppo.Learner
+    learner: Learner
     env: EnvState
     key: Array
-    memory: Memory
+    buffer: DaggerBuffer
     teacher: Policy
-
-
-def dagger(teacher: Policy | None) -> Method:
-    """Method that learns from a teacher; from that of its checkpoint if it is gone on with."""
-
-    def initial_state(env: Env, config: RunConfig, seed: int | Array) -> DistilState:
-        return _initial_state(env, check_distillation(config), seed, teacher)
-
-    return Method(initial_state, lambda env, config, _: _Lessons(env, check_distillation(config)).iterate)
 
 
 def check_distillation(config: RunConfig) -> DistilRunConfig:
     """The configuration, if it is one that can be learnt with.
 
     Raises:
-        InputError: it is none of a distillation, or of another simulator, observation or teacher than can be used.
+        InputError: it is not that of a distillation, or of a simulator, observation or teacher that cannot be used.
     """
     if not isinstance(config, DistilRunConfig):
         raise InputError("a distillation needs a teacher: see `reachlab distil --help`.")
-    if config.sim == "pybullet":
+    if not SIMULATORS[config.sim].draws_anything:
+        others = " or ".join(name for name, entry in SIMULATORS.items() if entry.draws_anything)
         raise InputError(
-            "a distillation draws with MuJoCo: choose --sim kinematic or mujoco, and evaluate in pybullet."
+            f"a distillation draws past pictures again, which {config.sim} cannot: choose --sim {others}, and evaluate"
+            f" in {config.sim}."
         )
     if not OBSERVATIONS[config.rules.observation].pictured:
-        raise InputError(f"observation {config.rules.observation!r} holds no picture to learn from: image, image+tool.")
+        pictured = " or ".join(name for name, design in OBSERVATIONS.items() if design.pictured)
+        raise InputError(f"observation {config.rules.observation!r} holds no picture to learn from: choose {pictured}.")
     if OBSERVATIONS[config.teacher_observation].pictured:
         raise InputError(
-            "a teacher has to know the state, and this one sees pictures: train one with another observation."
+            "a teacher has to know the state, and this one observes pictures: train one with another observation."
         )
-    iterations = -(-config.ppo.total_steps // config.ppo.iteration_steps)
-    if config.distil.guided >= iterations:
+    iterations = -(-config.loop.total_steps // config.loop.iteration_steps)
+    if config.dagger.guided >= iterations:
         raise InputError(
-            f"the teacher would act in all {iterations} iterations of {config.ppo.iteration_steps:,} steps, as guided"
-            f" is {config.distil.guided}: choose a lower --guided or --action-repeat, or more --total-steps."
+            f"the teacher would act in all {iterations} iterations of {config.loop.iteration_steps:,} steps, as guided"
+            f" is {config.dagger.guided}: choose a lower --guided or --action-repeat, or more --total-steps."
         )
-    if config.distil.capacity < config.ppo.num_envs:
-        raise InputError(f"capacity must be at least the {config.ppo.num_envs} lanes, got {config.distil.capacity}.")
+    if config.dagger.capacity < config.loop.num_envs:
+        raise InputError(f"capacity must be at least num_envs, {config.loop.num_envs}, got {config.dagger.capacity}.")
     return config
 
 
-def _initial_state(env: Env, config: DistilRunConfig, seed: int | Array, teacher: Policy | None) -> DistilState:
+def _initial_state(env: Env, config: RunConfig, seed: int | Array, teacher: Policy | None) -> DistilState:
+    """State before the first iteration; without a teacher that of a checkpoint takes this one's place."""
+    config = check_distillation(config)
     key, for_policy = jax.random.split(stream_key(seed, LEARNER_STREAM))
     policy = jit(lambda key: make_initial_policy(config, env, key))(for_policy)
     if teacher is None:
-        knowing = Env(override(config, observation=config.teacher_observation), 1)
+        knowing = Env(override(config, observation=config.teacher_observation, randomise=()), 1)
         teacher = make_initial_policy(knowing.config, knowing, for_policy)
-    state = env.init(episode_keys(seed, TRAINING_STREAM, 0, config.ppo.num_envs))
-    optimiser = _optimiser(config).init(policy.parameters)
-    return DistilState(ppo.Learner(policy, optimiser), state, key, make_memory(state, config.distil.capacity), teacher)
+    state = env.init(episode_keys(seed, TRAINING_STREAM, 0, config.loop.num_envs))
+    learner = make_learner(_optimiser(config), policy)
+    return DistilState(learner, state, key, make_buffer(state, config.dagger.capacity), teacher)
 
 
 def _optimiser(config: DistilRunConfig) -> optax.GradientTransformation:
-    return ppo.make_optimiser(config.ppo, config.distil.updates)
+    return make_optimiser(config, config.dagger.updates)
 
 
 class _Lessons:
@@ -110,91 +105,93 @@ class _Lessons:
     def __init__(self, env: Env, config: DistilRunConfig) -> None:
         self._env, self._config = env, config
         taught = override(config, observation=config.teacher_observation).rules
-        self._known = replace(env.reach, config=taught)
-        self._album = Album(env, config.distil.capacity)
-        self._decide, self._remember, self._learn = jit(self._decision), jit(remember), jit(self._update)
+        self._known = replace(env.setup, rules=taught)
+        self._pictures = Pictures(env, config.dagger.capacity)
+        self._decide, self._add, self._learn = jit(self._decision), jit(add), jit(self._update)
         self._finite = jit(_finite)
 
     def iterate(self, state: DistilState) -> tuple[DistilState, Watched]:
         """State after pictures were collected and learnt from, and what it is judged by."""
-        self._album.complete(state.memory)
+        self._pictures.complete(state.buffer)
         key, for_acting, for_learning = jax.random.split(state.key, 3)
         collected, tally = self._collect(state, for_acting)
-        learner, losses = self._study(collected.learner, collected.memory, for_learning)
-        metrics = {**_statistics(tally), **losses, "pictures": collected.memory.count}
+        learner, losses = self._study(collected.learner, collected.buffer, for_learning)
+        metrics = {**_statistics(tally), **losses, "pictures": collected.buffer.count}
         new = replace(collected, learner=learner, key=key)
-        watched = Watched(metrics, self._finite(new, metrics), new.memory.label)
+        watched = Watched(metrics, self._finite(new, metrics), new.buffer.label)
         return (new if watched.sound else state), watched
 
     def _collect(self, state: DistilState, key: Array) -> tuple[DistilState, Counter[str]]:
-        """State with more pictures in its memory, and what became of the student's episodes that ended."""
-        settings, lanes, memory = self._config.distil, state.env, state.memory
+        """State with more samples in its buffer, and what became of the student's episodes that ended."""
+        loop, episodes, buffer = self._config.loop, state.env, state.buffer
         policy, tally = state.learner.policy, Counter[str]()
-        loop = self._config.ppo
-        guided = int(memory.count) < settings.guided * loop.rollout_steps * loop.num_envs
+        guided = int(buffer.count) < self._config.dagger.guided * loop.rollout_steps * loop.num_envs
         for now in jax.random.split(key, loop.rollout_steps):
-            picture = self._env.see(lanes)
-            label, action, normaliser = self._decide(state.teacher, policy, lanes, picture, now, guided)
-            memory, policy = self._remember(memory, lanes, label), replace(policy, normaliser=normaliser)
-            self._album.add(cast("np.ndarray", picture))
-            # The action is held, as nobody learns from pictures that hardly differ.
-            lanes = self._begun_anew(*self._env.step(lanes, action, loop.action_repeat), tally)
+            picture = self._env.render_observation(episodes)
+            label, action, policy = self._decide(state.teacher, policy, episodes, picture, now, guided)
+            buffer = self._add(buffer, episodes, label)
+            self._pictures.add(cast("np.ndarray", picture))
+            # The action is repeated: nobody learns from pictures that hardly differ.
+            episodes = self._begun_anew(*self._env.step(episodes, action, loop.action_repeat), tally)
         learner = replace(state.learner, policy=policy)
-        return replace(state, learner=learner, env=lanes, memory=memory), Counter() if guided else tally
+        return replace(state, learner=learner, env=episodes, buffer=buffer), Counter() if guided else tally
 
-    def _begun_anew(self, lanes: EnvState, transition: Transition, tally: Counter[str]) -> EnvState:
-        """BatchArray of which those that ended are counted and begin anew."""
+    def _begun_anew(self, episodes: EnvState, transition: Transition, tally: Counter[str]) -> EnvState:
+        """Episodes of which those that ended are counted and begin anew."""
         done = np.asarray(transition.done)
         if not done.any():
-            return lanes
+            return episodes
         ended = {name: np.asarray(transition.terms[name])[done] for name in ("success", "distance")}
         tally.update(episodes=int(done.sum()), successes=int(ended["success"].sum()))
-        tally.update(steps=int(np.asarray(lanes.clock)[done].sum()), millimetres=round(1000 * ended["distance"].sum()))
-        return self._env.reset(lanes, done)
+        tally.update(
+            steps=int(np.asarray(episodes.clock)[done].sum()), millimetres=round(1000 * ended["distance"].sum())
+        )
+        return self._env.reset(episodes, done)
 
     def _decision(
         self, teacher: Policy, policy: Policy, state: EnvState, picture: Array, key: Array, guided: bool
-    ) -> tuple[Array, Array, Normaliser]:
-        """The teacher's action `[B, a]`, the one that is taken, and what the student knows of what it observes."""
+    ) -> tuple[Array, Array, Policy]:
+        """The teacher's action `[B, a]`, the one that is taken, and the student with these observations known."""
         observation = self._env.observe(state, picture)
-        label, own = teacher.act(task.observe(self._known, self._env.situation(state))), policy.act(observation)
+        label, own = teacher.act(observe(self._known, self._env.situation(state))), policy.act(observation)
         if self._config.rules.clip_actions:
             label = jnp.clip(label, *self._env.action_bounds)
-        noise = self._config.distil.noise * policy.half * jax.random.normal(key, label.shape)
+        noise = self._config.dagger.noise * policy.half * jax.random.normal(key, label.shape)
         action = jnp.clip(jnp.where(guided, label, own) + noise, *self._env.action_bounds)
-        return label, action, policy.normaliser.update(observation)
+        return label, action, policy.observed(observation)
 
-    def _study(self, learner: ppo.Learner, memory: Memory, key: Array) -> tuple[ppo.Learner, dict[str, Array]]:
+    def _study(self, learner: Learner, buffer: DaggerBuffer, key: Array) -> tuple[Learner, dict[str, Array]]:
         """Learner after the gradient steps of an iteration, and the means of their losses."""
-        settings = self._config.distil
-        known = min(int(memory.count), settings.capacity)
+        settings = self._config.dagger
+        known = min(int(buffer.count), settings.capacity)
         batches = np.asarray(jax.random.randint(key, (settings.updates, settings.batch), 0, known))
         watched = []
         for rows in batches:
-            learner, losses = self._learn(learner, memory, rows, self._album[rows])
+            learner, losses = self._learn(learner, buffer, rows, self._pictures[rows])
             watched.append(losses)
         return learner, {name: jnp.mean(jnp.array([losses[name] for losses in watched])) for name in watched[0]}
 
     def _update(
-        self, learner: ppo.Learner, memory: Memory, rows: Array, pictures: Array
-    ) -> tuple[ppo.Learner, dict[str, Array]]:
+        self, learner: Learner, buffer: DaggerBuffer, rows: Array, pictures: Array
+    ) -> tuple[Learner, dict[str, Array]]:
         policy, optimiser = learner.policy, _optimiser(self._config)
-        target, tool, label = memory.target[rows], memory.tool[rows], memory.label[rows]
-        seen = task.observe(self._env.reach, task.pictured_situation(pictures, tool))
-        observation, wanted = policy.normaliser(seen), (label - policy.centre) / policy.half
-        places = jnp.concatenate([_in_workspace(self._env.reach.robot, point) for point in (target, tool)], axis=-1)
+        goal, tool, label = buffer.goal[rows], buffer.tool[rows], buffer.label[rows]
+        observation = observe(self._env.setup, remembered_situation(pictures, tool))
+        inputs, wanted = policy.inputs(observation), (label - policy.centre) / policy.half
+        places = jnp.concatenate([_in_workspace(self._env.setup.robot, point) for point in (goal, tool)], axis=-1)
 
         def loss(parameters: Parameters) -> tuple[Array, dict[str, Array]]:
-            action = distribution(parameters, observation).mean - wanted
-            place = features(parameters, observation)[..., :PLACES] - places
+            action = distribution(parameters, inputs).mean - wanted
+            place = features(parameters, inputs)[..., :PLACES] - places
             errors = {"action_error": jnp.square(action).mean(), "place_error": jnp.square(place).mean()}
-            return errors["action_error"] + self._config.distil.place_weight * errors["place_error"], errors
+            return errors["action_error"] + self._config.dagger.place_weight * errors["place_error"], errors
 
         gradient, errors = jax.grad(loss, has_aux=True)(policy.parameters)
         change, state = optimiser.update(gradient, learner.optimiser)
         parameters = jax.tree.map(jnp.add, policy.parameters, change)
         watched = errors | {"gradient_norm": optax.tree.norm(gradient)}
-        return ppo.Learner(replace(policy, parameters=parameters), state), watched
+        new = replace(learner, policy=replace(policy, parameters=parameters), optimiser=state)
+        return new, watched
 
 
 def _in_workspace(robot: Robot, point: Array) -> Array:
@@ -220,10 +217,27 @@ def _finite(state: DistilState, metrics: dict[str, Array]) -> Finite:
     fine = jnp.array(True)
     return Finite(
         observation=fine,
-        action=all_finite(state.memory),
+        action=all_finite(state.buffer),
         reward=fine,
-        environment=all_finite(replace(state.env, recent=None)),
+        environment=all_finite(state.env),
         gradient=all_finite(metrics["gradient_norm"]),
         loss=all_finite(metrics),
         parameter=all_finite(state.learner),
     )
+
+
+def _load_teacher(config: RunConfig, resume: bool) -> Policy | None:
+    """The teacher of a new distillation; a resumed one has it in its checkpoint."""
+    checked = check_distillation(config)
+    if resume:
+        return None
+    run = RunDirectory(Path(checked.teacher))
+    env = Env(run.read_config(), 1)
+    try:
+        return load_policy(run, env)
+    finally:
+        env.close()
+
+
+DAGGER = Method(_load_teacher, _initial_state, lambda env, config, _: _Lessons(env, check_distillation(config)).iterate)
+"""Dataset aggregation."""

@@ -1,4 +1,4 @@
-"""What a student remembers: situations, what its teacher said of them, and the pictures, drawn again when needed."""
+"""The samples of DAgger: situations, the teacher's actions in them, and their pictures, drawn again when needed."""
 
 from __future__ import annotations
 
@@ -9,8 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from reachlab.envs.core import Env, EnvState
-from reachlab.tasks.reach import SIZE
+from reachlab.envs.core import Env
+from reachlab.envs.functions import EnvState
+from reachlab.tasks.observations import SIZE
+from reachlab.tasks.task import Goal
 
 DRAWN_AT_ONCE = 1024
 """Pictures drawn in one call."""
@@ -18,35 +20,35 @@ DRAWN_AT_ONCE = 1024
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Memory:
-    """The last `N` situations seen, the oldest overwritten first.
+class DaggerBuffer:
+    """The last `N` samples, the oldest overwritten first.
 
     Attributes:
         q: joints `[N, n]` [rad or m].
-        target: `[N, 3]` [m].
+        goal: `[N, 3]` [m].
         tool: position of the tool `[N, 3]` [m].
         key: random key of the episode `[N]`, which decides its view.
         label: the teacher's action `[N, a]`.
-        count: situations seen so far `[]`.
+        count: samples so far `[]`.
     """
 
     q: Array
-    target: Array
+    goal: Array
     tool: Array
     key: Array
     label: Array
     count: Array
 
 
-def make_memory(state: EnvState, capacity: int) -> Memory:
-    """Empty memory of `capacity` situations of such a state."""
+def make_buffer(state: EnvState, capacity: int) -> DaggerBuffer:
+    """Empty buffer of `capacity` samples of such a state."""
 
     def empty(like: Array) -> Array:
         return jnp.zeros((capacity, *like.shape[1:]), like.dtype)
 
-    return Memory(
+    return DaggerBuffer(
         q=empty(state.arm.q),
-        target=empty(state.target),
+        goal=empty(state.goal.position),
         tool=empty(state.arm.tool_position),
         key=jnp.broadcast_to(jax.random.key(0), (capacity,)),
         label=empty(state.last_action),
@@ -54,43 +56,45 @@ def make_memory(state: EnvState, capacity: int) -> Memory:
     )
 
 
-def remember(memory: Memory, state: EnvState, label: Array) -> Memory:
-    """Memory that also holds the situations of a state's lanes and their labels `[B, a]`."""
-    lanes, capacity = label.shape[0], memory.q.shape[0]
-    rows = (memory.count + jnp.arange(lanes)) % capacity
-    return Memory(
-        q=memory.q.at[rows].set(state.arm.q),
-        target=memory.target.at[rows].set(state.target),
-        tool=memory.tool.at[rows].set(state.arm.tool_position),
-        key=memory.key.at[rows].set(state.key),
-        label=memory.label.at[rows].set(label),
-        count=memory.count + lanes,
+def add(buffer: DaggerBuffer, state: EnvState, label: Array) -> DaggerBuffer:
+    """Buffer with the situations of a state and their labels `[B, a]` added."""
+    num_envs, capacity = label.shape[0], buffer.q.shape[0]
+    rows = (buffer.count + jnp.arange(num_envs)) % capacity
+    return DaggerBuffer(
+        q=buffer.q.at[rows].set(state.arm.q),
+        goal=buffer.goal.at[rows].set(state.goal.position),
+        tool=buffer.tool.at[rows].set(state.arm.tool_position),
+        key=buffer.key.at[rows].set(state.key),
+        label=buffer.label.at[rows].set(label),
+        count=buffer.count + num_envs,
     )
 
 
-class Album:
-    """The pictures of a memory: a thousand times larger, so checkpoints leave them out, and they are drawn again."""
+class Pictures:
+    """The pictures of a buffer: a thousand times larger, so checkpoints leave them out, and they are drawn again."""
 
     def __init__(self, env: Env, capacity: int) -> None:
-        """Empty album of `capacity` pictures."""
+        """Room for `capacity` pictures."""
         self._env = env
         self._pictures = np.zeros((capacity, SIZE, SIZE), np.uint8)
         self._count = 0
 
     def add(self, pictures: np.ndarray) -> None:
-        """Put in the pictures `[B, SIZE, SIZE]` of what is remembered next."""
+        """Put in the pictures `[B, SIZE, SIZE]` of what is added next."""
         self._pictures[(self._count + np.arange(len(pictures))) % len(self._pictures)] = pictures
         self._count += len(pictures)
 
-    def complete(self, memory: Memory) -> None:
-        """Draw what the memory holds and the album lacks: all, after a run is gone on with."""
-        if self._count == (count := int(memory.count)):
+    def complete(self, buffer: DaggerBuffer) -> None:
+        """Draw what the buffer holds and is missing here: all, after a run is resumed."""
+        if self._count == (count := int(buffer.count)):
             return
         for first in range(0, min(count, len(self._pictures)), DRAWN_AT_ONCE):
             rows = slice(first, min(first + DRAWN_AT_ONCE, count, len(self._pictures)))
-            self._pictures[rows] = self._env.draw(memory.q[rows], memory.target[rows], memory.key[rows])
+            self._pictures[rows] = self._env.render_situations(
+                buffer.q[rows], Goal(buffer.goal[rows]), buffer.key[rows]
+            )
         self._count = count
 
     def __getitem__(self, rows: np.ndarray) -> np.ndarray:
-        """Pictures `[m, SIZE, SIZE]` of the rows `[m]` of the memory."""
+        """Pictures `[m, SIZE, SIZE]` of the rows `[m]` of the buffer."""
         return self._pictures[rows]

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import jax
 import numpy as np
@@ -16,10 +16,10 @@ from jax.stages import Wrapped
 from reachlab.agents.policy import Policy
 from reachlab.envs.core import Env
 from reachlab.envs.streams import VALIDATION_STREAM, episode_keys
-from reachlab.evaluation.report import Runner, make_runner, run_episodes
+from reachlab.evaluation.episodes import Runner, make_runner, run_episodes
 from reachlab.jax_setup import jit
 from reachlab.learn.interrupts import Interrupted, Interrupts
-from reachlab.learn.method import PPO, Method, TrainState
+from reachlab.learn.method import Method
 from reachlab.learn.rollout import EngineError
 from reachlab.runs import arrays
 from reachlab.runs.directory import RunDirectory
@@ -70,21 +70,22 @@ class Loop:
         run: RunDirectory,
         watch: Callable[[Progress], None],
         start: float,
-        method: Method = PPO,
+        method: Method,
+        given: Any,
     ) -> None:
-        """Loop that has taken no step yet; `start` is when training began [s]."""
-        self.method = method
+        """Loop that has taken no step yet; `start` is when training began [s], `given` what the method loaded."""
+        self.method, self.given = method, given
         self.config, self.env, self.run, self.watch, self.start = config, env, run, watch, start
         self.now = Counters(0)
         self.saved: Counters | None = None
         self.runner = make_runner(env, "trained")
-        self._save_after = config.ppo.checkpoint_interval
+        self._save_after = config.loop.checkpoint_interval
         self._clock = 0.0
 
     @property
     def validated(self) -> bool:
         """Whether enough validations in a row have held."""
-        return self.now.streak >= self.config.ppo.stop_streak
+        return self.now.streak >= self.config.loop.stop_streak
 
     @property
     def steps_per_second(self) -> float:
@@ -93,27 +94,27 @@ class Loop:
 
     # --- before -----------------------------------------------------------------------------------
 
-    def prepare(self, *, resume: bool) -> TrainState:
+    def prepare(self, *, resume: bool) -> Any:
         """First state, or the saved one; the iteration is compiled the same for both.
 
-        With a pure simulator three programs are compiled at once.
+        Where everything is traced three programs are compiled at once.
         """
         env, config = self.env, self.config
         resume = resume and self.run.newest_manifest() is not None
-        if not env.pure:
-            state = self.method.initial_state(env, config, config.seed)
+        if not env.traced:
+            state = self.method.initial_state(env, config, config.seed, self.given)
             self._step = self.method.compile_iteration(env, config, state)
             return self._saved_state(state) if resume else state
-        shape = jax.eval_shape(lambda: self.method.initial_state(env, config, config.seed))
+        shape = jax.eval_shape(lambda: self.method.initial_state(env, config, config.seed, self.given))
         saved = self._saved_state(shape) if resume else None
         with ThreadPoolExecutor(2) as pool:
-            begun = pool.submit(jit(lambda seed: self.method.initial_state(env, config, seed)), np.uint32(config.seed))
+            begun = pool.submit(jit(lambda seed: self.method.initial_state(env, config, seed, self.given)), np.uint32(config.seed))
             runner = pool.submit(self._compiled_runner, shape.learner.policy)
             self._step = self.method.compile_iteration(env, config, shape)
             self.runner = runner.result()
             return saved or begun.result()
 
-    def _saved_state(self, template: TrainState) -> TrainState:
+    def _saved_state(self, template: Any) -> Any:
         self.now, state = self.run.read_state(template)
         self.saved = self.now
         self.start -= self.now.train_s
@@ -127,11 +128,11 @@ class Loop:
 
     # --- iterations -------------------------------------------------------------------------------
 
-    def iterate(self, state: TrainState, metrics: Metrics, interrupts: Interrupts) -> TrainState:
+    def iterate(self, state: Any, metrics: Metrics, interrupts: Interrupts) -> Any:
         """State after training, saved."""
         self._clock = time.perf_counter()
         self._loop_start = self._clock - self.now.loop_s
-        while self.now.steps < self.config.ppo.total_steps and not self.validated:
+        while self.now.steps < self.config.loop.total_steps and not self.validated:
             state = self._advance(state, metrics)
             if interrupts.received is not None:
                 self._leave(state, metrics, interrupts.received)
@@ -143,8 +144,8 @@ class Loop:
             raise unwritable("last checkpoint", self.run, error, self.config.verb) from None
         return state
 
-    def _advance(self, state: TrainState, metrics: Metrics) -> TrainState:
-        settings, tick = self.config.ppo, time.perf_counter()
+    def _advance(self, state: Any, metrics: Metrics) -> Any:
+        settings, tick = self.config.loop, time.perf_counter()
         try:
             state, watched = self._step(state)
         except EngineError as error:
@@ -177,17 +178,17 @@ class Loop:
         self.now = replace(self.now, success=rate, training_success=rate, episodes=episodes, successes=successes)
 
     def _due(self) -> bool:
-        settings = self.config.ppo
+        settings = self.config.loop
         count = self.now.steps // settings.iteration_steps
         near = self.now.training_success >= min(VALIDATE_FROM, settings.stop_success)
         return settings.stop_early and count % settings.validation_interval == 0 and near
 
-    def _validate(self, state: TrainState, metrics: Metrics) -> float:
+    def _validate(self, state: Any, metrics: Metrics) -> float:
         """Success rate of the validation so far; it ends as soon as it can no longer hold."""
-        settings, lanes = self.config.ppo, self.runner.num_envs
+        settings, at_once = self.config.loop, self.runner.num_envs
         failures, seen = 0, 0
         while seen < settings.validation_episodes and self._can_hold(failures):
-            count = min(lanes, settings.validation_episodes - seen)
+            count = min(at_once, settings.validation_episodes - seen)
             try:
                 result = run_episodes(
                     self.runner, state.learner.policy, self.config.seed, VALIDATION_STREAM, count, first=seen
@@ -202,25 +203,25 @@ class Loop:
 
     def _can_hold(self, failures: int) -> bool:
         """Whether a validation holds if it has no more than these failures."""
-        settings = self.config.ppo
+        settings = self.config.loop
         # As one quotient: 0.9 of 1000 is 900 then, where (1 - 0.9) * 1000 is less than 100.
         return (settings.validation_episodes - failures) / settings.validation_episodes >= settings.stop_success
 
     # --- saving -----------------------------------------------------------------------------------
 
-    def _save(self, state: TrainState, metrics: Metrics) -> None:
+    def _save(self, state: Any, metrics: Metrics) -> None:
         """Save the state, unless it is saved."""
         begun = time.perf_counter()
         self.now = replace(self.now, train_s=begun - self.start)
         if self.saved is None or self.saved.steps != self.now.steps:
             metrics.sync()
-            self.run.write_checkpoint(self.now.steps, state, self.now, self.config.ppo.keep_checkpoints)
+            self.run.write_checkpoint(self.now.steps, state, self.now, self.config.loop.keep_checkpoints)
             self.saved = self.now
         self._clock = time.perf_counter()
-        if interval := self.config.ppo.checkpoint_interval:
+        if interval := self.config.loop.checkpoint_interval:
             self._save_after = max(interval, (self._clock - begun) / SAVING_SHARE)
 
-    def _try_to_save(self, state: TrainState, metrics: Metrics) -> bool:
+    def _try_to_save(self, state: Any, metrics: Metrics) -> bool:
         """Whether the state is saved; if it cannot be, training goes on and tries again after the next interval."""
         try:
             self._save(state, metrics)
@@ -235,11 +236,11 @@ class Loop:
             return False
         return True
 
-    def _leave(self, state: TrainState, metrics: Metrics, signal: int) -> NoReturn:
+    def _leave(self, state: Any, metrics: Metrics, signal: int) -> NoReturn:
         self._try_to_save(state, metrics)
         raise Interrupted(signal, f"interrupted at step {self.now.steps:,}; {self._how_to_go_on()}")
 
-    def _stop(self, state: TrainState, metrics: Metrics, why: str, rollout: object) -> NoReturn:
+    def _stop(self, state: Any, metrics: Metrics, why: str, rollout: object) -> NoReturn:
         """End training at numbers that are not finite: the state is the one before them."""
         self._try_to_save(state, metrics)
         kept = ""

@@ -1,33 +1,17 @@
-"""One iteration of training, compiled: a rollout and its update, or nothing if a number in it is not finite."""
+"""What a way of learning is to the loop: a first state, and iterations that are judged by their numbers."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import partial
-from typing import Any, NamedTuple, TypeVar
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 
-from reachlab.agents.policy import Policy, make_policy
-from reachlab.envs.core import Env, EnvState
-from reachlab.envs.streams import LEARNER_STREAM, TRAINING_STREAM, episode_keys, stream_key
-from reachlab.jax_setup import jit
-from reachlab.learn import ppo
-from reachlab.learn.rollout import Collect, Rollout, collect, episode_statistics, host_collector
+from reachlab.envs.core import Env
 from reachlab.settings.config import RunConfig
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class TrainState:
-    """All that training changes: enough to go on from."""
-
-    learner: ppo.Learner
-    env: EnvState
-    key: Array
 
 
 class Finite(NamedTuple):
@@ -67,76 +51,24 @@ class Watched:
         return jnp.stack(self.finite).all()
 
 
-Tree = TypeVar("Tree")
-Learn = Callable[[ppo.Learner, Rollout, EnvState, Array], tuple[ppo.Learner, Watched]]
-Keep = Callable[[Array, TrainState, TrainState], TrainState]
-Iteration = Callable[[TrainState], tuple[TrainState, Watched]]
-
-
 class Method(NamedTuple):
-    """A way of learning: its first state, of environment, configuration and seed, and its iteration."""
+    """A way of learning.
 
-    initial_state: Callable[[Env, RunConfig, Any], Any]
-    compile_iteration: Callable[[Env, RunConfig, Any], Callable[[Any], tuple[Any, Watched]]]
-
-
-def make_initial_policy(config: RunConfig, env: Env, key: Array) -> Policy:
-    """Untrained policy for an environment."""
-    return make_policy(key, env.observation_bounds, env.action_bounds, config.ppo.hidden, config.ppo.initial_std)
-
-
-def initial_state(env: Env, config: RunConfig, seed: int | Array) -> TrainState:
-    """State before the first iteration."""
-    key, for_policy = jax.random.split(stream_key(seed, LEARNER_STREAM))
-    lanes = episode_keys(seed, TRAINING_STREAM, 0, config.ppo.num_envs)
-    learner = env.traced(lambda key: ppo.make_learner(config.ppo, make_initial_policy(config, env, key)))(for_policy)
-    return TrainState(learner, env.init(lanes), key)
-
-
-def compile_iteration(env: Env, config: RunConfig, shape: TrainState) -> Iteration:
-    """Function that gives the state after one rollout and its update, and what it is judged by.
-
-    If a number is not finite the state is the one before. With a pure simulator it is one program; else the
-    environment steps on the host, between compiled parts. It may use up the state it is given.
+    Attributes:
+        load: what it learns from beside the environment, of the configuration and whether a run is resumed.
+        initial_state: a pytree with a `Learner` as `learner` and an `EnvState` as `env`, of the environment, the
+            configuration, the seed and what was loaded.
+        compile_iteration: the function that gives the next state and what it is judged by, of the environment, the
+            configuration and a state, or its shapes. If a number is not finite the state is the one before. It may use
+            up the state that it is given.
     """
 
-    def learn(learner: ppo.Learner, rollout: Rollout, lanes: EnvState, key: Array) -> tuple[ppo.Learner, Watched]:
-        new, metrics = ppo.update(learner, rollout, key, config.ppo)
-        watched = Watched({**episode_statistics(rollout), **metrics}, _finite(rollout, lanes, metrics, new), rollout)
-        return _select(watched.sound, new, learner), watched
-
-    def iterate(gather: Collect, learn: Learn, keep: Keep, state: TrainState) -> tuple[TrainState, Watched]:
-        key, for_rollout, for_update = jax.random.split(state.key, 3)
-        lanes, rollout = gather(env, state.learner.policy, state.env, for_rollout, config.ppo)
-        learner, watched = learn(state.learner, rollout, lanes, for_update)
-        return keep(watched.sound, TrainState(learner, lanes, key), TrainState(learner, state.env, state.key)), watched
-
-    if env.pure:
-        return jit(partial(iterate, collect, learn, _select), donate=(0,)).lower(shape).compile()
-    return partial(iterate, host_collector(), jit(learn, donate=(0,)), lambda sound, new, old: new if sound else old)
-
-
-def _finite(rollout: Rollout, lanes: EnvState, metrics: dict[str, Array], learner: ppo.Learner) -> Finite:
-    return Finite(
-        observation=all_finite((rollout.observation, rollout.next_observation)),
-        action=all_finite((rollout.output, rollout.log_prob)),
-        reward=all_finite(rollout.reward),
-        environment=all_finite((rollout.distance, replace(lanes, recent=None))),  # infinite where the arm moved
-        gradient=all_finite(metrics["gradient_norm"]),
-        loss=all_finite(metrics),
-        parameter=all_finite(learner),
-    )
+    load: Callable[[RunConfig, bool], Any]
+    initial_state: Callable[[Env, RunConfig, int | Array, Any], Any]
+    compile_iteration: Callable[[Env, RunConfig, Any], Callable[[Any], tuple[Any, Watched]]]
 
 
 def all_finite(tree: object) -> Array:
     """Whether every number in a pytree is finite `[]`."""
     floats = [leaf for leaf in jax.tree.leaves(tree) if jnp.issubdtype(leaf.dtype, jnp.floating)]
     return jnp.array([jnp.isfinite(leaf).all() for leaf in floats], bool).all()
-
-
-def _select(sound: Array, new: Tree, old: Tree) -> Tree:
-    return jax.tree.map(lambda a, b: jnp.where(sound, a, b), new, old)
-
-
-PPO = Method(initial_state, compile_iteration)
-"""Proximal policy optimisation."""

@@ -3,64 +3,30 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple, cast
+from dataclasses import replace
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import optax
 from jax import Array
 
-from reachlab.agents.policy import Parameters, Policy, distribution, value
-from reachlab.settings.config import PPOConfig
-from reachlab.tasks.reach import Observed
-
-if TYPE_CHECKING:
-    from reachlab.learn.rollout import Rollout
-
-ADAM_EPSILON = 1e-5
-"""Adam's epsilon, as PPO's reference implementation sets it."""
-
+from reachlab.agents.policy import Inputs, Parameters, Policy, distribution, value
+from reachlab.learn.learner import Learner, make_optimiser
+from reachlab.learn.rollout import Rollout
+from reachlab.settings.config import PPOConfig, RunConfig
 
 Carry = tuple[Parameters, optax.OptState]
 
 
 class Batch(NamedTuple):
-    """Samples of a rollout, `[N]` in front: normalised observations, outputs and what they are worth."""
+    """Samples of a rollout, `[N]` in front: what the networks are given, their outputs and what these are worth."""
 
-    observation: Observed
+    inputs: Inputs
     output: Array
     log_prob: Array
     advantage: Array
     returns: Array
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class Learner:
-    """What learns: the policy and the optimiser's state."""
-
-    policy: Policy
-    optimiser: optax.OptState
-
-
-def make_optimiser(config: PPOConfig, updates: int = 0) -> optax.GradientTransformation:
-    """Adam on gradients clipped by their global norm, the step size falling on a straight line.
-
-    An iteration takes so many `updates`; 0 stands for those of PPO.
-    """
-    updates = updates or config.epochs * config.minibatches
-    iterations = -(-config.anneal_steps // config.iteration_steps)
-    schedule = optax.linear_schedule(config.learning_rate, config.final_learning_rate, updates * iterations)
-    return optax.chain(
-        optax.clip_by_global_norm(config.max_grad_norm),
-        optax.adam(schedule, eps=ADAM_EPSILON),
-    )
-
-
-def make_learner(config: PPOConfig, policy: Policy) -> Learner:
-    """Learner that has learnt nothing yet."""
-    return Learner(policy, make_optimiser(config).init(cast("optax.Params", policy.parameters)))
 
 
 def gae(
@@ -90,13 +56,13 @@ def gae(
 
 def loss(parameters: Parameters, batch: Batch, config: PPOConfig) -> tuple[Array, dict[str, Array]]:
     """Clipped surrogate loss `[]` of a batch, and scalars worth watching."""
-    head = distribution(parameters, batch.observation)
+    head = distribution(parameters, batch.inputs)
     log_ratio = head.log_prob(batch.output) - batch.log_prob
     ratio = jnp.exp(log_ratio)
     advantage = (batch.advantage - batch.advantage.mean()) / (batch.advantage.std() + 1e-8)
     clipped = jnp.clip(ratio, 1 - config.clip_ratio, 1 + config.clip_ratio)
     policy_loss = -jnp.minimum(ratio * advantage, clipped * advantage).mean()
-    value_loss = 0.5 * jnp.square(value(parameters, batch.observation) - batch.returns).mean()
+    value_loss = 0.5 * jnp.square(value(parameters, batch.inputs) - batch.returns).mean()
     entropy = head.entropy()
     total = policy_loss + config.value_weight * value_loss - config.entropy_weight * entropy
     return total, {
@@ -109,69 +75,75 @@ def loss(parameters: Parameters, batch: Batch, config: PPOConfig) -> tuple[Array
     }
 
 
-def update(learner: Learner, rollout: Rollout, key: Array, config: PPOConfig) -> tuple[Learner, dict[str, Array]]:
+def updates_per_iteration(config: PPOConfig) -> int:
+    """Gradient steps of an iteration."""
+    return config.epochs * config.minibatches
+
+
+def update(learner: Learner, rollout: Rollout, key: Array, config: RunConfig) -> tuple[Learner, dict[str, Array]]:
     """Learner after `epochs` passes over a rollout, and the means of what `loss` watches.
 
-    The rollout was drawn with the normaliser the learner holds; the new one takes effect afterwards.
+    The rollout was collected with the normaliser that the learner holds; the new one takes effect afterwards.
     """
-    policy, optimiser = learner.policy, make_optimiser(config)
-    samples = _samples(policy, rollout, config)
+    settings, policy = config.ppo, learner.policy
+    optimiser = make_optimiser(config, updates_per_iteration(settings))
+    samples = _samples(policy, rollout, settings)
     size = samples.log_prob.shape[0]
 
     def gradient_step(carry: Carry, batch: Batch) -> tuple[Carry, dict[str, Array]]:
         parameters, state = carry
-        gradient, watched = jax.grad(loss, has_aux=True)(parameters, batch, config)
+        gradient, watched = jax.grad(loss, has_aux=True)(parameters, batch, settings)
         change, state = optimiser.update(gradient, state)
         watched["gradient_norm"] = optax.tree.norm(gradient)
         return (jax.tree.map(jnp.add, parameters, change), state), watched
 
     def epoch(carry: Carry, key: Array) -> tuple[Carry, dict[str, Array]]:
-        batches = _shuffle(key, *rollout.reward.shape).reshape(config.minibatches, -1)
+        batches = _shuffle(key, *rollout.reward.shape).reshape(settings.minibatches, -1)
         return jax.lax.scan(
             lambda carry, rows: gradient_step(carry, jax.tree.map(lambda x: x[rows], samples)), carry, batches
         )
 
     carry = (policy.parameters, learner.optimiser)
-    (parameters, state), watched = jax.lax.scan(epoch, carry, jax.random.split(key, config.epochs))
+    (parameters, state), watched = jax.lax.scan(epoch, carry, jax.random.split(key, settings.epochs))
     flat = jax.tree.map(lambda x: x.reshape(size, *x.shape[2:]), rollout.observation)
-    normaliser = policy.normaliser.update(flat)
-    steps = config.action_repeat * normaliser.count
-    parameters = replace(parameters, log_std=_log_std(parameters.log_std, steps, config))
+    iterations = learner.iterations + 1
+    parameters = replace(parameters, log_std=_log_std(parameters.log_std, iterations, config))
     watched = {name: x.mean() for name, x in watched.items()} | {"std": jnp.exp(parameters.log_std).mean()}
-    return Learner(replace(policy, parameters=parameters, normaliser=normaliser), state), watched
+    return Learner(replace(policy.observed(flat), parameters=parameters), state, iterations), watched
 
 
-def _log_std(learnt: Array, steps: Array, config: PPOConfig) -> Array:
-    """Log standard deviation `[a]` after so many steps: the learnt one, unless it has to follow a schedule."""
-    if config.final_std is None:
+def _log_std(learnt: Array, iterations: Array, config: RunConfig) -> Array:
+    """Log standard deviation `[a]` after so many iterations: the learnt one, unless it has to follow a schedule."""
+    if config.ppo.final_std is None:
         return learnt
-    begin, end = math.log(config.initial_std), math.log(config.final_std)
-    return jnp.full_like(learnt, begin + (end - begin) * jnp.minimum(steps / config.anneal_steps, 1.0))
+    steps = config.loop.iteration_steps * iterations.astype(jnp.float32)  # more than int32 holds
+    begin, end = math.log(config.learner.initial_std), math.log(config.ppo.final_std)
+    return jnp.full_like(learnt, begin + (end - begin) * jnp.minimum(steps / config.learner.anneal_steps, 1.0))
 
 
-def _shuffle(key: Array, steps: int, lanes: int) -> Array:
-    """Order `[T · B]` of the samples in which every part draws, at each step, its own lanes.
+def _shuffle(key: Array, steps: int, num_envs: int) -> Array:
+    """Order `[T · B]` of the samples in which every part has, of each step, environments of its own.
 
-    The lanes are permuted once and shifted at random for every step: a full permutation's sort would take
+    The environments are permuted once and shifted at random for every step: a full permutation's sort would take
     as long as the gradients.
     """
-    for_lanes, for_shift = jax.random.split(key)
-    shift = jax.random.randint(for_shift, (steps, 1), 0, lanes)
-    lane = jax.random.permutation(for_lanes, lanes)[(jnp.arange(lanes) + shift) % lanes]
-    return (jnp.arange(steps)[:, None] * lanes + lane).T.reshape(-1)
+    for_envs, for_shift = jax.random.split(key)
+    shift = jax.random.randint(for_shift, (steps, 1), 0, num_envs)
+    env = jax.random.permutation(for_envs, num_envs)[(jnp.arange(num_envs) + shift) % num_envs]
+    return (jnp.arange(steps)[:, None] * num_envs + env).T.reshape(-1)
 
 
-def _values(policy: Policy, normalised: Observed) -> Array:
-    """Values `[T, B]`; of pictures step by step, as their squares would take the memory of a whole rollout."""
-    if policy.parameters.encoder is None:
-        return value(policy.parameters, normalised)
-    return jax.lax.map(lambda row: value(policy.parameters, row), normalised)
+def _values(policy: Policy, inputs: Inputs) -> Array:
+    """Values `[T, B]`; of pictures step by step, as their patches would take the memory of a whole rollout."""
+    if inputs.picture is None:
+        return value(policy.parameters, inputs)
+    return jax.lax.map(lambda row: value(policy.parameters, row), inputs)
 
 
 def _samples(policy: Policy, rollout: Rollout, config: PPOConfig) -> Batch:
-    observation = policy.normaliser(rollout.observation)
-    v_t = _values(policy, observation)
-    v_tp1 = _values(policy, policy.normaliser(rollout.next_observation))
+    inputs = policy.inputs(rollout.observation)
+    v_t = _values(policy, inputs)
+    v_tp1 = _values(policy, policy.inputs(rollout.next_observation))
     advantage = gae(rollout.reward, v_t, v_tp1, rollout.terminated, rollout.done, config.gamma, config.gae_lambda)
-    samples = Batch(observation, rollout.output, rollout.log_prob, advantage, advantage + v_t)
+    samples = Batch(inputs, rollout.output, rollout.log_prob, advantage, advantage + v_t)
     return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), samples)

@@ -12,21 +12,22 @@ import numpy as np
 from jax import Array
 
 from reachlab.agents.policy import Policy, distribution
-from reachlab.envs.core import Env, EnvState, Transition, merge
+from reachlab.envs.core import Env, merge
+from reachlab.envs.functions import EnvState, Transition
 from reachlab.jax_setup import jit
-from reachlab.settings.config import PPOConfig
-from reachlab.tasks.reach import Observed
+from reachlab.settings.config import LoopConfig
+from reachlab.tasks.observations import Observed
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Rollout:
-    """`T` actions of `B` lanes.
+    """`T` actions of `B` environments.
 
     Attributes:
-        observation: what the policy saw `[T, B, k]`.
-        output: what its network drew `[T, B, a]`, in halves of the action box.
-        log_prob: log density of that draw `[T, B]`.
+        observation: what the policy observed `[T, B, k]`.
+        output: the sampled output of its network `[T, B, a]`, in halves of the action box.
+        log_prob: log density of that sample `[T, B]`.
         next_observation: what came of it `[T, B, k]`, the final observation where an episode ended.
         reward: `[T, B]`.
         terminated, truncated: ends of episodes `[T, B]`.
@@ -60,14 +61,14 @@ class EngineError(FloatingPointError):
         self.rollout = rollout
 
 
-Collect = Callable[[Env, Policy, EnvState, Array, PPOConfig], tuple[EnvState, Rollout]]
+Collect = Callable[[Env, Policy, EnvState, Array, LoopConfig], tuple[EnvState, Rollout]]
 
 
-def collect(env: Env, policy: Policy, state: EnvState, key: Array, config: PPOConfig) -> tuple[EnvState, Rollout]:
-    """State after `rollout_steps` actions of every lane, and the experience; lanes that end begin anew."""
+def collect(env: Env, policy: Policy, state: EnvState, key: Array, config: LoopConfig) -> tuple[EnvState, Rollout]:
+    """State after `rollout_steps` actions of every environment, and the experience; episodes that end begin anew."""
 
     def step(state: EnvState, key: Array) -> tuple[EnvState, Rollout]:
-        choice = draw(policy, env.observe(state), key)
+        choice = sample_action(policy, env.observe(state), key)
         state, transition = env.step(state, choice.action, config.action_repeat)
         row = _row(choice, state, transition, transition.observation)
         return env.reset(state, transition.done, config.chained_starts or None), row
@@ -77,21 +78,21 @@ def collect(env: Env, policy: Policy, state: EnvState, key: Array, config: PPOCo
 
 def host_collector() -> Collect:
     """As `collect`, for a simulator that JAX cannot trace: compiled parts around its steps."""
-    choose = jit(draw)
+    choose = jit(sample_action)
 
-    def collect(env: Env, policy: Policy, state: EnvState, key: Array, config: PPOConfig) -> tuple[EnvState, Rollout]:
-        rows, seen = [], env.look(state)
+    def collect(env: Env, policy: Policy, state: EnvState, key: Array, config: LoopConfig) -> tuple[EnvState, Rollout]:
+        rows, observation = [], env.observe_now(state)
         for step_key in jax.random.split(key, config.rollout_steps):
-            choice = choose(policy, seen, step_key)
+            choice = choose(policy, observation, step_key)
             try:
                 state, transition = env.step(state, choice.action, config.action_repeat)
             except FloatingPointError as error:
                 raise EngineError(str(error), _stacked(rows) if rows else None) from None
-            seen = env.look(state) if env.pictured else transition.observation
-            rows.append(_row(choice, state, transition, seen))
+            observation = env.observe_now(state) if env.pictured else transition.observation
+            rows.append(_row(choice, state, transition, observation))
             if (done := np.asarray(transition.done)).any():
                 state = env.reset(state, done, config.chained_starts or None)
-                seen = merge(done, env.look(state, done), seen)
+                observation = merge(done, env.observe_now(state, done), observation)
         return state, _stacked(rows)
 
     return collect
@@ -102,7 +103,7 @@ def _stacked(rows: Sequence[Rollout]) -> Rollout:
 
 
 class Choice(NamedTuple):
-    """What a policy saw and drew: `observation [B, k]`, `output`, `action [B, a]`, `log_prob [B]`."""
+    """What a policy observed and sampled: `observation [B, k]`, `output`, `action [B, a]`, `log_prob [B]`."""
 
     observation: Observed
     output: Array
@@ -110,19 +111,19 @@ class Choice(NamedTuple):
     log_prob: Array
 
 
-def draw(policy: Policy, observation: Observed, key: Array) -> Choice:
-    """A draw from the policy's distribution."""
-    head = distribution(policy.parameters, policy.normaliser(observation))
+def sample_action(policy: Policy, observation: Observed, key: Array) -> Choice:
+    """A sample of the policy's distribution."""
+    head = distribution(policy.parameters, policy.inputs(observation))
     output = head.sample(key)
     return Choice(observation, output, policy.action(output), head.log_prob(output))
 
 
-def _row(choice: Choice, state: EnvState, transition: Transition, seen: Observed) -> Rollout:
+def _row(choice: Choice, state: EnvState, transition: Transition, after: Observed) -> Rollout:
     return Rollout(
         observation=choice.observation,
         output=choice.output,
         log_prob=choice.log_prob,
-        next_observation=seen,
+        next_observation=after,
         reward=transition.reward,
         terminated=transition.terminated,
         truncated=transition.truncated,

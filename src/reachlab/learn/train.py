@@ -55,37 +55,6 @@ class TrainResult:
         return self.report.to_json() | times
 
 
-def load_policy(run: RunDirectory, config: RunConfig, env: Env, step: int | None = None) -> Policy:
-    """Policy of a run's newest checkpoint, or of the one after `step`.
-
-    Raises:
-        InputError: see `RunDirectory.read_checkpoint`.
-    """
-    return run.read_checkpoint("learner/policy", _policy_template(config, env), step)
-
-
-@dataclass(frozen=True)
-class Saved:
-    """A policy, and the identity of the checkpoint that it is from, see `Manifest.identity`."""
-
-    policy: Policy
-    checkpoint: dict[str, Any]
-
-
-def load_saved(run: RunDirectory, config: RunConfig, env: Env) -> Saved:
-    """Policy of a run's newest checkpoint, with that one's identity; it acts in every simulator.
-
-    Raises:
-        InputError: see `RunDirectory.read_checkpoint`.
-    """
-    checkpoint, policy = run.read_identified("learner/policy", _policy_template(config, env))
-    return Saved(policy, checkpoint)
-
-
-def _policy_template(config: RunConfig, env: Env) -> Policy:
-    return jax.eval_shape(lambda key: make_initial_policy(config, env, key), jax.random.key(0))
-
-
 def train(
     config: RunConfig,
     out: Path,
@@ -102,57 +71,15 @@ def train(
         config: every setting.
         out: run directory, made here; with `resume` one that is there.
         watch: called after every iteration.
-        resume: go on from the newest checkpoint of `out`, bit for bit as if training had never stopped.
+        resume: continue from the newest checkpoint of `out`, bit for bit as if training had never stopped.
         tensorboard: write TensorBoard's event file too.
 
     Raises:
-        InputError: a setting that does not exist or fit, a directory that does, one that cannot be gone on with, or
+        InputError: a setting that does not exist or fit, a directory that does, one that cannot be resumed, or
             tensorboardX is wanted and missing.
         NotFiniteError: a number is not finite.
         Interrupted: a signal asked for it.
     """
-    return run_method(PPO, config, out, watch, resume=resume, tensorboard=tensorboard)
-
-
-def distil(
-    config: DistilRunConfig,
-    out: Path,
-    watch: Callable[[Progress], None] = lambda _: None,
-    *,
-    resume: bool = False,
-    tensorboard: bool = False,
-) -> TrainResult:
-    """Result of learning to see from the teacher in the run directory `config.teacher`; see `train`.
-
-    Raises:
-        InputError: see `train`; or a teacher, observation or simulator that cannot be learnt with.
-    """
-    _choose_threads(RunDirectory(out), config)
-    teacher = None if resume else _teacher(config)
-    return run_method(dagger(teacher), config, out, watch, resume=resume, tensorboard=tensorboard)
-
-
-def _teacher(config: DistilRunConfig) -> Policy:
-    check_distillation(config)
-    run = RunDirectory(Path(config.teacher))
-    trained = run.read_config()
-    env = Env(trained, 1)
-    try:
-        return load_policy(run, trained, env)
-    finally:
-        env.close()
-
-
-def run_method(
-    method: Method,
-    config: RunConfig,
-    out: Path,
-    watch: Callable[[Progress], None],
-    *,
-    resume: bool,
-    tensorboard: bool,
-) -> TrainResult:
-    """Result of learning by a method; see `train`."""
     start = time.perf_counter()
     inherited = resume or isinstance(config, DistilRunConfig)
     check(config, config if inherited else None)
@@ -164,17 +91,36 @@ def run_method(
     else:
         run.refuse_existing()
     _choose_threads(run, config)
+    method: Method = METHODS[config.method].load()
+    given = method.load(config, resume)
     if not resume:
         check_reach(config)
-    env = Env(override(config, perturb=True) if config.ppo.randomise else config, config.ppo.num_envs)
+    env = Env(config, config.loop.num_envs)
     try:
-        env.open_eyes()
+        env.check_rendering()
         if not resume:
             run.create(config)
         with locked(out):
-            return _train(Loop(config, env, run, watch, start, method), resume=resume, tensorboard=tensorboard)
+            loop = Loop(config, env, run, watch, start, method, given)
+            return _train(loop, resume=resume, tensorboard=tensorboard)
     finally:
         env.close()
+
+
+def distil(
+    config: DistilRunConfig,
+    out: Path,
+    watch: Callable[[Progress], None] = lambda _: None,
+    *,
+    resume: bool = False,
+    tensorboard: bool = False,
+) -> TrainResult:
+    """Result of learning to act on pictures from the teacher in the run directory `config.teacher`; see `train`.
+
+    Raises:
+        InputError: see `train`; or a teacher, observation or simulator that cannot be learnt with.
+    """
+    return train(config, out, watch, resume=resume, tensorboard=tensorboard)
 
 
 def _check_unfinished(run: RunDirectory, config: RunConfig) -> None:
@@ -186,7 +132,7 @@ def _check_unfinished(run: RunDirectory, config: RunConfig) -> None:
 def _choose_threads(run: RunDirectory, config: RunConfig) -> None:
     """Compute with as many threads as the run has so far; a new one chooses only to be deterministic."""
     saved = run.newest_manifest()
-    if saved or config.ppo.deterministic:
+    if saved or config.loop.deterministic:
         set_threads(saved.threads if saved else 1)
 
 
@@ -205,7 +151,7 @@ def _train(loop: Loop, *, resume: bool, tensorboard: bool) -> TrainResult:
         train_wall_s=loop.now.train_s,
         total_wall_s=loop.now.train_s + time.perf_counter() - trained,
         steps_per_second=loop.steps_per_second,
-        validated=loop.validated if config.ppo.stop_early else None,
+        validated=loop.validated if config.loop.stop_early else None,
     )
     try:
         write_json(run.report_file, result.to_json())
@@ -215,12 +161,12 @@ def _train(loop: Loop, *, resume: bool, tensorboard: bool) -> TrainResult:
 
 
 def _report(loop: Loop, policy: Policy) -> Report:
-    """Report on held-out targets, on arms and in the view as they are even where training had others."""
-    config = override(loop.config, randomise_view=False)
+    """Report on held-out targets, without what varied in training."""
+    config = override(loop.config, randomise=())
     newest = loop.run.newest_manifest()
     asked: dict[str, Any] = {
         "seed": config.seed,
-        "episodes": config.ppo.report_episodes,
+        "episodes": config.loop.report_episodes,
         "checkpoint": newest.identity if newest else None,
     }
     if loop.env.config == config:

@@ -1,4 +1,4 @@
-"""The observation camera: pictures of many lanes at once, drawn by MuJoCo off screen on all cores."""
+"""The observation camera: pictures of many environments at once, drawn by MuJoCo off screen on all cores."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from reachlab.render.scene import add_table, gl_context
+from reachlab.render.offscreen import gl_context
+from reachlab.render.scene import add_table
 from reachlab.render.view_randomisation import ARM_GREYS, DARKEST, FIELD_OF_VIEW, LUMA, Views
-from reachlab.robots.loading import Robot
-from reachlab.tasks.reach import SIZE
+from reachlab.robots.robot import Robot
+from reachlab.tasks.observations import SIZE
 
 SLICES, STACKS, QUADS = 10, 6, 1
 """Facets of round shapes, and of flat ones: at 84 pixels more are not seen, and cost three times the time."""
@@ -34,8 +35,8 @@ MAX_GEOMS = 500
 """Shapes that a picture may hold."""
 
 
-class Camera:
-    """Draws what the observation camera sees of a robot and its target, a share of the lanes on each core."""
+class ObservationCamera:
+    """Draws the pictures that a policy observes of a robot and its target, a share of them on each core."""
 
     def __init__(self, robot: Robot, threads: int = 0) -> None:
         """Camera on a robot, with `threads` threads, 0 for one a core; they are started for the first picture."""

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from reachlab.tasks.reach import SIZE
+from reachlab.tasks.observations import SIZE
 
 LOOKS_AT, DISTANCE, PITCH = (0.55, 0.0, 0.05), 0.7, -70.0
 """Point in the middle of the picture [m], how far the camera is from it [m], and how it looks down [deg]; it looks
@@ -46,12 +46,28 @@ SHADE = 0.3
 GRAIN = 8.0
 """Random views: spread of the grain that lies on every surface, at most [of 255]. It stands for their textures."""
 
-CHANCES = 14 + ARM_GREYS + 5
+SAMPLED = {
+    "shift": 3,
+    "turn": 3,
+    "ambient": 1,
+    "lamp": 1,
+    "lamp_direction": 3,
+    "table": 1,
+    "ground": 1,
+    "target": 1,
+    "arm": ARM_GREYS,
+    "shade": 2,
+    "grain": 1,
+    "grain_corner": 2,
+}
+"""What varies in a random view, and how many random numbers each takes, in the order in which they are sampled."""
+
+SAMPLES = sum(SAMPLED.values())
 """Random numbers of a view."""
 
 
 class Views(NamedTuple):
-    """Views of `B` lanes.
+    """Views of `B` environments.
 
     Attributes:
         position: of the camera `[B, 3]` [m].
@@ -79,28 +95,31 @@ class Views(NamedTuple):
     grain_corner: np.ndarray
 
 
-def make_views(chance: np.ndarray) -> Views:
-    """Views of `chance [B, CHANCES]` in -1 to 1; zeros are the tutorial's view."""
-    chance = np.asarray(chance, np.float64)
+def make_views(samples: np.ndarray) -> Views:
+    """Views of `samples [B, SAMPLES]` in -1 to 1; zeros are the tutorial's view."""
+    ends = np.cumsum(list(SAMPLED.values()))
+    parts = np.split(np.asarray(samples, np.float64), ends[:-1], axis=1)
+    sampled = dict(zip(SAMPLED, parts, strict=True))
+    single = {name: part[:, 0] for name, part in sampled.items() if SAMPLED[name] == 1}
     position, rotation = tutorial_pose()
-    turn = Rotation.from_rotvec(TURN * chance[:, 3:6], degrees=True).as_matrix()
+    turn = Rotation.from_rotvec(TURN * sampled["turn"], degrees=True).as_matrix()
 
-    def grey(nominal: tuple[float, float], column: int) -> np.ndarray:
-        return np.clip(nominal[0] + nominal[1] * chance[:, column], DARKEST, 1.0)
+    def grey(nominal: tuple[float, float], name: str) -> np.ndarray:
+        return np.clip(nominal[0] + nominal[1] * single[name], DARKEST, 1.0)
 
     return Views(
-        position=position + SHIFT * chance[:, :3],
+        position=position + SHIFT * sampled["shift"],
         rotation=turn @ rotation,
-        ambient=AMBIENT + AMBIENT_SPREAD * chance[:, 6],
-        lamp=LAMP + LAMP_SPREAD * chance[:, 7],
-        lamp_direction=np.array(LAMP_DIRECTION) + LAMP_TILT * chance[:, 8:11],
-        table=grey(TABLE, 11),
-        ground=grey(GROUND, 12),
-        target=grey(TARGET, 13),
-        arm=ARM_SPREAD * chance[:, 14 : 14 + ARM_GREYS],
-        shade=SHADE * chance[:, -5:-3],
-        grain=GRAIN * np.abs(chance[:, -3]),
-        grain_corner=((chance[:, -2:] + 1) / 2 * SIZE).astype(int),
+        ambient=AMBIENT + AMBIENT_SPREAD * single["ambient"],
+        lamp=LAMP + LAMP_SPREAD * single["lamp"],
+        lamp_direction=np.array(LAMP_DIRECTION) + LAMP_TILT * sampled["lamp_direction"],
+        table=grey(TABLE, "table"),
+        ground=grey(GROUND, "ground"),
+        target=grey(TARGET, "target"),
+        arm=ARM_SPREAD * sampled["arm"],
+        shade=SHADE * sampled["shade"],
+        grain=GRAIN * np.abs(single["grain"]),
+        grain_corner=((sampled["grain_corner"] + 1) / 2 * SIZE).astype(int),
     )
 
 

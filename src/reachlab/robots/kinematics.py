@@ -1,17 +1,15 @@
-"""Kinematics of a serial chain of hinge and slide joints: forward, Jacobian and inverse.
+"""Kinematics of a serial chain of hinge and slide joints: the tool's pose, and its Jacobian.
 
 Every function takes joint vectors `[..., n]` with any leading shape and is traced by JAX; the work
-is done on lanes (see `lanes.py`). Positions are in metres in the world frame, angles in radians,
+is done on scalars (see `scalars.py`). Positions are in metres in the world frame, angles in radians,
 quaternions unit and ordered w, x, y, z.
 """
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jax import Array
 
@@ -22,39 +20,9 @@ from reachlab.robots.scalars import (
     Rotation,
     Scalar,
     Vec,
-    add,
-    mul,
     once,
     quaternion_from_rotation,
-    rotation_from_quaternion,
-    solve_positive,
-    sub,
-    total,
 )
-
-if TYPE_CHECKING:
-    pass
-
-DAMPING = 1e-5
-"""Added to the diagonal of J Jᵀ; the tutorial's joint damping."""
-
-POINT_DAMPING = 1e-3
-"""The same for the position alone, whose target may be far."""
-
-SUGIHARA = 0.1
-"""Weight of the squared error in the damping of the inverse-kinematics solver."""
-
-MAX_SOLVER_STEP = 1.0
-"""Largest joint displacement of one step of the solver [rad or m]; its damping does the rest."""
-
-LIMIT_PASSES = 4
-"""Times that a step of the position alone is solved, each time without the joints that have met their limits."""
-
-MAX_TURN = 0.1
-"""Largest orientation error handed to one linearised step [rad]; more is turned over several steps."""
-
-MAX_JOINT_STEP = 0.2
-"""Largest joint displacement of one linearised step [rad or m], beyond which J has changed."""
 
 
 class Pose(NamedTuple):
@@ -64,20 +32,8 @@ class Pose(NamedTuple):
     quaternion: Array
 
 
-class IKSolution(NamedTuple):
-    """Joint vectors `q [..., n]`, whether each `converged [...]`, and what is left of the error.
-
-    `position_error [...]` is in metres, `angle_error [...]` in radians.
-    """
-
-    q: Array
-    converged: Array
-    position_error: Array
-    angle_error: Array
-
-
-class _Frames(NamedTuple):
-    """World axes and origins of the joints, and the tool's pose, in lanes."""
+class Frames(NamedTuple):
+    """World axes and origins of the joints, and the tool's pose."""
 
     axes: list[Vec]
     origins: list[Vec]
@@ -85,23 +41,21 @@ class _Frames(NamedTuple):
     position: Vec
 
 
-# --- forward --------------------------------------------------------------------------------------
-
-
 def forward_kinematics(chain: Chain, q: Array) -> Pose:
     """Pose of the tool at joint vectors `q [..., n]`."""
-    frames = _frames(chain, _lanes(q))
-    return Pose(_stack(frames.position, q), _stack(quaternion_from_rotation(frames.rotation), q))
+    frames = frames_at(chain, components(q))
+    return Pose(stack(frames.position, q), stack(quaternion_from_rotation(frames.rotation), q))
 
 
 def jacobian(chain: Chain, q: Array) -> Array:
     """Geometric Jacobian `[..., 6, n]` of the tool in the world frame: linear rows, then angular."""
-    columns = _columns(chain, _frames(chain, _lanes(q)))
-    rows = [_stack(row, q) for row in zip(*columns, strict=True)]
+    columns = jacobian_columns(chain, frames_at(chain, components(q)))
+    rows = [stack(row, q) for row in zip(*columns, strict=True)]
     return jnp.stack(rows, axis=-2)
 
 
-def _frames(chain: Chain, q: Sequence[Scalar]) -> _Frames:
+def frames_at(chain: Chain, q: Sequence[Scalar]) -> Frames:
+    """Frames at the joints `q`, one scalar a joint."""
     rotation, position = IDENTITY, ZERO
     axes, origins = [], []
     turns = once([(0.0, 0.0) if slide else (jnp.cos(a), jnp.sin(a)) for a, slide in zip(q, chain.slides, strict=True)])
@@ -115,10 +69,11 @@ def _frames(chain: Chain, q: Sequence[Scalar]) -> _Frames:
         else:
             rotation = rotation.turn_z(cos, sin)
     turn, offset = chain.frames[-1]
-    return once(_Frames(axes, origins, rotation.compose(turn), position.plus(rotation.apply(offset))))
+    return once(Frames(axes, origins, rotation.compose(turn), position.plus(rotation.apply(offset))))
 
 
-def _columns(chain: Chain, frames: _Frames) -> list[tuple[Scalar, ...]]:
+def jacobian_columns(chain: Chain, frames: Frames) -> list[tuple[Scalar, ...]]:
+    """Columns of the Jacobian, one a joint: three linear entries, then three angular ones."""
     columns = []
     for slide, axis, origin in zip(chain.slides, frames.axes, frames.origins, strict=True):
         if slide:
@@ -128,197 +83,12 @@ def _columns(chain: Chain, frames: _Frames) -> list[tuple[Scalar, ...]]:
     return once(columns)
 
 
-def _lanes(array: Array) -> list[Array]:
+def components(array: Array) -> list[Array]:
+    """Components `[...]` of vectors `[..., k]`."""
     return [array[..., i] for i in range(array.shape[-1])]
 
 
-def _stack(components: Sequence[Scalar], like: Array) -> Array:
+def stack(parts: Sequence[Scalar], like: Array) -> Array:
+    """Vectors `[..., k]` of their components, in shape and type those of `like`."""
     shape = like.shape[:-1]
-    return jnp.stack([jnp.broadcast_to(jnp.asarray(c, like.dtype), shape) for c in components], axis=-1)
-
-
-# --- inverse --------------------------------------------------------------------------------------
-
-
-def ik_step(chain: Chain, q: Array, target: Pose) -> Array:
-    """Joint vectors `[..., n]` one damped least-squares step from `q [..., n]` towards `target`.
-
-    The step is `Jᵀ (J Jᵀ + λ 1)⁻¹ e` (Wampler, "Manipulator inverse kinematic solutions based on vector
-    formulations and damped least-squares methods", IEEE Trans. SMC 16(1), 1986), shortened to
-    `MAX_TURN` and `MAX_JOINT_STEP` and clipped to the joint limits. A second solve, for the position
-    alone and with the joints that hit a limit held, gives back what clipping took: position outranks
-    orientation. `q` within the limits stays within them, and finite input gives finite output.
-    """
-    lanes = _lanes(q)
-    linear, angular, columns = _error(chain, lanes, target)
-    return _single_step(chain, q, lanes, linear, angular, columns)
-
-
-def ik_displace(chain: Chain, q: Array, displacement: Array, quaternion: Array) -> Array:
-    """As `ik_step`, to a tool point displaced by `displacement [..., 3]` m and held as `quaternion [..., 4]`.
-
-    It spares the forward kinematics that would find the target only to subtract it again.
-    """
-    lanes = _lanes(q)
-    frames = _frames(chain, lanes)
-    angular = _rotation_error(frames.rotation, rotation_from_quaternion(*_lanes(quaternion)))
-    return _single_step(chain, q, lanes, Vec(*_lanes(displacement)), angular, _columns(chain, frames))
-
-
-def ik_point_step(chain: Chain, q: Array, command: Array, displacement: Array) -> Array:
-    """Displacement `[..., n]` of a joint command that moves the tool by `displacement [..., 3]` m, in any orientation.
-
-    The damped least-squares step of `ik_step` for the position alone, linearised at the joints `q [..., n]`. Added to
-    `command [..., n]` it keeps the joint limits: a joint that would pass one stops there, and the step is solved again
-    for the others, `LIMIT_PASSES` times in all.
-    """
-    columns = [column[:3] for column in _columns(chain, _frames(chain, _lanes(q)))]
-    stopped = step = [jnp.zeros(q.shape[:-1])] * chain.n
-    free = [jnp.ones(q.shape[:-1])] * chain.n
-    for _ in range(LIMIT_PASSES):
-        left = [
-            sub(wanted, total([mul(column[row], s) for column, s in zip(columns, stopped, strict=True)]))
-            for row, wanted in enumerate(_lanes(displacement))
-        ]
-        masked = once([tuple(mul(f, c) for c in column) for f, column in zip(free, columns, strict=True)])
-        solved = _least_squares(masked, left, POINT_DAMPING)
-        wanted = once([add(c, add(a, b)) for c, a, b in zip(_lanes(command), stopped, solved, strict=True)])
-        allowed = once(_clip(chain, wanted))
-        free = once([jnp.where(a == w, f, 0.0) for a, w, f in zip(allowed, wanted, free, strict=True)])
-        step = [sub(a, c) for a, c in zip(allowed, _lanes(command), strict=True)]
-        stopped = once([jnp.where(f > 0, 0.0, s) for f, s in zip(free, step, strict=True)])
-    return _stack(step, q)
-
-
-def _single_step(
-    chain: Chain, q: Array, lanes: list[Array], linear: Vec, angular: Vec, columns: list[tuple[Scalar, ...]]
-) -> Array:
-    turn = angular.times(_shrink(MAX_TURN, angular.norm()))
-    return _stack(_bounded_step(chain, lanes, columns, linear, turn, DAMPING, MAX_JOINT_STEP), q)
-
-
-def inverse_kinematics(
-    chain: Chain,
-    target: Pose,
-    start: Array,
-    key: Array,
-    *,
-    restarts: int = 40,
-    iterations: int = 25,
-    position_tolerance: float = 1e-5,
-    angle_tolerance: float = 1e-4,
-) -> IKSolution:
-    """Joint vectors within the limits that bring the tool to `target [...]`.
-
-    Newton steps damped by the square of the error (Sugihara, "Solvability-unconcerned inverse
-    kinematics by the Levenberg-Marquardt method", IEEE Trans. Robotics 27(5), 2011) from `start [..., n]`;
-    a pose not reached after `iterations` of them begins again at a random joint vector drawn from
-    `key`, at most `restarts` times. What is not reached is returned as it stands, `converged` false.
-
-    Args:
-        chain: the arm.
-        target: positions `[..., 3]` m and quaternions `[..., 4]`.
-        start: first joint vectors, broadcast to `[..., n]`.
-        key: random key of the restarts; equal keys give equal solutions.
-        restarts: attempts after the first.
-        iterations: steps an attempt.
-        position_tolerance: largest position error [m] of a converged pose.
-        angle_tolerance: largest angle error [rad] of a converged pose.
-    """
-    lower, upper = chain.finite_limits()
-    seeds = jax.random.uniform(key, (restarts, chain.n), minval=lower, maxval=upper)
-    start = jnp.broadcast_to(start, (*target.position.shape[:-1], chain.n))
-
-    def errors(q: Array) -> tuple[Vec, Vec, list[tuple[Scalar, ...]], Array, Array, Array]:
-        linear, angular, columns = _error(chain, _lanes(q), target)
-        distance, angle = linear.norm(), angular.norm()
-        reached = (distance <= position_tolerance) & (angle <= angle_tolerance)
-        return linear, angular, columns, distance, angle, reached
-
-    def advance(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        q, _, count = carry
-        linear, angular, columns, distance, angle, reached = errors(q)
-        damping = DAMPING + SUGIHARA * (distance**2 + angle**2)
-        moved = _stack(_bounded_step(chain, _lanes(q), columns, linear, angular, damping, MAX_SOLVER_STEP), q)
-        again = (count + 1) % iterations == 0
-        moved = jnp.where(again, seeds[(count + 1) // iterations - 1], moved)
-        return jnp.where(reached[..., None], q, moved), reached, count + 1
-
-    def unfinished(carry: tuple[Array, Array, Array]) -> Array:
-        _, reached, count = carry
-        return ~reached.all() & (count < (restarts + 1) * iterations - 1)
-
-    begun = (start, jnp.zeros(start.shape[:-1], bool), jnp.zeros((), jnp.int32))
-    q, _, _ = jax.lax.while_loop(unfinished, advance, begun)
-    _, _, _, distance, angle, reached = errors(q)
-    return IKSolution(q, reached, distance, angle)
-
-
-def _error(chain: Chain, q: Sequence[Array], target: Pose) -> tuple[Vec, Vec, list[tuple[Scalar, ...]]]:
-    """Position error [m], rotation error [rad] from the tool to the target, and the Jacobian's columns."""
-    frames = _frames(chain, q)
-    linear = Vec(*_lanes(target.position)).minus(frames.position)
-    angular = _rotation_error(frames.rotation, rotation_from_quaternion(*_lanes(target.quaternion)))
-    return linear, angular, _columns(chain, frames)
-
-
-def _rotation_error(current: Rotation, target: Rotation) -> Vec:
-    """World-frame rotation vector from `current` to `target`, as `2 sin(θ/2)` times the axis.
-
-    It equals the rotation vector to third order, is smooth up to half a turn and needs no arc tangent.
-    """
-    _, x, y, z = quaternion_from_rotation(target.compose(current.transpose()))
-    return once(Vec(2.0 * x, 2.0 * y, 2.0 * z))
-
-
-def _bounded_step(
-    chain: Chain,
-    q: Sequence[Array],
-    columns: Sequence[Sequence[Scalar]],
-    linear: Vec,
-    angular: Vec,
-    damping: Scalar,
-    bound: float,
-) -> list[Scalar]:
-    """Joint vector after one step of at most `bound` a joint, inside the limits."""
-    step = _least_squares(columns, (*linear, *angular), damping)
-    scale = once(_shrink(bound, _longest(step)))
-    clipped = once(_clip(chain, [add(a, mul(scale, s)) for a, s in zip(q, step, strict=True)]))
-
-    moved = [sub(new, old) for new, old in zip(clipped, q, strict=True)]
-    left = [
-        sub(mul(scale, wanted), total([mul(column[row], m) for column, m in zip(columns, moved, strict=True)]))
-        for row, wanted in enumerate(linear)
-    ]
-    free = [
-        jnp.where((c > low) & (c < high), 1.0, 0.0)
-        for c, low, high in zip(clipped, chain.lower, chain.upper, strict=True)
-    ]
-    masked = once([tuple(mul(f, c) for c in column[:3]) for f, column in zip(free, columns, strict=True)])
-    repair = _least_squares(masked, left, damping)
-    shorten = once(_shrink(bound, _longest(repair)))
-    bounded = [mul(shorten, r) for r in repair]
-    return _clip(chain, [add(c, r) for c, r in zip(clipped, bounded, strict=True)])
-
-
-def _least_squares(columns: Sequence[Sequence[Scalar]], error: Sequence[Scalar], damping: Scalar) -> list[Scalar]:
-    rows = range(len(error))
-    gram = [[total([mul(c[i], c[j]) for c in columns]) for j in range(i + 1)] for i in rows]
-    for i in rows:
-        gram[i][i] = add(gram[i][i], damping)
-    weights = once(solve_positive(gram, error))
-    return once([total([mul(c[i], weights[i]) for i in rows]) for c in columns])
-
-
-def _shrink(bound: float, length: Scalar) -> Scalar:
-    """Factor that brings `length` down to `bound`, 1 where it is shorter."""
-    return bound / jnp.maximum(length, bound)
-
-
-def _longest(step: Sequence[Scalar]) -> Array:
-    """Largest component, by its size."""
-    return functools.reduce(jnp.maximum, [jnp.abs(component) for component in step])
-
-
-def _clip(chain: Chain, q: Sequence[Scalar]) -> list[Scalar]:
-    return [jnp.clip(a, low, high) for a, low, high in zip(q, chain.lower, chain.upper, strict=True)]
+    return jnp.stack([jnp.broadcast_to(jnp.asarray(c, like.dtype), shape) for c in parts], axis=-1)

@@ -1,10 +1,9 @@
-"""Simulators: what the environment asks of one, and the table of those there are."""
+"""Who moves the arm: what the environment asks of a simulator, and the table of those there are."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib import import_module
-from typing import Protocol
+from typing import Literal, Protocol
 
 import jax
 import numpy as np
@@ -12,9 +11,11 @@ from jax import Array
 
 from reachlab.render.marks import Marks
 from reachlab.render.view_randomisation import Views
-from reachlab.robots.loading import Robot
+from reachlab.robots.robot import Robot
 from reachlab.settings.config import SimConfig
+from reachlab.settings.tables import Lazy
 from reachlab.settings.validation import choose
+from reachlab.tasks.task import Goal
 
 
 @jax.tree_util.register_dataclass
@@ -27,7 +28,7 @@ class ArmState:
         qd: joint speeds `[B, n]` [rad/s or m/s].
         tool_position: `[B, 3]` [m].
         tool_quaternion: `[B, 4]`, wxyz.
-        engine: whatever else an engine needs to go on exactly from here, `[B, m]` uint32, the bits of its numbers.
+        engine: whatever else an engine needs to continue exactly from here, `[B, m]` uint32, the bits of its numbers.
     """
 
     q: Array
@@ -40,29 +41,31 @@ class ArmState:
 BatchArray = Array | np.ndarray
 """A batch, on either side of JAX."""
 
+Kind = Literal["traced", "host"]
+"""How a simulator steps: in functions that JAX can trace, all its state being the `ArmState`; or outside JAX."""
+
 
 class Simulator(Protocol):
     """A batch of arms that follow joint commands.
 
-    `pure` says that all its state is the `ArmState`, so that `reset` and `step` can be traced by JAX. `lag [n]` is the
-    time by which each joint follows a steadily moving command [s]: 0 where joints are set.
+    `lag [n]` is the time by which each joint follows a steadily moving command [s]: 0 where joints are set.
     """
 
-    pure: bool
+    kind: Kind
     lag: tuple[float, ...]
 
     def reset(
         self,
         state: ArmState | None,
         q: BatchArray,
-        target: BatchArray,
+        goal: Goal,
         mask: BatchArray | None,
-        chance: BatchArray | None = None,
+        dynamics: BatchArray | None = None,
     ) -> ArmState:
-        """State with the lanes of `mask [B]` at rest at `q [B, n]`, their target drawn at `target [B, 3]`.
+        """State with the arms of `mask [B]` at rest at `q [B, n]`, each with its goal beside it.
 
-        Without a state (the first time) every lane is set. Where arms are perturbed, `chance [B, 2 n + 1]`,
-        drawn in -1 to 1, decides which arm a lane gets.
+        Without a state (the first time) every arm is set. Where dynamics vary, `dynamics [B, 2 n + 1]` in -1 to 1
+        decides which arm it becomes: the gain of each servo, the damping of each joint, and the payload.
         """
         ...
 
@@ -70,14 +73,14 @@ class Simulator(Protocol):
         """State one control period later, with the joints commanded to `target_q [B, n]`."""
         ...
 
-    def render(self, state: ArmState, target: Array, lane: int, marks: Marks) -> np.ndarray:
-        """Picture of one lane, `[height, width, 3]` uint8, with marks where the simulator draws them."""
+    def render(self, state: ArmState, goal: Goal, index: int, marks: Marks) -> np.ndarray:
+        """Picture of one arm for people, `[height, width, 3]` uint8, with marks where the simulator draws them."""
         ...
 
-    def see(self, q: np.ndarray, target: np.ndarray, views: Views, lanes: np.ndarray) -> np.ndarray:
-        """What the observation camera sees of some lanes, `[m, SIZE, SIZE]` uint8.
+    def render_observations(self, q: np.ndarray, goal: Goal, views: Views, indices: np.ndarray) -> np.ndarray:
+        """Pictures of the observation camera, `[m, SIZE, SIZE]` uint8.
 
-        Of their joints `q [m, n]`, targets `[m, 3]` and views; `lanes [m]` are their numbers.
+        Of joints `q [m, n]`, goals and views; `indices [m]` are the numbers of their environments.
         """
         ...
 
@@ -87,40 +90,49 @@ class Simulator(Protocol):
 
 
 @dataclass(frozen=True)
-class Entry:
-    """A simulator of the table: what it is, and where its class lies; its engine is imported when it is made."""
+class SimulatorEntry(Lazy):
+    """A simulator of the table; its class, and with it the engine, is imported when it is loaded.
 
-    summary: str
-    module: str
-    name: str
+    Attributes:
+        real_time: joints take time to move, so that a command may change no faster than they can.
+        dynamics: arms can differ from each other, see `RunConfig.randomise`.
+        most_envs: arms that it can hold; None for any number.
+        draws_anything: its observation camera draws any goal, not only the one that lies beside an arm now.
+    """
+
     real_time: bool = False
-    """Joints take time to move: a command may change no faster than they can."""
+    dynamics: bool = False
+    most_envs: int | None = None
+    draws_anything: bool = True
 
 
-SIMULATORS: dict[str, Entry] = {
-    "kinematic": Entry(
-        "joints follow their commands exactly; batched in JAX", "reachlab.sims.kinematic", "KinematicSimulator"
+SIMULATORS: dict[str, SimulatorEntry] = {
+    "kinematic": SimulatorEntry(
+        "joints follow their commands exactly; batched in JAX", "reachlab.sims.kinematic:KinematicSimulator"
     ),
-    "mujoco": Entry(
+    "mujoco": SimulatorEntry(
         "full dynamics: gravity, inertia, position servos with torque limits; batched on all cores",
-        "reachlab.sims.mujoco",
-        "MujocoSimulator",
+        "reachlab.sims.mujoco:MujocoSimulator",
         real_time=True,
+        dynamics=True,
     ),
-    "pybullet": Entry(
-        "the tutorial's own: joints are set, an object falls; at most 16 lanes, needs the extra 'pybullet'",
-        "reachlab.sims.pybullet",
-        "PybulletSimulator",
+    "pybullet": SimulatorEntry(
+        "the tutorial's own: joints are set, an object falls; at most 16 environments, needs the extra 'pybullet'",
+        "reachlab.sims.pybullet:PybulletSimulator",
+        most_envs=16,
+        draws_anything=False,
     ),
 }
 """Simulators by name. Adding one takes its file and its line here."""
 
 
-def make_simulator(name: str, robot: Robot, config: SimConfig, num_envs: int) -> Simulator:
-    """Simulator of that name with `num_envs` arms.
+def make_simulator(
+    name: str, robot: Robot, config: SimConfig, num_envs: int, *, randomise_dynamics: bool = False
+) -> Simulator:
+    """Simulator of that name with `num_envs` arms, which differ where their dynamics vary.
 
     Raises:
-        InputError: there is none of that name.
+        InputError: there is none of that name, or it cannot be used so.
     """
     entry = SIMULATORS[choose("simulator", name, SIMULATORS)]
-    return vars(import_module(entry.module))[entry.name](robot, config, num_envs)
+    return entry.load()(robot, config, num_envs, randomise_dynamics=randomise_dynamics and entry.dynamics)

@@ -7,23 +7,23 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Self
 
 import numpy as np
-from jax import Array
 
 from reachlab.render.marks import Marks
-from reachlab.render.observation_camera import Camera
-from reachlab.render.scene import LazyCamera
+from reachlab.render.observation_camera import ObservationCamera
+from reachlab.render.offscreen import LazyCamera
 from reachlab.render.view_randomisation import Views
-from reachlab.robots.loading import Robot
+from reachlab.robots.robot import Robot
 from reachlab.sims import ArmState
+from reachlab.tasks.task import Goal
 
 
 class Drawn:
     """The part of a simulator that draws."""
 
-    def __init__(self, robot: Robot, *settings: Any) -> None:
-        """Nothing is loaded before the first picture; `settings` are what else the simulator was made with."""
-        self._made_with = (robot, *settings)
-        self._camera, self._eye = LazyCamera(robot), Camera(robot)
+    def __init__(self, robot: Robot, *settings: Any, **named: Any) -> None:
+        """Nothing is loaded before the first picture; the settings are what else the simulator was made with."""
+        self._made_with = (robot, *settings), named
+        self._camera, self._observation_camera = LazyCamera(robot), ObservationCamera(robot)
         # An OpenGL context belongs to one thread; pictures may be asked for from any.
         self._painter = ThreadPoolExecutor(1)
         self._drew = False
@@ -31,18 +31,19 @@ class Drawn:
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
         """Another simulator made with the same: all that moves is in the `ArmState`."""
         del memo
-        return type(self)(*self._made_with)
+        settings, named = self._made_with
+        return type(self)(*settings, **named)
 
-    def render(self, state: ArmState, target: Array, lane: int, marks: Marks) -> np.ndarray:
+    def render(self, state: ArmState, goal: Goal, index: int, marks: Marks) -> np.ndarray:
         """See `Simulator.render`."""
-        q, point = np.asarray(state.q[lane]), np.asarray(target[lane])
+        q, point = np.asarray(state.q[index]), np.asarray(goal.position[index])
         self._drew = True
         return self._painter.submit(self._camera.picture, q, point, marks).result()
 
-    def see(self, q: np.ndarray, target: np.ndarray, views: Views, lanes: np.ndarray) -> np.ndarray:
-        """See `Simulator.see`."""
-        del lanes
-        return self._eye.pictures(q, target, views)
+    def render_observations(self, q: np.ndarray, goal: Goal, views: Views, indices: np.ndarray) -> np.ndarray:
+        """See `Simulator.render_observations`."""
+        del indices
+        return self._observation_camera.pictures(q, np.asarray(goal.position), views)
 
     def close(self) -> None:
         """See `Simulator.close`."""
@@ -50,4 +51,4 @@ class Drawn:
             with contextlib.suppress(RuntimeError):  # when Python ends, threads take no more work
                 self._painter.submit(self._camera.close).result()
             self._drew = False
-        self._eye.close()
+        self._observation_camera.close()

@@ -5,20 +5,22 @@ from __future__ import annotations
 import jax.numpy as jnp
 
 from reachlab.robots.kinematics import forward_kinematics
-from reachlab.robots.loading import Robot
+from reachlab.robots.robot import Robot
 from reachlab.settings.config import SimConfig
-from reachlab.sims import ArmState, BatchArray
+from reachlab.sims import ArmState, BatchArray, Kind
 from reachlab.sims.drawing import Drawn
+from reachlab.tasks.task import Goal
 
 
 class KinematicSimulator(Drawn):
     """Arithmetic in JAX: a step sets the joints and computes where the tool is."""
 
-    pure = True
+    kind: Kind = "traced"
 
-    def __init__(self, robot: Robot, config: SimConfig, num_envs: int) -> None:
+    def __init__(self, robot: Robot, config: SimConfig, num_envs: int, *, randomise_dynamics: bool = False) -> None:
         """Simulator of `num_envs` arms; its functions take any batch."""
         super().__init__(robot, config, num_envs)
+        del randomise_dynamics
         self._robot = robot
         self._period = config.control_period
         self.lag = (0.0,) * robot.chain.n
@@ -27,12 +29,12 @@ class KinematicSimulator(Drawn):
         self,
         state: ArmState | None,
         q: BatchArray,
-        target: BatchArray,
+        goal: Goal,
         mask: BatchArray | None,
-        chance: BatchArray | None = None,
+        dynamics: BatchArray | None = None,
     ) -> ArmState:
         """See `Simulator.reset`."""
-        del target, chance
+        del goal, dynamics
         if state is not None and mask is not None:
             q = jnp.where(mask[:, None], q, state.q)
             qd = jnp.where(mask[:, None], 0.0, state.qd)

@@ -12,18 +12,19 @@ from mujoco.batch import Batch
 from reachlab.jax_setup import jit
 from reachlab.render.scene import add_table
 from reachlab.robots.kinematics import forward_kinematics
-from reachlab.robots.loading import Robot
+from reachlab.robots.robot import Robot
 from reachlab.settings.config import SimConfig
 from reachlab.settings.validation import InputError
-from reachlab.sims import ArmState, BatchArray
+from reachlab.sims import ArmState, BatchArray, Kind
 from reachlab.sims.drawing import Drawn
+from reachlab.tasks.task import Goal
 
 SERVO_STIFFNESS, SERVO_DAMPING = 2000.0, 200.0
 """Gains of servos added to an arm whose file has none [Nm/rad, Nm s/rad]; those of MuJoCo Menagerie's iiwa."""
 
 
 GAIN_SPREAD, DAMPING_SPREAD, LARGEST_PAYLOAD = 0.15, 0.3, 2.0
-"""Where arms are perturbed: relative spread of each joint's servo gains and of its damping, payload [kg]."""
+"""Where dynamics vary: relative spread of each joint's servo gains and of its damping, payload [kg]."""
 
 PAYLOAD_RADIUS = 0.05
 """The payload is a ball of this radius about the tool point [m]."""
@@ -33,15 +34,17 @@ class MujocoSimulator(Drawn):
     """Arms under full dynamics, stepped together on all cores.
 
     A control period is `physics_steps` steps of the engine, with the joints' targets held. The engine's state, float64
-    rows, travels in `ArmState.engine` as its bits, so that any state can be gone on from exactly.
+    rows, travels in `ArmState.engine` as its bits, so that any state can be continued from exactly.
     """
 
-    pure = False
+    kind: Kind = "host"
 
-    def __init__(self, robot: Robot, config: SimConfig, num_envs: int, threads: int = 0) -> None:
+    def __init__(
+        self, robot: Robot, config: SimConfig, num_envs: int, threads: int = 0, *, randomise_dynamics: bool = False
+    ) -> None:
         """Simulator of `num_envs` arms on `threads` threads, 0 for one a core; results do not depend on them."""
-        super().__init__(robot, config, num_envs, threads)
-        self._model = physics_model(robot, config)
+        super().__init__(robot, config, num_envs, threads, randomise_dynamics=randomise_dynamics)
+        self._model = physics_model(robot, config, payload=randomise_dynamics)
         self._substeps = config.physics_steps
         self._batch = Batch(self._model, nsim=num_envs, nthread=threads)
         self._qpos, self._qvel, self._ctrl = (self._batch.bind(name) for name in ("qpos", "qvel", "ctrl"))
@@ -49,7 +52,7 @@ class MujocoSimulator(Drawn):
         self._positions, self._speeds = self._model.jnt_qposadr[joints], self._model.jnt_dofadr[joints]
         self._servos = _servos(self._model, robot)
         self.lag = _lag(self._model, self._servos, self._speeds)
-        self._arms = _Arms(self._batch, self._servos, self._speeds) if config.perturb else None
+        self._arms = _Arms(self._batch, self._servos, self._speeds) if randomise_dynamics else None
         self._begin = self._batch.state[0].copy()
         self._pose = jit(lambda q: forward_kinematics(robot.chain, q))
 
@@ -57,20 +60,20 @@ class MujocoSimulator(Drawn):
         self,
         state: ArmState | None,
         q: BatchArray,
-        target: BatchArray,
+        goal: Goal,
         mask: BatchArray | None,
-        chance: BatchArray | None = None,
+        dynamics: BatchArray | None = None,
     ) -> ArmState:
         """See `Simulator.reset`."""
-        del target
-        lanes = np.ones(len(q), bool) if state is None or mask is None else np.asarray(mask)
+        del goal
+        chosen = np.ones(len(q), bool) if state is None or mask is None else np.asarray(mask)
         if state is not None:
             self._restore(state)
-        self._batch.state[lanes] = self._begin
+        self._batch.state[chosen] = self._begin
         for rows, columns in ((self._qpos, self._positions), (self._ctrl, self._servos)):
-            rows[np.ix_(lanes, columns)] = np.asarray(q)[lanes]
-        if self._arms and chance is not None:
-            self._arms.become(np.where(lanes[:, None], np.asarray(chance, np.float64), self._arms.drawn))
+            rows[np.ix_(chosen, columns)] = np.asarray(q)[chosen]
+        if self._arms and dynamics is not None:
+            self._arms.become(np.where(chosen[:, None], np.asarray(dynamics, np.float64), self._arms.sampled))
         return self._arm()
 
     def step(self, state: ArmState, target_q: BatchArray) -> ArmState:
@@ -84,9 +87,9 @@ class MujocoSimulator(Drawn):
         self._batch.step(nstep=self._substeps)
         warnings = self._batch.warning[..., 1]  # [B, kinds], how often; beside it stands what the last one was about
         if warnings.any():
-            lane, kind = np.argwhere(warnings)[0]
+            index, kind = np.argwhere(warnings)[0]
             warnings[:] = 0
-            raise FloatingPointError(f"MuJoCo warned of {mujoco.mjtWarning(kind).name[7:]} in lane {lane}")
+            raise FloatingPointError(f"MuJoCo warned of {mujoco.mjtWarning(kind).name[7:]} in environment {index}")
         return self._arm()
 
     def _restore(self, state: ArmState) -> None:
@@ -101,13 +104,13 @@ class MujocoSimulator(Drawn):
         qd = self._qvel[:, self._speeds].astype(np.float32)
         # From the joints: the engine's own site positions are one physics step old after a step.
         position, quaternion = self._pose(q)
-        rows = [self._batch.state, *([self._arms.drawn] if self._arms else [])]
+        rows = [self._batch.state, *([self._arms.sampled] if self._arms else [])]
         engine = np.concatenate(rows, axis=1).view(np.uint32)
         return ArmState(cast("Array", q), cast("Array", qd), position, quaternion, cast("Array", engine))
 
 
 class _Arms:
-    """The arm of each lane, where they differ: `drawn [B, 2 n + 1]` in -1 to 1 for servo gains, damping and payload."""
+    """Arms that differ from each other by `sampled [B, 2 n + 1]` in -1 to 1: servo gains, damping and payload."""
 
     def __init__(self, batch: Batch, servos: np.ndarray, joints: np.ndarray) -> None:
         self._batch, self._servos, self._joints = batch, servos, joints
@@ -117,20 +120,21 @@ class _Arms:
             np.array(field) for field in (self._gain, self._bias, self._damping, self._mass, self._inertia)
         ]
         self._payload = batch.model.body(PAYLOAD).id
-        self.drawn = np.full((batch.nsim, 2 * len(joints) + 1), np.nan)
+        self.sampled = np.full((batch.nsim, 2 * len(joints) + 1), np.nan)
 
-    def become(self, drawn: np.ndarray) -> None:
-        """Make the arms those of `drawn`."""
-        if np.array_equal(drawn, self.drawn):
+    def become(self, sampled: np.ndarray) -> None:
+        """Make the arms those of `sampled`."""
+        if np.array_equal(sampled, self.sampled):
             return
-        self.drawn = np.array(drawn)
+        self.sampled = np.array(sampled)
         n = len(self._joints)
+        gains, dampings, payload = np.split(self.sampled, (n, 2 * n), axis=1)
         gain, bias, damping, mass, inertia = self._nominal
-        stiff = 1 + GAIN_SPREAD * drawn[:, :n, None]
+        stiff = 1 + GAIN_SPREAD * gains[:, :, None]
         self._gain[:, self._servos] = gain[:, self._servos] * stiff
         self._bias[:, self._servos] = bias[:, self._servos] * stiff
-        self._damping[:, self._joints] = damping[:, self._joints] * (1 + DAMPING_SPREAD * drawn[:, n : 2 * n])
-        load = (1 + drawn[:, -1]) / 2
+        self._damping[:, self._joints] = damping[:, self._joints] * (1 + DAMPING_SPREAD * dampings)
+        load = (1 + payload[:, 0]) / 2
         self._mass[:, self._payload] = mass[:, self._payload] * load
         self._inertia[:, self._payload] = inertia[:, self._payload] * load[:, None]
         self._batch.set_const()
@@ -147,8 +151,8 @@ def _add_payload(spec: mujoco.MjSpec, tool: str) -> None:
     body.add_body(name=PAYLOAD, pos=place, mass=LARGEST_PAYLOAD, inertia=inertia, ipos=[0, 0, 0], explicitinertial=True)
 
 
-def physics_model(robot: Robot, config: SimConfig) -> mujoco.MjModel:
-    """Compiled model of a robot with the options of a configuration.
+def physics_model(robot: Robot, config: SimConfig, *, payload: bool = False) -> mujoco.MjModel:
+    """Compiled model of a robot with the options of a configuration, and a `payload` at the tool.
 
     Raises:
         InputError: the robot file does not compile with these options.
@@ -165,7 +169,7 @@ def physics_model(robot: Robot, config: SimConfig) -> mujoco.MjModel:
     if config.gravity_compensation:
         for body in spec.bodies:
             body.gravcomp = 1.0
-    if config.perturb:
+    if payload:
         spec.compiler.fusestatic = False  # of a URDF MuJoCo makes one body of those that are fixed to each other
         _add_payload(spec, robot.tool)
     if not spec.actuators:

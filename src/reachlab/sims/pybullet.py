@@ -9,7 +9,6 @@ import platform
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
 from types import ModuleType
 from typing import Any, NoReturn, cast
 
@@ -19,14 +18,13 @@ from jax import Array
 
 from reachlab.render.marks import Marks
 from reachlab.render.view_randomisation import FAR, FIELD_OF_VIEW, NEAR, Views, greys
-from reachlab.robots.loading import Robot
+from reachlab.robots.catalogue import ROBOTS
+from reachlab.robots.robot import PybulletModel, Robot
 from reachlab.settings.config import SimConfig
 from reachlab.settings.validation import InputError
-from reachlab.sims import ArmState, BatchArray
-from reachlab.tasks.reach import SIZE
-
-MAX_LANES = 16
-"""Each lane is a client of its own, of about 29 MB."""
+from reachlab.sims import SIMULATORS, ArmState, BatchArray, Kind
+from reachlab.tasks.observations import SIZE
+from reachlab.tasks.task import Goal
 
 GRAVITY = -10.0
 """The tutorial's gravity [m/s²]."""
@@ -53,45 +51,37 @@ LAMP_DISTANCE = 2.0
 """How far the lamp is from the scene [m]."""
 
 
-@dataclass(frozen=True)
-class Urdf:
-    """A robot in PyBullet's own data: its file, the link that holds the tools, and how far they lie along its z [m]."""
-
-    file: str
-    link: int
-    tools: dict[str, float]
-
-
-URDFS = {"iiwa14": Urdf("kuka_iiwa/model.urdf", 6, {"link_7": 0.0, "flange": 0.045})}
-"""Robots that PyBullet ships, by our names."""
-
-
 class PybulletSimulator:
     """The tutorial's simulator: joints are set, then the world moves on by a control period.
 
-    Every lane has a client of its own, loaded once; a reset moves what is there.
+    Every environment has a client of its own, loaded once; a reset moves what is there.
     """
 
-    pure = False
+    kind: Kind = "host"
 
-    def __init__(self, robot: Robot, config: SimConfig, num_envs: int) -> None:
+    def __init__(self, robot: Robot, config: SimConfig, num_envs: int, *, randomise_dynamics: bool = False) -> None:
         """Simulator of `num_envs` arms.
 
         Raises:
-            InputError: PyBullet is not installed, has no such robot, or too many lanes or no display are there.
+            InputError: PyBullet is not installed or has no such robot, or too many environments or no display are there.
         """
-        if num_envs > MAX_LANES:
-            raise InputError(f"simulator 'pybullet' takes at most {MAX_LANES} lanes, got {num_envs}: use --num-envs.")
-        if robot.name not in URDFS or robot.tool not in URDFS[robot.name].tools:
-            raise InputError(f"simulator 'pybullet' has no tool {robot.tool!r} of robot {robot.name!r}, only iiwa14's.")
+        del randomise_dynamics
+        most = SIMULATORS["pybullet"].most_envs or num_envs  # each is a client of its own, of about 29 MB
+        if num_envs > most:
+            raise InputError(f"simulator 'pybullet' holds at most {most} environments, got {num_envs}: use --num-envs.")
+        urdf = robot.pybullet
+        if urdf is None or robot.tool not in urdf.tools:
+            known = ", ".join(name for name, one in ROBOTS.items() if one.pybullet)
+            raise InputError(
+                f"simulator 'pybullet' has no tool {robot.tool!r} of robot {robot.name!r}: it knows {known}."
+            )
         self._bullet = import_pybullet()
         self._period, self._pace = config.control_period, SLOW_STEP if config.slow else 0.0
-        urdf = URDFS[robot.name]
         self._offset = urdf.tools[robot.tool]
         self.lag = (0.0,) * robot.chain.n
         self._worlds = [
-            _World(self._bullet, robot, urdf, config.control_period, gui=config.gui and lane == 0)
-            for lane in range(num_envs)
+            _World(self._bullet, robot, urdf, config.control_period, gui=config.gui and index == 0)
+            for index in range(num_envs)
         ]
 
     def __deepcopy__(self, memo: dict[int, Any]) -> NoReturn:
@@ -100,8 +90,8 @@ class PybulletSimulator:
         raise InputError("an environment in 'pybullet' cannot be copied: make another, or choose another simulator.")
 
     @property
-    def _lanes(self) -> list[_World]:
-        """The clients of all lanes.
+    def _open_worlds(self) -> list[_World]:
+        """The clients of all environments.
 
         Raises:
             InputError: they are closed.
@@ -114,30 +104,30 @@ class PybulletSimulator:
         self,
         state: ArmState | None,
         q: BatchArray,
-        target: BatchArray,
+        goal: Goal,
         mask: BatchArray | None,
-        chance: BatchArray | None = None,
+        dynamics: BatchArray | None = None,
     ) -> ArmState:
         """See `Simulator.reset`."""
-        del chance
-        wanted, points = np.asarray(q, np.float32), np.asarray(target, np.float64)
-        lanes = np.ones(len(wanted), bool) if state is None or mask is None else np.asarray(mask)
-        for lane in np.flatnonzero(lanes):
-            self._lanes[lane].drop(points[lane])
-            self._lanes[lane].set_joints(wanted[lane])
+        del dynamics
+        wanted, points = np.asarray(q, np.float32), np.asarray(goal.position, np.float64)
+        chosen = np.ones(len(wanted), bool) if state is None or mask is None else np.asarray(mask)
+        for index in np.flatnonzero(chosen):
+            self._open_worlds[index].drop(points[index])
+            self._open_worlds[index].set_joints(wanted[index])
         now = self._arm(wanted, np.zeros_like(wanted))
         if state is None:
             return now
-        return jax.tree.map(lambda new, old: np.where(lanes[:, None], new, old), now, state)
+        return jax.tree.map(lambda new, old: np.where(chosen[:, None], new, old), now, state)
 
     def step(self, state: ArmState, target_q: BatchArray) -> ArmState:
         """See `Simulator.step`."""
         start = time.perf_counter()
-        for world in self._lanes:
+        for world in self._open_worlds:
             world.step()
         # Only now are the commands waited for: they may have been under way beside the falling objects.
         q = np.asarray(target_q, np.float32)
-        for world, joints in zip(self._lanes, q, strict=True):
+        for world, joints in zip(self._open_worlds, q, strict=True):
             world.set_joints(joints)
         if self._pace:
             time.sleep(max(0.0, self._pace - (time.perf_counter() - start)))
@@ -145,27 +135,27 @@ class PybulletSimulator:
 
     def _arm(self, q: np.ndarray, qd: np.ndarray) -> ArmState:
         """State of NumPy rows: what is compiled takes them in faster than JAX would convert them here."""
-        positions, quaternions = zip(*(world.link() for world in self._lanes), strict=True)
+        positions, quaternions = zip(*(world.link() for world in self._open_worlds), strict=True)
         position, quaternion = np.array(positions, np.float32), np.array(quaternions, np.float32)[:, [3, 0, 1, 2]]
         if self._offset:
             w, x, y, z = quaternion.T
             position += self._offset * np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], 1)
         return ArmState(*(cast("Array", rows) for rows in (q, qd, position, quaternion)))
 
-    def render(self, state: ArmState, target: Array, lane: int, marks: Marks) -> np.ndarray:
+    def render(self, state: ArmState, goal: Goal, index: int, marks: Marks) -> np.ndarray:
         """See `Simulator.render`."""
-        del target, marks
-        world = self._lanes[lane]
-        world.set_joints(np.asarray(state.q[lane]))
+        del goal, marks
+        world = self._open_worlds[index]
+        world.set_joints(np.asarray(state.q[index]))
         return world.picture()
 
-    def see(self, q: np.ndarray, target: np.ndarray, views: Views, lanes: np.ndarray) -> np.ndarray:
-        """See `Simulator.see`; the object is seen where it is, and colours are PyBullet's own."""
-        del target
+    def render_observations(self, q: np.ndarray, goal: Goal, views: Views, indices: np.ndarray) -> np.ndarray:
+        """See `Simulator.render_observations`; the object is drawn where it lies, and colours are PyBullet's own."""
+        del goal
         out = np.empty((len(q), SIZE, SIZE), np.uint8)
-        for i, lane in enumerate(lanes):
-            self._lanes[lane].set_joints(q[i])
-            out[i] = self._lanes[lane].seen(Views(*(x[i] for x in views)))
+        for i, index in enumerate(indices):
+            self._open_worlds[index].set_joints(q[i])
+            out[i] = self._open_worlds[index].observation(Views(*(x[i] for x in views)))
         return out
 
     def close(self) -> None:
@@ -178,7 +168,7 @@ class PybulletSimulator:
 class _World:
     """One client with the tutorial's scene."""
 
-    def __init__(self, bullet: ModuleType, robot: Robot, urdf: Urdf, period: float, *, gui: bool) -> None:
+    def __init__(self, bullet: ModuleType, robot: Robot, urdf: PybulletModel, period: float, *, gui: bool) -> None:
         import pybullet_data
 
         self._bullet, self._urdf = bullet, urdf
@@ -256,7 +246,7 @@ class _World:
         )[2]
         return np.array(pixels, np.uint8).reshape(HEIGHT, WIDTH, 4)[..., :3].copy()
 
-    def seen(self, view: Views) -> np.ndarray:
+    def observation(self, view: Views) -> np.ndarray:
         """Picture of the observation camera in a view, `[SIZE, SIZE]` uint8."""
         bullet = self._bullet
         up, back = view.rotation[:, 1], view.rotation[:, 2]

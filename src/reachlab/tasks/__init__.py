@@ -1,1 +1,11 @@
 """What is asked of an arm: goals, observations, actions, rewards, and when an episode ends."""
+
+from __future__ import annotations
+
+from reachlab.settings.tables import Lazy
+
+TASKS: dict[str, Lazy] = {
+    "tutorial": Lazy("touch a point on the table", "reachlab.tasks.reach:TUTORIAL"),
+    "precise": Lazy("hold a point in the air, under full dynamics", "reachlab.tasks.reach:PRECISE"),
+}
+"""Tasks by name, each a `Task`. Adding one takes its file, its line here, and a rule in `settings.presets`."""

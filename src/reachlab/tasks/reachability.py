@@ -10,12 +10,13 @@ import numpy as np
 from jax import Array
 
 from reachlab.jax_setup import jit
-from reachlab.robots.kinematics import forward_kinematics, ik_point_step
-from reachlab.robots.loading import Robot
-from reachlab.tasks.reach import TARGETS, Reach
+from reachlab.robots.inverse_kinematics import ik_point_step
+from reachlab.robots.kinematics import forward_kinematics
+from reachlab.robots.robot import Robot
+from reachlab.tasks.task import TaskSetup
 
 SAMPLES = 256
-"""Targets and starts that are drawn."""
+"""Targets and starts that are sampled."""
 
 POSES = 4096
 """Random joint vectors from which the nearest to a target are taken to begin at."""
@@ -47,19 +48,19 @@ class Survey:
     outside: float
 
 
-def survey(reach: Reach) -> Survey:
-    """What the arm can reach of the task within its joint limits, in whatever orientation; dynamics are not asked.
+def survey(setup: TaskSetup) -> Survey:
+    """What the arm can reach of the task within its joint limits, in whatever orientation; dynamics do not count.
 
     An orientation that is held counts for nothing: where joint limits leave no choice, position outranks it.
     """
-    random, robot, bounded = np.random.default_rng(0), reach.robot, not reach.config.hold_steps
-    targets = random.uniform(*TARGETS[reach.config.targets](reach), (SAMPLES, 3))
+    random, robot, bounded = np.random.default_rng(0), setup.robot, not setup.rules.hold_steps
+    targets = random.uniform(*setup.task.goal_box(setup), (SAMPLES, 3))
     low, high = np.array(robot.workspace)
     points = _nearest(robot, np.clip(targets, low, high) if bounded else targets)
     inside = ((points >= low - ROUNDING) & (points <= high + ROUNDING)).all(axis=-1)
-    near = np.linalg.norm(points - targets, axis=-1) < reach.config.success_distance
+    near = np.linalg.norm(points - targets, axis=-1) < setup.rules.success_distance
 
-    noise = reach.config.start_noise
+    noise = setup.rules.start_noise
     starts = robot.home + random.uniform(-noise, noise, (SAMPLES, robot.chain.n))
     begun = _tool(robot, np.clip(starts, robot.chain.lower, robot.chain.upper))
     outside = bounded & ((begun < low) | (begun > high)).any(axis=-1)
@@ -75,7 +76,7 @@ def _nearest(robot: Robot, aims: np.ndarray) -> np.ndarray:
     """Points `[B, 3]` m nearest to `aims [B, 3]` that the tool comes to."""
     chain = robot.chain
     lower, upper = chain.finite_limits()
-    drawn = np.random.default_rng(1).uniform(lower, upper, (POSES, chain.n)).astype(np.float32)
+    sampled = np.random.default_rng(1).uniform(lower, upper, (POSES, chain.n)).astype(np.float32)
 
     def solve(aims: Array, poses: Array) -> Array:
         def step(_: int, q: Array) -> Array:
@@ -89,4 +90,4 @@ def _nearest(robot: Robot, aims: np.ndarray) -> np.ndarray:
         best = jnp.linalg.norm(aims[:, None] - found, axis=-1).argmin(axis=-1)
         return jnp.take_along_axis(found, best[:, None, None], axis=1)[:, 0]
 
-    return np.asarray(jit(solve)(aims.astype(np.float32), drawn))
+    return np.asarray(jit(solve)(aims.astype(np.float32), sampled))

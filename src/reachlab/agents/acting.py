@@ -1,0 +1,55 @@
+"""An agent at work: it decides, and the environment takes a step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import jax
+import numpy as np
+from jax import Array
+
+from reachlab.agents import AGENTS
+from reachlab.agents.policy import Policy
+from reachlab.envs.core import Env
+from reachlab.envs.functions import EnvState, Transition
+from reachlab.settings.validation import InputError, choose
+
+Agent = Callable[[Env, Policy | None, EnvState, Array, Array | None], Array]
+"""Gives actions `[B, a]` for a state; the key is for agents that sample them, the picture for policies that need it."""
+
+Act = Callable[..., tuple[EnvState, Transition, Array]]
+"""State, transition and next random key after a step of an agent, of policy, state, key, `mask` and `instead`.
+
+Pictures are drawn for the environments of `mask [B]` alone, for all without it. A joint command `instead [B, n]` that
+is a number is taken in place of the agent's, see `Env.step`.
+"""
+
+
+def trained(env: Env, policy: Policy | None, state: EnvState, key: Array, picture: Array | None) -> Array:
+    """The trained policy, without noise."""
+    del key
+    if policy is None:
+        raise InputError("agent 'trained' needs a run: name its directory.")
+    return policy.act(env.observe(state, picture))
+
+
+def make_act(env: Env, agent: str) -> Act:
+    """The step of an agent of `AGENTS`.
+
+    Raises:
+        InputError: there is none of that name.
+    """
+    entry = AGENTS[choose("agent", agent, AGENTS)]
+    decide: Agent = entry.load()
+    decided = env.compile_part(lambda policy, state, key, picture: decide(env, policy, state, key, picture))
+    draws = env.pictured and entry.trained
+
+    def act(
+        policy: Policy | None, state: EnvState, key: Array, mask: Array | None = None, instead: Array | None = None
+    ) -> tuple[EnvState, Transition, Array]:
+        key, now = jax.random.split(key)
+        picture = env.render_observation(state, None if mask is None else np.asarray(mask)) if draws else None
+        state, transition = env.step(state, decided(policy, state, now, picture), instead=instead)
+        return state, transition, key
+
+    return act

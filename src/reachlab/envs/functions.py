@@ -1,0 +1,208 @@
+"""An environment's pure functions: what happens before and after the simulator's step, for a batch of episodes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TypeVar, cast
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from reachlab.envs.streams import CHAIN_STREAM, PARTS, VIEW_STREAM, noise_keys
+from reachlab.render.view_randomisation import SAMPLES
+from reachlab.robots.kinematics import forward_kinematics
+from reachlab.sims import ArmState, BatchArray
+from reachlab.tasks import observations
+from reachlab.tasks.actions import ACTIONS
+from reachlab.tasks.observations import Observed
+from reachlab.tasks.rewards import REWARDS
+from reachlab.tasks.task import Goal, Progress, Situation, TaskSetup, outside_workspace
+
+POSITION_NOISE, SPEED_NOISE = 0.0005, 0.01
+"""Standard deviations of the joint measurements where dynamics vary [rad, rad/s]."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class EnvState:
+    """A batch of episodes under way.
+
+    Attributes:
+        arm: the simulator's state.
+        goal: where the tool is asked to be.
+        target_q: last joint command `[B, n]` [rad or m]; commands accumulate on it.
+        last_action: `[B, a]`, zero at the start.
+        progress: what the task remembers of the episodes.
+        clock: steps since the reset `[B]`.
+        key: random key of each environment `[B]`.
+    """
+
+    arm: ArmState
+    goal: Goal
+    target_q: Array
+    last_action: Array
+    progress: Progress
+    clock: Array
+    key: Array
+
+    @property
+    def distance(self) -> Array:
+        """Tool to goal `[B]` [m]."""
+        return self.progress.distance
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Transition:
+    """What a step gave, before any reset.
+
+    Attributes:
+        observation: `[B, k]`, the final one where the episode ended; None where it holds a picture, which is drawn when
+            it is asked for, see `Env.observe_now`.
+        reward: `[B]`.
+        terminated: the task ended the episode `[B]`.
+        truncated: the clock did `[B]`.
+        done: the episode ended, either way `[B]`.
+        terms: `distance` [m], the `error` that counts at the end [m], `success` and each term of the reward, `[B]`.
+    """
+
+    observation: Observed
+    reward: Array
+    terminated: Array
+    truncated: Array
+    done: Array
+    terms: dict[str, Array]
+
+
+Stepped = tuple[EnvState, Transition]
+"""State and transition after a step."""
+
+Tree = TypeVar("Tree")
+
+
+@dataclass(frozen=True)
+class EnvFunctions:
+    """Functions of an environment; every one can be traced by JAX.
+
+    Attributes:
+        setup: the task on the arm.
+        randomise: what varies from episode to episode, see `RunConfig.randomise`.
+        real_time: joints take time to move, see `SimulatorEntry.real_time`.
+        pictured: the observation holds a picture.
+    """
+
+    setup: TaskSetup
+    randomise: tuple[str, ...]
+    real_time: bool
+    pictured: bool
+
+    def sample_episode(self, keys: Array) -> tuple[Array, Array, Goal, Array | None]:
+        """Next keys, starts `[B, n]`, goals and, where dynamics vary, which arms they are, see `Simulator.reset`."""
+        numbers = 2 * self.setup.robot.chain.n + 1 if "dynamics" in self.randomise else 0
+
+        def one(key: Array) -> tuple[Array, Array, Goal, Array | None]:
+            key, for_goal, for_start, for_arm = jax.random.split(key, PARTS)
+            start, goal = (
+                self.setup.task.sample_start(self.setup, for_start),
+                self.setup.task.sample_goal(self.setup, for_goal),
+            )
+            dynamics = jax.random.uniform(for_arm, (numbers,), minval=-1.0) if numbers else None
+            return key, start, goal, dynamics
+
+        return jax.vmap(one)(keys)
+
+    def chained_start(self, state: EnvState, start: Array, share: float) -> Array:
+        """Starts `[B, n]`: where the last episodes ended, for a share of those whose tool is inside the workspace."""
+        sampled = jax.vmap(lambda key: jax.random.uniform(jax.random.fold_in(key, CHAIN_STREAM)))(state.key)
+        stays = (sampled < share) & ~outside_workspace(self.setup.robot, state.arm.tool_position)
+        return jnp.where(stays[:, None], state.arm.q, start)
+
+    def begin(self, arm: ArmState, goal: Goal, key: Array) -> EnvState:
+        """State at the start of episodes."""
+        actions = len(ACTIONS[self.setup.rules.action].bounds(self.setup)[0])
+        return EnvState(
+            arm=arm,
+            goal=goal,
+            target_q=arm.q,
+            last_action=jnp.zeros((len(goal.position), actions)),
+            progress=self.setup.task.begin(self.setup, goal.distance(arm.tool_position)),
+            clock=jnp.zeros(len(goal.position), jnp.int32),
+            key=key,
+        )
+
+    def command(self, state: EnvState, action: Array) -> Array:
+        """Next joint command `[B, n]` for an action `[B, a]` in its box, no faster than the joints can follow."""
+        target_q = ACTIONS[self.setup.rules.action].command(self.setup, self.situation(state), action)
+        if not self.real_time:
+            return target_q
+        most = jnp.array(self.setup.robot.speed) * self.setup.period
+        return jnp.clip(target_q, state.target_q - most, state.target_q + most)
+
+    def bounded(self, action: Array) -> Array:
+        """The action `[B, a]` that is taken: clipped to its box, where the rules say so."""
+        rules = self.setup.rules
+        return jnp.clip(action, *ACTIONS[rules.action].bounds(self.setup)) if rules.clip_actions else action
+
+    def judge(
+        self, now: Situation, progress: Progress, clock: Array, keys: Array
+    ) -> tuple[Progress, Array, Transition]:
+        """What is remembered, the clock and the transition of a step that led to a situation."""
+        setup, clock = self.setup, clock + 1
+        progress, outcome = setup.task.judge(setup, progress, now, clock)
+        terms = REWARDS[setup.rules.reward](setup.rules, outcome)
+        transition = Transition(
+            observation=None if self.pictured else observations.observe(setup, self.measured(now, keys, clock)),
+            reward=sum(terms.values(), jnp.zeros_like(outcome.distance)),
+            terminated=outcome.terminated,
+            truncated=outcome.timeout,
+            done=outcome.terminated | outcome.timeout,
+            terms={"distance": outcome.distance, "error": outcome.error, "success": outcome.success, **terms},
+        )
+        return progress, clock, transition
+
+    def observe(self, state: EnvState, picture: BatchArray | None = None) -> Observed:
+        """Observation of a state; one that holds a picture is given it."""
+        return observations.observe(self.setup, self.situation(state)._replace(picture=cast("Array | None", picture)))
+
+    def situation(self, state: EnvState) -> Situation:
+        """What observations and agents may use: as measured, with noise where dynamics vary."""
+        now = self.true_situation(state, state.arm, state.target_q, state.last_action)
+        return self.measured(now, state.key, state.clock)
+
+    @staticmethod
+    def true_situation(state: EnvState, arm: ArmState, target_q: Array, action: Array) -> Situation:
+        """The situation of an arm in an episode, without noise."""
+        return Situation(arm.q, arm.qd, arm.tool_position, arm.tool_quaternion, state.goal, target_q, action)
+
+    def measured(self, now: Situation, keys: Array, clock: Array) -> Situation:
+        """A situation as it is measured."""
+        if "dynamics" not in self.randomise:
+            return now
+        noise = jax.vmap(lambda key: jax.random.normal(key, (2, now.q.shape[-1])))(noise_keys(keys, clock))
+        q, qd = now.q + POSITION_NOISE * noise[:, 0], now.qd + SPEED_NOISE * noise[:, 1]
+        pose = forward_kinematics(self.setup.robot.chain, q)
+        return now._replace(q=q, qd=qd, tool_position=pose.position, tool_quaternion=pose.quaternion)
+
+    def view_samples(self, keys: Array) -> Array:
+        """Random numbers `[B, SAMPLES]` of the views of episodes, see `make_views`; zeros where views do not vary."""
+        if "view" not in self.randomise:
+            return jnp.zeros((len(keys), SAMPLES))
+        folded = jax.vmap(lambda key: jax.random.fold_in(key, VIEW_STREAM))(keys)
+        return jax.vmap(lambda key: jax.random.uniform(key, (SAMPLES,), minval=-1.0))(folded)
+
+    @staticmethod
+    def merge(mask: Array, new: Tree, old: Tree) -> Tree:
+        """A pytree of batches with the rows of `new` where `mask [B]` says so."""
+
+        def pick(a: Array, b: Array) -> Array:
+            return jnp.where(mask.reshape(mask.shape + (1,) * (a.ndim - 1)), a, b)
+
+        return jax.tree.map(lambda a, b: a if a is b else pick(a, b), new, old)
+
+    @classmethod
+    def continued(cls, before: Stepped, now: Stepped) -> Stepped:
+        """State and transition of a step after those `before`, which stay where the episode has ended."""
+        state, transition = now
+        added = replace(transition, reward=before[1].reward + transition.reward)
+        return cls.merge(~before[1].done, (state, added), before)

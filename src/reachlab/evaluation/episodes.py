@@ -1,0 +1,167 @@
+"""Held-out episodes: an agent plays each of them to its end, once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from reachlab.agents.acting import make_act
+from reachlab.agents.policy import Policy
+from reachlab.envs.core import Env
+from reachlab.envs.functions import EnvState, Transition
+from reachlab.envs.streams import AGENT_STREAM, episode_keys
+from reachlab.jax_setup import jit
+
+Watch = Callable[[int], None]
+"""Called with the number of episodes that have ended."""
+
+BATCH = 1000
+"""Episodes evaluated together where everything is traced; one size, so one compiled program."""
+
+
+def ignore(ended: int) -> None:
+    """Nothing, of whatever number of episodes has ended."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Episodes:
+    """What became of `B` episodes.
+
+    Attributes:
+        goal: where the tool was asked to be, `[B, 3]` [m].
+        done: the episode has ended `[B]`; nothing of it changes any more.
+        success: it ended in success `[B]`.
+        distance: the error that counts at its end `[B]` [m], see `Progress.error`.
+        steps: its length `[B]`.
+        arrival: step from which on the tool stays within the distance of success `[B]`.
+        returns: sum of its rewards `[B]`.
+        max_speed: largest joint speeds in it `[B, n]` [rad/s].
+        squared_jerk: sum over its steps of the squared jerk, mean of the joints `[B]` [rad²/s⁶].
+        motion: joint positions, displacement and its change at the last step, three `[B, n]`.
+    """
+
+    goal: Array
+    done: Array
+    success: Array
+    distance: Array
+    steps: Array
+    arrival: Array
+    returns: Array
+    max_speed: Array
+    squared_jerk: Array
+    motion: tuple[Array, Array, Array]
+
+
+@dataclass(frozen=True)
+class Runner:
+    """`run(policy, keys)` runs one episode for each of `num_envs` keys to its end.
+
+    On the host it takes a `Watch` too, and calls it after every step.
+    """
+
+    run: Callable[..., Episodes]
+    num_envs: int
+    on_host: bool = False
+
+
+def make_runner(env: Env, agent: str) -> Runner:
+    """Runner for an agent of `agents.AGENTS`."""
+    period, within = env.config.physics.control_period, env.config.rules.success_distance
+
+    def begin(keys: Array) -> tuple[EnvState, Episodes, Array]:
+        state = env.init(keys)
+        count, still = len(keys), jnp.zeros_like(state.arm.q)
+        episodes = Episodes(
+            goal=state.goal.position,
+            done=jnp.zeros(count, bool),
+            success=jnp.zeros(count, bool),
+            distance=state.distance,
+            steps=jnp.zeros(count, jnp.int32),
+            arrival=(state.distance >= within).astype(jnp.int32),
+            returns=jnp.zeros(count),
+            max_speed=still,
+            squared_jerk=jnp.zeros(count),
+            motion=(state.arm.q, still, still),
+        )
+        return state, episodes, jax.random.fold_in(keys[0], AGENT_STREAM)
+
+    act = make_act(env, agent)
+    count_step = env.compile_part(partial(_count, period=period, within=within))
+
+    def advance(policy: Policy | None, carry: tuple[EnvState, Episodes, Array]) -> tuple[EnvState, Episodes, Array]:
+        state, episodes, key = carry
+        state, transition, key = act(policy, state, key, ~episodes.done)
+        return state, count_step(episodes, state, transition), key
+
+    if env.traced:
+
+        def run(policy: Policy | None, keys: Array) -> Episodes:
+            carry = begin(keys)
+            return jax.lax.while_loop(lambda c: ~c[1].done.all(), lambda c: advance(policy, c), carry)[1]
+
+        return Runner(jit(run), BATCH)
+
+    def run_on_host(policy: Policy | None, keys: Array, watch: Watch = ignore) -> Episodes:
+        carry = begin(keys)
+        while (ended := int(np.asarray(carry[1].done).sum())) < len(keys):
+            watch(ended)
+            carry = advance(policy, carry)
+        return carry[1]
+
+    return Runner(run_on_host, env.num_envs, on_host=True)
+
+
+def _count(episodes: Episodes, state: EnvState, transition: Transition, period: float, within: float) -> Episodes:
+    q, moved, change = episodes.motion
+    moved_now = state.arm.q - q
+    change_now = moved_now - moved
+    jerk = jnp.square((change_now - change) / period**3).mean(-1)
+    new = Episodes(
+        goal=episodes.goal,
+        done=transition.done,
+        success=transition.terms["success"],
+        distance=transition.terms["error"],
+        steps=episodes.steps + 1,
+        arrival=jnp.where(transition.terms["distance"] < within, episodes.arrival, episodes.steps + 2),
+        returns=episodes.returns + transition.reward,
+        max_speed=jnp.maximum(episodes.max_speed, jnp.abs(state.arm.qd)),
+        squared_jerk=episodes.squared_jerk + jerk,
+        motion=(state.arm.q, moved_now, change_now),
+    )
+
+    def keep(old: Array, now: Array) -> Array:
+        ended = episodes.done.reshape(episodes.done.shape + (1,) * (old.ndim - 1))
+        return jnp.where(ended, old, now)
+
+    return jax.tree.map(keep, episodes, new)
+
+
+def run_episodes(
+    runner: Runner,
+    policy: Policy | None,
+    seed: int,
+    stream: int,
+    episodes: int,
+    first: int = 0,
+    watch: Watch = ignore,
+) -> Episodes:
+    """Exactly `episodes` episodes of a seed's stream from number `first` on, as NumPy arrays."""
+    parts = []
+    for done in range(0, episodes, runner.num_envs):
+
+        def watch_all(ended: int, before: int = done) -> None:
+            watch(min(before + ended, episodes))
+
+        keys = episode_keys(seed, stream, first + done, runner.num_envs)
+        part = runner.run(policy, keys, watch_all) if runner.on_host else runner.run(policy, keys)
+        watch_all(runner.num_envs)
+        # BatchArray beyond the last episode ran too; they do not count.
+        parts.append(jax.tree.map(lambda x, left=episodes - done: np.asarray(x)[:left], part))
+    return jax.tree.map(lambda *x: np.concatenate(x), *parts)

@@ -1,0 +1,93 @@
+"""PPO as a method: an iteration is a rollout and its update, compiled."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, TypeVar
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from reachlab.envs.core import Env
+from reachlab.envs.functions import EnvState
+from reachlab.envs.streams import LEARNER_STREAM, TRAINING_STREAM, episode_keys, stream_key
+from reachlab.jax_setup import jit
+from reachlab.learn import ppo
+from reachlab.learn.learner import Learner, make_initial_policy, make_learner, make_optimiser
+from reachlab.learn.method import Finite, Method, Watched, all_finite
+from reachlab.learn.rollout import Collect, Rollout, collect, episode_statistics, host_collector
+from reachlab.settings.config import RunConfig
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class TrainState:
+    """All that training changes: enough to continue from."""
+
+    learner: Learner
+    env: EnvState
+    key: Array
+
+
+Tree = TypeVar("Tree")
+Learn = Callable[[Learner, Rollout, EnvState, Array], tuple[Learner, Watched]]
+Keep = Callable[[Array, TrainState, TrainState], TrainState]
+Iteration = Callable[[TrainState], tuple[TrainState, Watched]]
+
+
+def initial_state(env: Env, config: RunConfig, seed: int | Array, given: Any = None) -> TrainState:
+    """State before the first iteration."""
+    del given
+
+    def begin(key: Array) -> Learner:
+        optimiser = make_optimiser(config, ppo.updates_per_iteration(config.ppo))
+        return make_learner(optimiser, make_initial_policy(config, env, key))
+
+    key, for_policy = jax.random.split(stream_key(seed, LEARNER_STREAM))
+    episodes = episode_keys(seed, TRAINING_STREAM, 0, config.loop.num_envs)
+    return TrainState(env.compile_part(begin)(for_policy), env.init(episodes), key)
+
+
+def compile_iteration(env: Env, config: RunConfig, shape: TrainState) -> Iteration:
+    """See `Method.compile_iteration`.
+
+    Where everything is traced it is one program; else the environment steps on the host, between compiled parts.
+    """
+
+    def learn(learner: Learner, rollout: Rollout, state: EnvState, key: Array) -> tuple[Learner, Watched]:
+        new, metrics = ppo.update(learner, rollout, key, config)
+        watched = Watched({**episode_statistics(rollout), **metrics}, _finite(rollout, state, metrics, new), rollout)
+        return _select(watched.sound, new, learner), watched
+
+    def iterate(gather: Collect, learn: Learn, keep: Keep, state: TrainState) -> tuple[TrainState, Watched]:
+        key, for_rollout, for_update = jax.random.split(state.key, 3)
+        after, rollout = gather(env, state.learner.policy, state.env, for_rollout, config.loop)
+        learner, watched = learn(state.learner, rollout, after, for_update)
+        return keep(watched.sound, TrainState(learner, after, key), TrainState(learner, state.env, state.key)), watched
+
+    if env.traced:
+        return jit(partial(iterate, collect, learn, _select), donate=(0,)).lower(shape).compile()
+    return partial(iterate, host_collector(), jit(learn, donate=(0,)), lambda sound, new, old: new if sound else old)
+
+
+def _finite(rollout: Rollout, state: EnvState, metrics: dict[str, Array], learner: Learner) -> Finite:
+    return Finite(
+        observation=all_finite((rollout.observation, rollout.next_observation)),
+        action=all_finite((rollout.output, rollout.log_prob)),
+        reward=all_finite(rollout.reward),
+        environment=all_finite((rollout.distance, state)),
+        gradient=all_finite(metrics["gradient_norm"]),
+        loss=all_finite(metrics),
+        parameter=all_finite(learner),
+    )
+
+
+def _select(sound: Array, new: Tree, old: Tree) -> Tree:
+    return jax.tree.map(lambda a, b: jnp.where(sound, a, b), new, old)
+
+
+PPO = Method(lambda _config, _resume: None, initial_state, compile_iteration)
+"""Proximal policy optimisation."""

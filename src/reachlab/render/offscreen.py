@@ -1,0 +1,143 @@
+"""Pictures for people: a camera on the scene, drawn by MuJoCo off screen."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import platform
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from reachlab.render.marks import BALL_OPACITY, PATH, PATH_RADIUS, TARGET_RADIUS, Marks
+from reachlab.render.scene import HEIGHT, WIDTH, scene_spec
+from reachlab.robots.robot import Robot
+from reachlab.settings.validation import InputError
+
+EDGE, GEOM, DECORATION = int(mujoco.mjtObj.mjOBJ_SITE), int(mujoco.mjtObj.mjOBJ_GEOM), int(mujoco.mjtCatBit.mjCAT_DECOR)
+"""The workspace's edges are sites. They and the ball are drawn as decoration: that throws no shadow."""
+
+MAX_GEOMS = 2000
+"""Shapes that a picture may hold; a path that needs more of them is cut short."""
+
+
+class Camera:
+    """Draws a robot and its target off screen."""
+
+    def __init__(self, robot: Robot, width: int = WIDTH, height: int = HEIGHT) -> None:
+        """Camera on a robot; pictures have `height` × `width` pixels.
+
+        Raises:
+            InputError: there is no OpenGL to draw with.
+        """
+        self._shape = (height, width, 3)
+        self._context = gl_context(width, height)
+        self._context.make_current()
+        spec = scene_spec(robot)
+        spec.visual.global_.offwidth, spec.visual.global_.offheight = width, height
+        self._model = spec.compile()
+        self._data = mujoco.MjData(self._model)
+        self._joints = self._model.jnt_qposadr[list(robot.chain.joints)]
+        self._target, self._near = (self._model.geom(name).id for name in ("target", "near"))
+        self._scene = mujoco.MjvScene(self._model, maxgeom=MAX_GEOMS)
+        self._draw = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_150)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._draw)
+        self._option, self._view = mujoco.MjvOption(), mujoco.MjvCamera()
+        centre = np.mean(robot.workspace, axis=0)
+        self._view.azimuth, self._view.elevation, self._view.distance = 130.0, -22.0, 1.75
+        self._view.lookat[:] = [centre[0] * 0.6, centre[1], 0.3]
+
+    def picture(self, q: np.ndarray, target: np.ndarray, marks: Marks | None = None) -> np.ndarray:
+        """Picture `[height, width, 3]` uint8 of joints `q [n]` and a target `[3]`."""
+        marks = marks or Marks()
+        self._show_target(marks)
+        self._data.qpos[self._joints] = q
+        self._data.mocap_pos[0] = target
+        mujoco.mj_forward(self._model, self._data)
+        self._context.make_current()
+        mujoco.mjv_updateScene(
+            self._model, self._data, self._option, None, self._view, mujoco.mjtCatBit.mjCAT_ALL, self._scene
+        )
+        for geom in self._scene.geoms[: self._scene.ngeom]:
+            if geom.objtype == EDGE or (geom.objtype == GEOM and geom.objid == self._near):
+                geom.category = DECORATION
+        self._show_path(marks.path)
+        height, width, _ = self._shape
+        viewport = mujoco.MjrRect(0, 0, width, height)
+        mujoco.mjr_render(viewport, self._scene, self._draw)
+        pixels = np.empty(self._shape, np.uint8)
+        mujoco.mjr_readPixels(pixels, None, viewport, self._draw)
+        return np.flipud(pixels).copy()
+
+    def _show_target(self, marks: Marks) -> None:
+        model, wide = self._model, marks.success_distance > TARGET_RADIUS
+        model.geom_size[self._target, 0] = min(marks.success_distance, TARGET_RADIUS)
+        model.geom_size[self._near, 0] = marks.success_distance
+        model.geom_rgba[self._target] = [*marks.colour, 1]
+        model.geom_rgba[self._near] = [*marks.colour, BALL_OPACITY * wide]
+
+    def _show_path(self, path: np.ndarray) -> None:
+        scene, still, turned = self._scene, np.zeros(3), np.eye(3).ravel()
+        for start, end in itertools.pairwise(path):
+            if scene.ngeom == scene.maxgeom:
+                return
+            line = scene.geoms[scene.ngeom]
+            mujoco.mjv_initGeom(line, mujoco.mjtGeom.mjGEOM_CAPSULE, still, still, turned, np.array([*PATH, 1.0], "f4"))
+            mujoco.mjv_connector(line, mujoco.mjtGeom.mjGEOM_CAPSULE, PATH_RADIUS, start, end)
+            line.category = DECORATION
+            scene.ngeom += 1
+
+    def close(self) -> None:
+        """Free the OpenGL context."""
+        self._draw.free()
+        self._context.free()
+
+
+class LazyCamera:
+    """A camera that is opened for the first picture."""
+
+    def __init__(self, robot: Robot) -> None:
+        """Camera on a robot, not opened yet."""
+        self._robot = robot
+        self._camera: Camera | None = None
+
+    def picture(self, q: np.ndarray, target: np.ndarray, marks: Marks | None = None) -> np.ndarray:
+        """See `Camera.picture`."""
+        if self._camera is None:
+            self._camera = Camera(self._robot)
+        return self._camera.picture(q, target, marks)
+
+    def close(self) -> None:
+        """Close the camera if it was opened; it opens again when needed."""
+        if self._camera is not None:
+            self._camera.close()
+            self._camera = None
+
+
+def gl_context(width: int, height: int) -> Any:
+    """Off-screen OpenGL context: EGL on Linux unless `MUJOCO_GL` says otherwise."""
+    chosen = os.environ.get("MUJOCO_GL", "").lower()
+    backend = (
+        chosen
+        if chosen in ("egl", "osmesa", "glfw")
+        else {"Linux": "egl", "Darwin": "cgl"}.get(platform.system(), "glfw")
+    )
+    try:
+        if backend == "egl":
+            from mujoco.egl import GLContext
+        elif backend == "osmesa":
+            from mujoco.osmesa import GLContext
+        elif backend == "cgl":
+            from mujoco.cgl import GLContext
+        else:
+            from mujoco.glfw import GLContext
+        context = GLContext(width, height)
+        context.make_current()
+        # A context that is none is noticed by what draws in it.
+        mujoco.MjrContext(mujoco.MjSpec().compile(), mujoco.mjtFontScale.mjFONTSCALE_50).free()
+    except Exception as error:
+        hint = "on Debian or Ubuntu, apt install libegl1 libopengl0 libgl1-mesa-dri"
+        why = str(error).rstrip(".")
+        raise InputError(f"pictures need OpenGL ({backend}), which does not start here ({why}): {hint}.") from None
+    return context

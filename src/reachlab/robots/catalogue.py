@@ -1,0 +1,55 @@
+"""The robots that come with reachlab."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from reachlab.robots.robot import Box, PybulletModel
+
+ASSETS = Path(__file__).parent / "assets"
+
+
+@dataclass(frozen=True)
+class KnownRobot:
+    """What the catalogue knows of a robot beside its model file; what is None comes from the file or is derived.
+
+    Attributes:
+        file: MJCF or URDF file.
+        sources: where the figures are from, a file below `ASSETS`.
+        tools: tool frames, sites or bodies, by what they are; the first one unless a task asks for another.
+        home: joints `[n]` in which episodes start [rad or m].
+        speed: joint speed limits `[n]` [rad/s or m/s].
+        torque: joint torque limits `[n]` [Nm or N].
+        workspace: box in which the tool works [m].
+        goal_box: box of goals that are not on the table [m].
+        held_quaternion: orientation in which the tool is held, wxyz.
+        pybullet: the same robot in PyBullet's data.
+    """
+
+    file: Path
+    sources: str
+    tools: Mapping[str, str]
+    home: tuple[float, ...] | None = None
+    speed: tuple[float, ...] | None = None
+    torque: tuple[float, ...] | None = None
+    workspace: Box | None = None
+    goal_box: Box | None = None
+    held_quaternion: tuple[float, ...] | None = None
+    pybullet: PybulletModel | None = None
+
+
+ROBOTS: dict[str, KnownRobot] = {
+    "iiwa14": KnownRobot(
+        file=ASSETS / "iiwa14" / "iiwa14.xml",
+        sources="iiwa14/SOURCES.md",
+        tools={"wrist": "link_7", "flange": "flange"},
+        workspace=((0.2, -0.3, 0.0), (0.7, 0.3, 0.55)),
+        goal_box=((0.3, -0.4, 0.1), (0.7, 0.4, 0.6)),
+        # Euler angles (0, -π, π/2) of the tutorial: the tool points down, turned a quarter about the vertical.
+        held_quaternion=(0.0, 0.5**0.5, -(0.5**0.5), 0.0),
+        pybullet=PybulletModel("kuka_iiwa/model.urdf", 6, {"link_7": 0.0, "flange": 0.045}),
+    )
+}
+"""Robots by name. Adding one takes its record here and its assets."""

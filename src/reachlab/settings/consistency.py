@@ -1,0 +1,200 @@
+"""Which settings make sense together: pure rules on settings, told before any time is spent.
+
+What is changed from its preset and has no effect is refused; what has another effect than one may expect is said.
+Presets and defaults trouble nobody.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from reachlab.settings.config import RunConfig
+from reachlab.settings.plain import flatten, to_json
+from reachlab.settings.presets import preset_of
+from reachlab.settings.validation import InputError, choose
+
+RANDOMISED = ("dynamics", "view")
+"""What can vary from episode to episode; see `RunConfig.randomise`."""
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What the rules have to know of the names in a configuration.
+
+    Attributes:
+        pictures: the observation holds the camera's picture.
+        dynamics: the simulator can vary the arm.
+    """
+
+    pictures: bool
+    dynamics: bool
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What a rule is asked about: every setting by name, those that were changed, and the facts."""
+
+    settings: Mapping[str, Any]
+    changed: set[str]
+    facts: Facts
+
+    def __getitem__(self, name: str) -> Any:
+        """Value of a setting."""
+        return self.settings[name]
+
+
+@dataclass(frozen=True)
+class Need:
+    """What a setting needs to have an effect: in words, and as a question."""
+
+    words: str
+    met: Callable[[Asked], bool]
+    vital: bool = True
+    """Whether a training without that effect is not the one that was asked for: it is refused, else this is said."""
+
+
+MUJOCO = Need("sim mujoco", lambda s: s["sim"] == "mujoco")
+PYBULLET = Need("sim pybullet", lambda s: s["sim"] == "pybullet")
+TABLE = Need("targets table", lambda s: s["targets"] == "table")
+BOX = Need("targets box", lambda s: s["targets"] == "box")
+PRECISE = Need("reward precise", lambda s: s["reward"] == "precise")
+STOP_EARLY = Need("stop_early", lambda s: s["stop_early"], vital=False)
+
+NEEDS: dict[str, Need] = {
+    "tool_scale": Need("action tool_delta", lambda s: s["action"] == "tool_delta"),
+    "joint_scale": Need("an action of the joints, as joint_delta", lambda s: s["action"] != "tool_delta"),
+    "target_height": TABLE,
+    "target_low": BOX,
+    "target_high": BOX,
+    "hold_speed": Need("hold_steps above 0 or reward precise", lambda s: s["hold_steps"] or s["reward"] == "precise"),
+    "approach_weight": Need("reward dense or precise", lambda s: s["reward"] != "sparse"),
+    "closeness_weight": PRECISE,
+    "closeness_scale": Need(
+        "reward precise and closeness_weight above 0", lambda s: s["reward"] == "precise" and s["closeness_weight"] > 0
+    ),
+    "effort_weight": PRECISE,
+    "physics_steps": MUJOCO,
+    "collisions": MUJOCO,
+    "gravity_compensation": MUJOCO,
+    "gui": PYBULLET,
+    "slow": PYBULLET,
+    "stop_success": STOP_EARLY,
+    "stop_streak": STOP_EARLY,
+    "validation_episodes": STOP_EARLY,
+    "validation_interval": STOP_EARLY,
+}
+"""What settings need to have an effect; those that are not here always have one."""
+
+
+def _at_goal(s: Asked) -> str | None:
+    if s["at_goal"] == "hold" and s["hold_steps"]:
+        return (
+            f"at_goal 'hold' holds the arm at the target, and hold_steps {s['hold_steps']} asks the policy to do so:"
+            " set at_goal to 'continue', or hold_steps to 0."
+        )
+    return None
+
+
+def _held_too_long(s: Asked) -> str | None:
+    if s["hold_steps"] > s["max_steps"]:
+        return (
+            f"the tool cannot be held for hold_steps {s['hold_steps']} in an episode of max_steps {s['max_steps']}:"
+            " choose fewer --hold-steps or more --max-steps."
+        )
+    return None
+
+
+def _crossed_box(s: Asked) -> str | None:
+    if s["targets"] != "box" or s["target_low"] is None or s["target_high"] is None:
+        return None
+    for axis, low, high in zip("xyz", s["target_low"], s["target_high"], strict=True):
+        if low > high:
+            return f"target_low is above target_high in {axis}, {low:g} against {high:g} m: exchange them."
+    return None
+
+
+def _minibatches(s: Asked) -> str | None:
+    if s["num_envs"] % s["minibatches"]:
+        return f"num_envs {s['num_envs']} cannot be divided among {s['minibatches']} minibatches: choose a divisor."
+    return None
+
+
+def _randomised(s: Asked) -> str | None:
+    for name in s["randomise"]:
+        choose("randomise", name, RANDOMISED)
+    if "view" in s["randomise"] and not s.facts.pictures:
+        return (
+            f"randomise view has an effect only with an observation with a picture, as image: {s['observation']!r}"
+            " holds none."
+        )
+    return None
+
+
+def _action_held_too_long(s: Asked) -> str | None:
+    if "action_repeat" in s.changed and s["action_repeat"] > s["max_steps"]:
+        return (
+            f"an action cannot be held for action_repeat {s['action_repeat']} in an episode of max_steps"
+            f" {s['max_steps']}: choose a lower --action-repeat or more --max-steps."
+        )
+    return None
+
+
+CONTRADICTIONS: tuple[Callable[[Asked], str | None], ...] = (
+    *(_at_goal, _held_too_long, _crossed_box, _minibatches, _randomised, _action_held_too_long),
+)
+"""What cannot be: each gives its sentence, or nothing."""
+
+
+def _same_arms(s: Asked) -> str | None:
+    if "randomise" in s.changed and "dynamics" in s["randomise"] and not s.facts.dynamics:
+        return (
+            f"randomise dynamics adds noise to what is measured and nothing else in simulator {s['sim']!r}: arms"
+            " differ with --sim mujoco."
+        )
+    return None
+
+
+def _annealed_too_late(s: Asked) -> str | None:
+    if "anneal_steps" in s.changed and s["anneal_steps"] > s["total_steps"]:
+        return (
+            f"training ends after total_steps {s['total_steps']:,}, before the learning rate has fallen to its end"
+            f" after anneal_steps {s['anneal_steps']:,}."
+        )
+    return None
+
+
+CONSEQUENCES: tuple[Callable[[Asked], str | None], ...] = (_same_arms, _annealed_too_late)
+"""What is said of changed settings that have another effect than one may expect."""
+
+
+def check_consistency(config: RunConfig, facts: Facts, base: RunConfig | None = None) -> None:
+    """Make sure that settings make sense together, and say what follows from those changed from `base`.
+
+    Args:
+        config: the settings.
+        facts: of the names in them.
+        base: what they are changed from; without it their preset.
+
+    Raises:
+        InputError: settings that contradict each other, or one without effect.
+    """
+    settings, usual = (flatten(to_json(one)) for one in (config, base or preset_of(config)))
+    changed = {name for name, value in settings.items() if usual.get(name, value) != value}
+    asked = Asked(settings, changed, facts)
+    for contradiction in CONTRADICTIONS:
+        if sentence := contradiction(asked):
+            raise InputError(sentence)
+    for name in sorted(NEEDS.keys() & changed):
+        if not NEEDS[name].met(asked):
+            sentence = f"{name} has an effect only with {NEEDS[name].words}: leave it out, or choose that."
+            if NEEDS[name].vital:
+                raise InputError(sentence)
+            log.warning("reachlab: %s", sentence)
+    for consequence in CONSEQUENCES:
+        if sentence := consequence(asked):
+            log.warning("reachlab: %s", sentence)

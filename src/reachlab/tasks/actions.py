@@ -1,0 +1,150 @@
+"""What a policy commands: displacements of the tool or of the joints, and what inverse kinematics would do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from reachlab.robots.inverse_kinematics import ik_displace, ik_point_step
+from reachlab.robots.kinematics import forward_kinematics
+from reachlab.tasks.task import Bounds, Situation, TaskSetup
+
+TINY = 1e-6
+"""Divides in place of a smaller number."""
+
+
+@dataclass(frozen=True)
+class Action:
+    """An action design.
+
+    Attributes:
+        summary: what it moves.
+        bounds: its box, lower and upper bounds `[a]`.
+        command: next joint command `[B, n]` in a situation for an action `[B, a]`; within the joint limits.
+        towards: the action `[B, a]` with which inverse kinematics goes to the target, in a situation and in what it
+            believes of that situation.
+    """
+
+    summary: str
+    bounds: Callable[[TaskSetup], Bounds]
+    command: Callable[[TaskSetup, Situation, Array], Array]
+    towards: Callable[[TaskSetup, Situation, Situation], Array]
+
+
+def _tool_box(setup: TaskSetup) -> Bounds:
+    """The tutorial's box: x and y in ±0.4, z in -0.6 to 0.3."""
+    del setup
+    return np.array([-0.4, -0.4, -0.6], np.float32), np.array([0.4, 0.4, 0.3], np.float32)
+
+
+def _move_tool(setup: TaskSetup, now: Situation, action: Array) -> Array:
+    """Joint command whose tool point is displaced by the action, the tool held in its orientation."""
+    displacement = action * setup.rules.tool_scale
+    held = jnp.broadcast_to(jnp.array(setup.robot.held_quaternion), (*action.shape[:-1], 4))
+    return ik_displace(setup.robot.chain, now.target_q, displacement, held)
+
+
+def _tool_towards(setup: TaskSetup, now: Situation, believed: Situation) -> Array:
+    """Straight line to the target at the box's full speed."""
+    del now
+    wanted = (believed.goal.position - believed.tool_position) / setup.rules.tool_scale
+    low, high = _tool_box(setup)
+    excess = jnp.where(wanted > 0, wanted / high, wanted / low).max(axis=-1, keepdims=True)
+    return wanted / jnp.maximum(excess, 1.0)
+
+
+def _joint_box(setup: TaskSetup) -> Bounds:
+    ones = np.ones(setup.robot.chain.n, np.float32)
+    return -ones, ones
+
+
+def _move_joints(setup: TaskSetup, now: Situation, action: Array) -> Array:
+    """Joint command displaced by the action."""
+    chain = setup.robot.chain
+    return jnp.clip(now.target_q + action * setup.rules.joint_scale, jnp.array(chain.lower), jnp.array(chain.upper))
+
+
+NEAR_GAIN, FAR_GAIN = 0.5, 2.5
+"""Shares of the way to the target that inverse kinematics command in a time of the servos' lag: at the target and from
+`APPROACH` on. With more at the target an arm whose servos lag swings about it; far from it their lag is foreseen."""
+
+APPROACH = 0.05
+"""Distance from which on the gain falls to that at the target, and the lag is foreseen less and less [m]: it is found
+from measured speeds, whose noise would be felt at the target."""
+
+TOOL_SPEED = 1.5
+"""Speed at which inverse kinematics send the tool at most [m/s]: with more, most joints are at their own limit, and the
+arm jerks for little gain."""
+
+
+def _joints_towards(setup: TaskSetup, now: Situation, believed: Situation) -> Array:
+    """Joint displacement that brings the tool to the target in whatever orientation, by resolved-rate control.
+
+    Each step goes a share of the way (Whitney, "Resolved motion rate control of manipulators and human prostheses",
+    IEEE Trans. Man-Machine Systems 10(2), 1969) from where the arm will be once it has caught up with its command.
+    """
+    del now
+    chain, lag, period = setup.robot.chain, np.array(setup.lag), setup.period
+    way = believed.goal.position - believed.tool_position
+    far = jnp.minimum(jnp.linalg.norm(way, axis=-1, keepdims=True) / APPROACH, 1.0)
+    caught_up = believed.q + far * jnp.array(lag) * believed.qd
+    way = believed.goal.position - forward_kinematics(chain, caught_up).position
+    share = jnp.minimum((NEAR_GAIN + far * (FAR_GAIN - NEAR_GAIN)) * period / max(lag.max(), TINY), 1.0)
+    wanted = share * way
+    wanted *= jnp.minimum(TOOL_SPEED * period / (jnp.linalg.norm(wanted, axis=-1, keepdims=True) + TINY), 1.0)
+    step = ik_point_step(chain, caught_up, believed.target_q, wanted) / setup.rules.joint_scale
+    return jnp.clip(step, *_joint_box(setup))
+
+
+CORRECTION, CORRECTION_FADE = 2.0, 0.02
+"""Displacement that a correction of 1 adds, in those of inverse kinematics at most: enough to turn one round; and the
+distance from which on corrections fade, to nothing at the target [m]: with its square, so that near the target the pull
+of inverse kinematics, which is proportional to the distance, outweighs them."""
+
+
+def _fade(now: Situation) -> Array:
+    """What a correction of 1 is worth in a situation `[B, 1]`."""
+    distance = jnp.linalg.norm(now.goal.position - now.tool_position, axis=-1, keepdims=True)
+    return CORRECTION * jnp.minimum(jnp.square(distance / CORRECTION_FADE), 1.0)
+
+
+def _correct_joints(setup: TaskSetup, now: Situation, action: Array) -> Array:
+    """Joint command displaced by what inverse kinematics would do, and by the action, which fades at the target.
+
+    Residual policy learning: Silver et al., arXiv:1812.06298; Johannink et al., arXiv:1812.03201.
+    """
+    corrected = _joints_towards(setup, now, now) + _fade(now) * action
+    return _move_joints(setup, now, jnp.clip(corrected, *_joint_box(setup)))
+
+
+def _correction_towards(setup: TaskSetup, now: Situation, believed: Situation) -> Array:
+    """Nothing, but where the situation is believed to be another."""
+    correction = _joints_towards(setup, believed, believed) - _joints_towards(setup, now, now)
+    return jnp.clip(correction / jnp.maximum(_fade(now), TINY), *_joint_box(setup))
+
+
+ACTIONS: dict[str, Action] = {
+    "tool_delta": Action("a displacement of the tool, its orientation held", _tool_box, _move_tool, _tool_towards),
+    "joint_delta": Action("a displacement of every joint", _joint_box, _move_joints, _joints_towards),
+    "joint_residual": Action(
+        "a displacement of every joint, added to that of inverse kinematics and fading at the target",
+        _joint_box,
+        _correct_joints,
+        _correction_towards,
+    ),
+}
+"""Action designs by name."""
+
+
+def bounded(setup: TaskSetup, action: Array) -> Array:
+    """The action `[B, a]` that is taken: clipped to its box, where the task clips."""
+    return jnp.clip(action, *ACTIONS[setup.rules.action].bounds(setup)) if setup.rules.clip_actions else action
+
+
+def command(setup: TaskSetup, now: Situation, action: Array) -> Array:
+    """Next joint command `[B, n]` in a situation, for a bounded action `[B, a]`."""
+    return ACTIONS[setup.rules.action].command(setup, now, action)

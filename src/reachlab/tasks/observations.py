@@ -1,0 +1,277 @@
+"""What a policy observes: named terms with units and bounds, and the schema that they make."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from reachlab.tasks.actions import ACTIONS
+from reachlab.tasks.task import Bounds, Goal, Situation, TaskSetup
+
+SIZE = 84
+"""Height and width of a picture [pixels]; the tutorial's."""
+
+Observed = Any
+"""An observation: a vector `[..., k]`, a picture `[..., SIZE, SIZE]` uint8, or a dict of them by name."""
+
+LOWEST_GOAL = -0.05
+"""Bottom of the observed box [m]: the tutorial's settled object lies just below the workspace."""
+
+NEAR = 0.02
+"""Distance at which the near form of the way to the goal is half as long as a far one [m]."""
+
+
+@dataclass(frozen=True)
+class Term:
+    """A part of an observation.
+
+    Attributes:
+        name: in the schema.
+        unit: of its numbers.
+        value: the term `[B, k]` in a situation; of the camera `[B, SIZE, SIZE]` uint8.
+        bounds: of its numbers `[k]`.
+        constant: which of them never change `[k]`; by default none.
+        picture: it is the camera's picture.
+    """
+
+    name: str
+    unit: str
+    value: Callable[[TaskSetup, Situation], Array]
+    bounds: Callable[[TaskSetup], Bounds]
+    constant: Callable[[TaskSetup], np.ndarray] | None = None
+    picture: bool = False
+
+
+@dataclass(frozen=True)
+class Field:
+    """A term as the policy gets it: name, unit, shape, bounds, and which numbers never change; hashable.
+
+    Bounds and constants are `[k]`, or of a single number for all pixels of a picture.
+    """
+
+    name: str
+    unit: str
+    shape: tuple[int, ...]
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    constant: tuple[bool, ...]
+    picture: bool
+
+    @property
+    def bounds(self) -> Bounds:
+        """Lower and upper bounds in the field's own shape and type."""
+        kind = np.uint8 if self.picture else np.float32
+        low, high = (np.broadcast_to(np.array(side, kind), self.shape).copy() for side in (self.low, self.high))
+        return low, high
+
+
+@dataclass(frozen=True, eq=False)
+class Schema:
+    """What an observation is made of, in order.
+
+    Without a picture the observation is one vector, all fields joined; a picture alone is an array; else it is a dict
+    of the fields by name.
+    """
+
+    fields: tuple[Field, ...]
+
+    def __eq__(self, other: object) -> bool:
+        """Whether both describe the same; JAX asks at every call of a compiled function, mostly of one and the same."""
+        return self is other or (isinstance(other, Schema) and self.fields == other.fields)
+
+    def __hash__(self) -> int:
+        """Hash, computed once for the same reason."""
+        return self._hash
+
+    @functools.cached_property
+    def _hash(self) -> int:
+        return hash(self.fields)
+
+    @functools.cached_property
+    def pictures(self) -> tuple[Field, ...]:
+        """Fields that are pictures."""
+        return tuple(field for field in self.fields if field.picture)
+
+    @functools.cached_property
+    def vectors(self) -> tuple[Field, ...]:
+        """Fields that are not."""
+        return tuple(field for field in self.fields if not field.picture)
+
+    @property
+    def vector_size(self) -> int:
+        """Numbers in all vectors together."""
+        return sum(field.shape[0] for field in self.vectors)
+
+    def join(self, values: Mapping[str, Any]) -> Observed:
+        """The observation of its fields' values by name."""
+        if self.pictures:
+            return values[self.fields[0].name] if len(self.fields) == 1 else dict(values)
+        parts = [values[field.name] for field in self.fields]
+        module: Any = np if isinstance(parts[0], np.ndarray) else jnp
+        return parts[0] if len(parts) == 1 else module.concatenate(parts, axis=-1)
+
+    def split(self, observation: Observed) -> tuple[Any, Any]:
+        """Picture and vector `[..., k]` of an observation, each None where it has none."""
+        if not self.pictures:
+            return None, observation
+        if not self.vectors:
+            return observation, None
+        parts = [observation[field.name] for field in self.vectors]
+        return observation[self.pictures[0].name], parts[0] if len(parts) == 1 else jnp.concatenate(parts, axis=-1)
+
+    @property
+    def bounds(self) -> tuple[Any, Any]:
+        """Lower and upper bounds in the form of an observation."""
+        low, high = ({field.name: field.bounds[side] for field in self.fields} for side in (0, 1))
+        return self.join(low), self.join(high)
+
+
+@dataclass(frozen=True)
+class Observation:
+    """An observation design: its terms, and in a sentence what they are."""
+
+    summary: str
+    terms: tuple[Term, ...]
+
+    @property
+    def pictured(self) -> bool:
+        """Whether the camera's picture is in it."""
+        return any(term.picture for term in self.terms)
+
+    def schema(self, setup: TaskSetup) -> Schema:
+        """Its schema on an arm."""
+        return Schema(tuple(_field(term, setup) for term in self.terms))
+
+
+def _field(term: Term, setup: TaskSetup) -> Field:
+    low, high = term.bounds(setup)
+    constant = np.zeros(low.shape, bool) if term.constant is None else term.constant(setup)
+    return Field(
+        name=term.name,
+        unit=term.unit,
+        shape=(SIZE, SIZE) if term.picture else low.shape,
+        low=tuple(low.tolist()),
+        high=tuple(high.tolist()),
+        constant=tuple(constant.tolist()),
+        picture=term.picture,
+    )
+
+
+# --- terms ----------------------------------------------------------------------------------------
+
+
+def _goal_bounds(setup: TaskSetup) -> Bounds:
+    """The box of goals; of goals on the table the workspace above it too."""
+    low, high = setup.task.goal_box(setup)
+    if (low < high).all():
+        return low, high
+    inner, outer = np.array(setup.robot.workspace, np.float32)
+    low[2] = min(inner[2], LOWEST_GOAL, low[2])
+    high[2] = max(outer[2], high[2])
+    return low, high
+
+
+def _goal_constant(setup: TaskSetup) -> np.ndarray:
+    low, high = setup.task.goal_box(setup)
+    return low == high
+
+
+def _tool_bounds(setup: TaskSetup) -> Bounds:
+    """A cube that holds every point the arm can reach: all its offsets and slides in one line."""
+    chain = setup.robot.chain
+    offsets = sum(float(np.linalg.norm(np.array(offset))) for _, offset in chain.frames)
+    slides = sum(
+        max(abs(low), abs(high)) for low, high, s in zip(chain.lower, chain.upper, chain.slides, strict=True) if s
+    )
+    return _within(np.full(3, offsets + slides))
+
+
+def _within(size: np.ndarray | Sequence[float]) -> Bounds:
+    size = np.asarray(size, np.float32)
+    return -size, size
+
+
+def _joint_bounds(setup: TaskSetup) -> Bounds:
+    """The limits; joints swing past them for moments."""
+    lower, upper = (np.array(limit, np.float32) for limit in (setup.robot.chain.lower, setup.robot.chain.upper))
+    swing = np.float32(0.1)
+    return lower - swing, upper + swing
+
+
+def _lag_bounds(setup: TaskSetup) -> Bounds:
+    lower, upper = (np.array(limit, np.float32) for limit in (setup.robot.chain.lower, setup.robot.chain.upper))
+    return _within(upper - lower)
+
+
+def _way_bounds(setup: TaskSetup) -> Bounds:
+    tool, goal = _tool_bounds(setup), _goal_bounds(setup)
+    return _within(np.maximum(np.abs(goal[0] - tool[1]), np.abs(goal[1] - tool[0])))
+
+
+def _action_bounds(setup: TaskSetup) -> Bounds:
+    return _within(np.abs(ACTIONS[setup.rules.action].bounds(setup)).max(axis=0))
+
+
+def _way(setup: TaskSetup, now: Situation) -> Array:
+    del setup
+    return now.goal.position - now.tool_position
+
+
+def _way_near(setup: TaskSetup, now: Situation) -> Array:
+    way = _way(setup, now)
+    return way / (jnp.linalg.norm(way, axis=-1, keepdims=True) + NEAR)
+
+
+def _picture(setup: TaskSetup, now: Situation) -> Array:
+    del setup
+    assert now.picture is not None, "the environment hands the picture over"  # noqa: S101
+    return now.picture
+
+
+GOAL = Term("goal", "m", lambda _, now: now.goal.position, _goal_bounds, _goal_constant)
+TOOL = Term("tool", "m", lambda _, now: now.tool_position, _tool_bounds)
+IMAGE = Term("image", "grey", _picture, lambda _: (np.zeros(1, np.uint8), np.full(1, 255, np.uint8)), picture=True)
+
+STATE = (
+    Term("joints", "rad or m", lambda _, now: now.q, _joint_bounds),
+    # An arm that is overloaded moves faster than its rated speeds.
+    Term("joint_speeds", "rad/s or m/s", lambda _, now: now.qd, lambda s: _within(10 * np.array(s.robot.speed))),
+    Term("lag", "rad or m", lambda _, now: now.target_q - now.q, _lag_bounds, lambda setup: np.array(setup.lag) == 0.0),
+    TOOL,
+    GOAL,
+    Term("way", "m", _way, _way_bounds),
+    Term("way_near", "1", _way_near, lambda _: _within(np.ones(3))),
+    Term("last_action", "1", lambda _, now: now.last_action, _action_bounds),
+)
+"""Joints, their speeds and how far they are behind their commands, tool, goal, the way between them and the same drawn
+together, and the last action."""
+
+OBSERVATIONS: dict[str, Observation] = {
+    "target": Observation("the target's position [m]", (GOAL,)),
+    "target+tool": Observation("the target's and the tool's positions [m]", (GOAL, TOOL)),
+    "state": Observation(
+        "joints, their speeds and lag, tool, target, the way between them far and near, and the last action", STATE
+    ),
+    "image": Observation("a camera's picture, 84 × 84 grey", (IMAGE,)),
+    "image+tool": Observation("a camera's picture and the tool's position [m], as a dict", (IMAGE, TOOL)),
+}
+"""Observation designs by name."""
+
+
+def observe(setup: TaskSetup, now: Situation) -> Observed:
+    """Observation of a situation, in the form that `Schema` describes."""
+    design = OBSERVATIONS[setup.rules.observation]
+    return design.schema(setup).join({term.name: term.value(setup, now) for term in design.terms})
+
+
+def remembered_situation(picture: Array, tool_position: Array) -> Situation:
+    """Situation of which nothing is known but what an observation with a picture may hold."""
+    unknown = jnp.full((), jnp.nan)
+    goal = Goal(unknown)
+    return Situation(unknown, unknown, tool_position, unknown, goal, unknown, unknown, picture)

@@ -1,0 +1,59 @@
+"""Rewards: named terms whose sum is the reward of a step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from jax import Array
+
+from reachlab.settings.config import TaskConfig
+from reachlab.tasks.task import Outcome
+
+OUTSIDE_REWARD = -0.1
+"""Reward of leaving the workspace (the tutorial's)."""
+
+TIMEOUT_REWARD = -0.1
+"""Reward of running out of time (the tutorial's)."""
+
+SUCCESS_REWARD = 1.0
+"""Reward of reaching the target (the tutorial's)."""
+
+
+def _sparse(config: TaskConfig, outcome: Outcome) -> dict[str, Array]:
+    """1 for reaching the target, -0.1 for leaving the workspace or running out of time: the tutorial's.
+
+    Where the episode continues at the target, losing it costs 1 again: a difference of potentials, so that coming and
+    going pays nothing (Ng, Harada and Russell, "Policy invariance under reward transformations", ICML 1999).
+    """
+    del config
+    return {
+        "reach": SUCCESS_REWARD * outcome.gained,
+        "outside": OUTSIDE_REWARD * outcome.outside,
+        "timeout": TIMEOUT_REWARD * (outcome.timeout & ~outcome.success),
+    }
+
+
+def _dense(config: TaskConfig, outcome: Outcome) -> dict[str, Array]:
+    """As sparse, and for every metre that the tool comes closer."""
+    approach = config.approach_weight * (outcome.distance_before - outcome.distance)
+    return {**_sparse(config, outcome), "approach": approach}
+
+
+def _precise(config: TaskConfig, outcome: Outcome) -> dict[str, Array]:
+    """For coming closer, for being within millimetres, for being still there, and against effort."""
+    close = config.closeness_scale / (config.closeness_scale + outcome.distance)
+    still = config.hold_speed / (config.hold_speed + outcome.speed)
+    return {
+        "approach": config.approach_weight * (outcome.distance_before - outcome.distance),
+        "closeness": config.closeness_weight * close,
+        "stillness": config.closeness_weight * close * still,
+        "effort": -config.effort_weight * outcome.effort,
+    }
+
+
+REWARDS: dict[str, Callable[[TaskConfig, Outcome], dict[str, Array]]] = {
+    "sparse": _sparse,
+    "dense": _dense,
+    "precise": _precise,
+}
+"""Rewards by name; each gives named terms `[B]` whose sum is the reward."""
