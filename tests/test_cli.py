@@ -18,7 +18,7 @@ import pytest
 from PIL import Image
 
 from reachlab import sims
-from reachlab.bench import suites as bench
+from reachlab.bench import SUITES
 from reachlab.cli import main as cli
 from reachlab.envs.core import Env
 from reachlab.evaluation.report import AGENTS
@@ -52,6 +52,7 @@ TABLES = {
     "actions": ACTIONS,
     "rewards": REWARDS,
     "agents": AGENTS,
+    "suites": SUITES,
 }
 
 
@@ -160,9 +161,7 @@ def test_the_version_is_told(reachlab: Shell) -> None:
     assert reachlab("--version") == Said(0, f"reachlab {version('reachlab')}\n", "")
 
 
-@pytest.mark.parametrize(
-    ("verb", "names"), [("eval", AGENTS), ("video", AGENTS), ("view", AGENTS), ("bench", bench.SUITES)]
-)
+@pytest.mark.parametrize(("verb", "names"), [("eval", AGENTS), ("video", AGENTS), ("view", AGENTS), ("bench", SUITES)])
 def test_help_lists_every_name_of_the_table(reachlab: Shell, verb: str, names: dict[str, object]) -> None:
     text = " ".join(reachlab(verb, "--help").out.replace("│", " ").split())
     assert f": {', '.join(names)}." in text
