@@ -259,6 +259,29 @@ def test_wrong_input_is_answered_by_one_sentence(
     assert sorted(tmp_path.rglob("*")) == before
 
 
+@dataclass(frozen=True)
+class Short:
+    """Flags of a command that refuses every name."""
+
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        raise InputError(f"name must be short, got {self.name!r}.")
+
+
+def test_a_refusal_is_told_whole_however_long_it_is(reachlab: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(cli.VERBS, "list", replace(cli.VERBS["list"], flags=Short))
+    name = "x" * 200
+    said = reachlab("list", "--name", name)
+    assert said == Said(2, "", f"reachlab: name must be short, got '{name}'. See `reachlab list --help`.\n")
+
+
+def test_the_last_of_several_tasks_sets_the_defaults(reachlab: Shell) -> None:
+    help_of = reachlab("train", "--task", "tutorial", "--task=precise", "--help").out
+    assert help_of == reachlab("train", "--task", "precise", "--help").out
+    assert help_of != reachlab("train", "--help").out
+
+
 def test_a_process_ends_with_the_same_statuses() -> None:
     wrong = in_a_process("train", "--reward", "spars")
     assert (wrong.status, wrong.out, wrong.err.count("\n")) == (2, "", 1)

@@ -54,7 +54,7 @@ class Distil(Checked):
     randomise_view: bool = False
     """Vary light, colours and camera from episode to episode, see `randomise_view` of train."""
     total_steps: Steps = DISTIL_DEFAULTS["total_steps"]
-    """Environment steps after which training ends: 4,096 an iteration, or more with `--action-repeat`."""
+    """Environment steps after which training ends: 4,096 an iteration with the default `--action-repeat`."""
     report_episodes: Count = DISTIL_DEFAULTS["report_episodes"]
     """Held-out episodes of the report at the end."""
     action_repeat: Count = DISTIL_DEFAULTS["action_repeat"]

@@ -51,8 +51,8 @@ def list_names(arguments: List) -> None:
         "simulators": {name: entry.summary for name, entry in SIMULATORS.items()},
         "observations": {name: design.summary for name, design in OBSERVATIONS.items()},
         "actions": {name: design.summary for name, design in ACTIONS.items()},
-        "rewards": {name: (reward.__doc__ or "").strip() for name, reward in REWARDS.items()},
-        "agents": {name: (agent.__doc__ or "").strip() for name, agent in AGENTS.items()},
+        "rewards": {name: _summary(reward) for name, reward in REWARDS.items()},
+        "agents": {name: _summary(agent) for name, agent in AGENTS.items()},
         "suites": {name: suite.summary for name, suite in SUITES.items()},
     }
     if arguments.json:
@@ -60,6 +60,11 @@ def list_names(arguments: List) -> None:
     else:
         for kind, entries in names.items():
             print_table(kind, ("name", "what it is"), list(entries.items()))
+
+
+def _summary(function: Callable[..., Any]) -> str:
+    """The first sentence of a docstring."""
+    return (function.__doc__ or "").partition("\n")[0].strip()
 
 
 @dataclass(frozen=True)
