@@ -289,8 +289,8 @@ def run(words: list[str], *, whole: bool) -> Outcome:
         if not (whole and words[0] == "train"):
             stack.enter_context(mock.patch("reachlab.learn.train._train", built))
         stack.enter_context(mock.patch.object(viewer.Viewer, "run"))
-        stack.enter_context(mock.patch("reachlab.bench.suites.run_suite", return_value=[]))
-        stack.enter_context(mock.patch("reachlab.cli.verbs.EVALUATION_LANES", {"pybullet": 1}))
+        stack.enter_context(mock.patch("reachlab.cli.verbs.run_suite", return_value=[]))
+        stack.enter_context(mock.patch("reachlab.cli.evaluation.EVALUATION_NUM_ENVS", {"pybullet": 1}))
         stack.enter_context(mock.patch.object(logging.getLogger("reachlab"), "handlers", [handler]))
         stack.enter_context(contextlib.redirect_stdout(out))
         stack.enter_context(contextlib.redirect_stderr(err))

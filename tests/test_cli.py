@@ -18,7 +18,7 @@ import pytest
 from PIL import Image
 
 from reachlab import sims
-from reachlab.bench import suites as bench
+from reachlab.bench import SUITES
 from reachlab.cli import main as cli
 from reachlab.envs.core import Env
 from reachlab.evaluation.report import AGENTS
@@ -52,6 +52,7 @@ TABLES = {
     "actions": ACTIONS,
     "rewards": REWARDS,
     "agents": AGENTS,
+    "suites": SUITES,
 }
 
 
@@ -160,9 +161,7 @@ def test_the_version_is_told(reachlab: Shell) -> None:
     assert reachlab("--version") == Said(0, f"reachlab {version('reachlab')}\n", "")
 
 
-@pytest.mark.parametrize(
-    ("verb", "names"), [("eval", AGENTS), ("video", AGENTS), ("view", AGENTS), ("bench", bench.SUITES)]
-)
+@pytest.mark.parametrize(("verb", "names"), [("eval", AGENTS), ("video", AGENTS), ("view", AGENTS), ("bench", SUITES)])
 def test_help_lists_every_name_of_the_table(reachlab: Shell, verb: str, names: dict[str, object]) -> None:
     text = " ".join(reachlab(verb, "--help").out.replace("│", " ").split())
     assert f": {', '.join(names)}." in text
@@ -258,6 +257,29 @@ def test_wrong_input_is_answered_by_one_sentence(
     assert said.err.count("\n") == 1, said.err
     assert re.search(sentence, said.err), said.err
     assert sorted(tmp_path.rglob("*")) == before
+
+
+@dataclass(frozen=True)
+class Short:
+    """Flags of a command that refuses every name."""
+
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        raise InputError(f"name must be short, got {self.name!r}.")
+
+
+def test_a_refusal_is_told_whole_however_long_it_is(reachlab: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(cli.VERBS, "list", replace(cli.VERBS["list"], flags=Short))
+    name = "x" * 200
+    said = reachlab("list", "--name", name)
+    assert said == Said(2, "", f"reachlab: name must be short, got '{name}'. See `reachlab list --help`.\n")
+
+
+def test_the_last_of_several_tasks_sets_the_defaults(reachlab: Shell) -> None:
+    help_of = reachlab("train", "--task", "tutorial", "--task=precise", "--help").out
+    assert help_of == reachlab("train", "--task", "precise", "--help").out
+    assert help_of != reachlab("train", "--help").out
 
 
 def test_a_process_ends_with_the_same_statuses() -> None:

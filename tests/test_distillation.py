@@ -160,7 +160,7 @@ def test_distil_then_eval_and_video(teacher: Path, tmp_path: Path, capsys: pytes
     assert cli.main(["distil", "--resume", str(out)]) == cli.DONE
     assert "is finished" in capsys.readouterr().err
     assert cli.main(["train", "--resume", str(out)]) == cli.WRONG_INPUT
-    assert f"goes on with `reachlab distil --resume {out}`" in capsys.readouterr().err
+    assert f"is resumed with `reachlab distil --resume {out}`" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from jax import Array
 from reachlab.agents.policy import Policy
 from reachlab.bench import bound as bench_bound
 from reachlab.bench import precise as bench_precise
-from reachlab.bench.suites import to_markdown
+from reachlab.bench.table import to_markdown
 from reachlab.envs.core import Env, EnvState
 from reachlab.envs.streams import lane_keys
 from reachlab.evaluation.report import AGENTS, Report, evaluate

@@ -1,4 +1,4 @@
-"""The camera, measured: frames a second, distillations from nothing, other renderers, and pictures that are spoilt."""
+"""Suite `camera`: policies that get camera pictures: their speed, and their success, also with spoilt pictures."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import numpy as np
 from jax import Array
 
 from reachlab.agents.policy import Policy
-from reachlab.bench.simulators import Row, row
+from reachlab.bench.table import Row, row
 from reachlab.envs.core import Env, EnvState, Transition
 from reachlab.envs.streams import lane_keys
 from reachlab.evaluation.report import FRESH_SEED, Report, evaluate
@@ -30,8 +30,8 @@ SEEDS, HELD_OUT = range(3), 1000
 EPISODES_FROM_NOTHING = 200
 """Episodes of the evaluation that counts to the time from nothing."""
 
-BULLET_EPISODES, BULLET_LANES = 300, 8
-"""Episodes through PyBullet's camera, and its lanes."""
+BULLET_EPISODES, BULLET_NUM_ENVS = 300, 8
+"""Episodes through PyBullet's camera, and environments side by side."""
 
 VARIED_STEPS = 245_760
 """Steps of a distillation in random views, half as many again as in the tutorial's."""
@@ -39,8 +39,8 @@ VARIED_STEPS = 245_760
 SPOILT_EPISODES, SPOILT_STEPS = 100, 400
 """Episodes with each kind of spoilt picture, and their length: most that fail would last for the task's 1,000 steps."""
 
-LANES, FRAMES = 256, 20
-"""BatchArray of an evaluation, and pictures of each that are timed."""
+NUM_ENVS, FRAMES = 256, 20
+"""Environments of an evaluation, and pictures of each that are timed."""
 
 Spoil = Callable[[np.ndarray, np.random.Generator], np.ndarray]
 
@@ -73,19 +73,19 @@ SPOILT: dict[str, Spoil] = {
 
 
 def camera() -> Iterator[Row]:
-    """What the README and docs/camera.md say of the camera, but for PPO from pixels."""
+    """The figures of docs/camera.md, but those of PPO from pixels."""
     with tempfile.TemporaryDirectory() as folder:
         runs, teachers = ([Path(folder) / f"{kind}-{seed}" for seed in SEEDS] for kind in ("student", "teacher"))
         for seed, teacher, run in zip(SEEDS, teachers, runs, strict=True):
             yield _from_nothing(seed, teacher, run)
             for sim in ("kinematic", "mujoco"):
-                yield _success(f"camera/success/{sim}", run, sim, HELD_OUT, LANES, seed)
+                yield success(f"camera/success/{sim}", run, sim, HELD_OUT, NUM_ENVS, seed)
         yield from frames_per_second(runs[0])
         yield from spoilt(runs[0])
-        yield _success("camera/success/pybullet", runs[0], "pybullet", BULLET_EPISODES, BULLET_LANES, 0)
+        yield success("camera/success/pybullet", runs[0], "pybullet", BULLET_EPISODES, BULLET_NUM_ENVS, 0)
         varied = Path(folder) / "varied"
         _distil(teachers[0], varied, 0, randomise_view=True, total_steps=VARIED_STEPS)
-        yield _success("camera/success_randomised/pybullet", varied, "pybullet", BULLET_EPISODES, BULLET_LANES, 0)
+        yield success("camera/success_randomised/pybullet", varied, "pybullet", BULLET_EPISODES, BULLET_NUM_ENVS, 0)
 
 
 def _distil(teacher: Path, out: Path, seed: int, **settings: Any) -> None:
@@ -97,28 +97,29 @@ def _from_nothing(seed: int, teacher: Path, student: Path) -> Row:
     start = time.perf_counter()
     train(configure(seed=seed), teacher)
     _distil(teacher, student, seed)
-    report = _evaluated(student, "kinematic", EPISODES_FROM_NOTHING, LANES, seed)
+    report = _evaluated(student, "kinematic", EPISODES_FROM_NOTHING, NUM_ENVS, seed)
     return row("camera/wall", time.perf_counter() - start, "s", seed=seed, success=report.success_rate)
 
 
-def _success(name: str, run: Path, sim: str, episodes: int, lanes: int, seed: int) -> Row:
-    report = _evaluated(run, sim, episodes, lanes, seed)
+def success(name: str, run: Path, sim: str, episodes: int, num_envs: int, seed: int) -> Row:
+    """Success of a run in a simulator, on held-out targets, with its interval."""
+    report = _evaluated(run, sim, episodes, num_envs, seed)
     interval = [round(share, 4) for share in report.success_interval]
     return row(name, report.success_rate, "rate", seed=seed, episodes=episodes, interval=interval)
 
 
-def _evaluated(run: Path, sim: str, episodes: int, lanes: int, seed: int) -> Report:
-    env, policy = _seeing(run, sim, lanes)
+def _evaluated(run: Path, sim: str, episodes: int, num_envs: int, seed: int) -> Report:
+    env, policy = _environment(run, sim, num_envs)
     try:
         return evaluate(env, "trained", policy, seed=FRESH_SEED + seed, episodes=episodes)
     finally:
         env.close()
 
 
-def _seeing(run: Path, sim: str, lanes: int, kind: type[Env] = Env, **settings: Any) -> tuple[Env, Policy]:
+def _environment(run: Path, sim: str, num_envs: int, kind: type[Env] = Env, **settings: Any) -> tuple[Env, Policy]:
     directory = RunDirectory(run)
     config = override(in_simulator(directory.read_config(), sim), randomise_view=False, **settings)
-    env = kind(config, lanes)
+    env = kind(config, num_envs)
     return env, load_policy(directory, config, env)
 
 
@@ -126,16 +127,16 @@ def _seeing(run: Path, sim: str, lanes: int, kind: type[Env] = Env, **settings: 
 
 
 def frames_per_second(run: Path) -> Iterator[Row]:
-    """Pictures a second, drawn and looked at by the policy."""
-    env, policy = _seeing(run, "kinematic", LANES)
-    state, act = env.init(lane_keys(0, LANES)), jit(lambda policy, seen: policy.act(seen))
+    """Pictures a second that are drawn and given to the policy."""
+    env, policy = _environment(run, "kinematic", NUM_ENVS)
+    state, act = env.init(lane_keys(0, NUM_ENVS)), jit(lambda policy, observation: policy.act(observation))
     jax.block_until_ready(act(policy, env.look(state)))
     start = time.perf_counter()
     for _ in range(FRAMES):
         jax.block_until_ready(act(policy, env.look(state)))
-    rate = FRAMES * LANES / (time.perf_counter() - start)
+    rate = FRAMES * NUM_ENVS / (time.perf_counter() - start)
     env.close()
-    yield row("camera/frames_per_second", rate, "1/s", num_envs=LANES)
+    yield row("camera/frames_per_second", rate, "1/s", num_envs=NUM_ENVS)
 
 
 # --- spoilt pictures ------------------------------------------------------------------------------
@@ -143,14 +144,14 @@ def frames_per_second(run: Path) -> Iterator[Row]:
 
 @dataclass
 class Lens:
-    """What is before the camera: a way of `SPOILT`, or nothing."""
+    """What spoils the pictures: a function of `SPOILT`, or None."""
 
     spoil: Spoil | None
     random: np.random.Generator
 
 
 class SpoiltEnv(Env):
-    """An environment whose pictures are spoilt by its `lens`, and that bears no action that is not finite."""
+    """An environment whose pictures are spoilt by its `lens`; an action that is not finite ends the measurement."""
 
     lens = Lens(None, np.random.default_rng(0))
 
@@ -172,25 +173,10 @@ class SpoiltEnv(Env):
 
 def spoilt(run: Path) -> Iterator[Row]:
     """Success with each kind of spoilt picture, and with none."""
-    env, policy = _seeing(run, "kinematic", SPOILT_EPISODES, SpoiltEnv, max_steps=SPOILT_STEPS)
+    env, policy = _environment(run, "kinematic", SPOILT_EPISODES, SpoiltEnv, max_steps=SPOILT_STEPS)
     assert isinstance(env, SpoiltEnv)  # noqa: S101
     for name, spoil in {"none": None, **SPOILT}.items():
         env.lens = Lens(spoil, np.random.default_rng(0))
         report = evaluate(env, "trained", policy, seed=FRESH_SEED, episodes=SPOILT_EPISODES)
         yield row(f"camera/spoilt/{name}", report.success_rate, "rate", episodes=SPOILT_EPISODES)
     env.close()
-
-
-# --- PPO from pixels ------------------------------------------------------------------------------
-
-
-def pixels() -> Iterator[Row]:
-    """PPO from pixels: how long it takes [s], and what it comes to on held-out targets."""
-    with tempfile.TemporaryDirectory() as folder:
-        for seed in SEEDS:
-            run = Path(folder) / str(seed)
-            result = train(configure(observation="image", seed=seed), run)
-            pictures = result.steps // configure(observation="image").ppo.action_repeat
-            yield row("pixels/wall", result.total_wall_s, "s", seed=seed, pictures=pictures)
-            for sim in ("kinematic", "mujoco"):
-                yield _success(f"pixels/success/{sim}", run, sim, HELD_OUT, LANES, seed)

@@ -1,4 +1,4 @@
-"""Precision under full dynamics: trained policies beside inverse kinematics, on nominal and on perturbed arms."""
+"""Suite `precise`: trained policies beside inverse kinematics under full dynamics, on nominal and perturbed arms."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from reachlab.agents.policy import Policy
 from reachlab.bench.bound import EPISODES, least_time
-from reachlab.bench.simulators import Row, row
+from reachlab.bench.table import Row, row
 from reachlab.envs.core import Env
 from reachlab.evaluation.report import FRESH_SEED, LANES, Episodes, Report, examine, make_runner, summarise
 from reachlab.learn.train import TrainResult, train

@@ -1,4 +1,4 @@
-"""Measurements of the simulators against each other, against bare engines, and against the tutorial's way."""
+"""Suite `simulators`: the simulators against each other, against bare engines, and against the tutorial's way."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import jax
 import numpy as np
 from mujoco.batch import Batch
 
+from reachlab.bench.table import Row, row
 from reachlab.envs.core import Env
 from reachlab.envs.streams import lane_keys
 from reachlab.evaluation.report import FRESH_SEED, LANES, evaluate
@@ -24,13 +24,11 @@ from reachlab.sims import make_simulator
 from reachlab.sims.mujoco import physics_model
 from reachlab.sims.pybullet import GRAVITY, GROUND, TABLE, URDFS, import_pybullet
 
-Row = dict[str, Any]
-
 TRANSFER_SEEDS, TRANSFER_EPISODES = range(3), 1000
 """Policies, and held-out episodes for each."""
 
-LANES_OF = {"kinematic": LANES, "mujoco": LANES, "pybullet": 8}
-"""BatchArray of an evaluation in each simulator."""
+NUM_ENVS = {"kinematic": LANES, "mujoco": LANES, "pybullet": 8}
+"""Environments of an evaluation in each simulator."""
 
 POSES = 10_000
 PARITY_EPISODES, PARITY_STEPS = 100, 100
@@ -41,11 +39,6 @@ EPISODE_STEPS, AUTHOR_EPISODES, OUR_EPISODES = 100, 10, 30
 
 MUJOCO_BATCHES, MUJOCO_STEPS, MUJOCO_ROUNDS = (256, 512, 1024), 30, 6
 """Batch sizes of the MuJoCo measurement, control steps of a round, and rounds."""
-
-
-def row(name: str, value: float, unit: str, **config: object) -> Row:
-    """A measurement."""
-    return {"name": name, "value": float(value), "unit": unit, "config": config}
 
 
 def simulators() -> Iterator[Row]:
@@ -63,15 +56,15 @@ def transfer() -> Iterator[Row]:
         for seed in TRANSFER_SEEDS:
             config = configure(seed=seed)
             trained = train(config, Path(folder) / str(seed))
-            for name, lanes in LANES_OF.items():
-                env = Env(in_simulator(config, name), lanes)
+            for name, num_envs in NUM_ENVS.items():
+                env = Env(in_simulator(config, name), num_envs)
                 report = evaluate(env, "trained", trained.policy, seed=FRESH_SEED + seed, episodes=TRANSFER_EPISODES)
                 env.close()
                 yield row(f"transfer/{name}", report.success_rate, "rate", seed=seed, episodes=TRANSFER_EPISODES)
 
 
 def pybullet_kinematics() -> Iterator[Row]:
-    """Our chain against PyBullet's own URDF."""
+    """Largest difference between the tool positions of our chain and of PyBullet's own URDF."""
     robot = load_robot("iiwa14")
     chain, bullet = robot.chain, make_simulator("pybullet", robot, configure().physics, 1)
     q = np.random.default_rng(1).uniform(chain.lower, chain.upper, (POSES, chain.n)).astype(np.float32)
@@ -83,7 +76,7 @@ def pybullet_kinematics() -> Iterator[Row]:
 
 
 def pybullet_parity() -> Iterator[Row]:
-    """The same joint commands in the kinematic simulator and in PyBullet; and how far PyBullet's own IK strays."""
+    """Largest difference of the kinematic simulator and PyBullet under equal commands; the error of PyBullet's IK."""
     env = Env(configure(), PARITY_EPISODES)
     low, high = env.action_bounds
     actions = np.random.default_rng(2).uniform(low, high, (PARITY_STEPS, PARITY_EPISODES, len(low)))
@@ -96,9 +89,9 @@ def pybullet_parity() -> Iterator[Row]:
 
     bullet = make_simulator("pybullet", env.reach.robot, env.config.physics, 1)
     apart = 0.0
-    for lane in range(PARITY_EPISODES):
-        arm = bullet.reset(None, commands[0, lane : lane + 1], states[0].target[lane : lane + 1], None)
-        for command, point in zip(commands[1:, lane], points[1:, lane], strict=True):
+    for index in range(PARITY_EPISODES):
+        arm = bullet.reset(None, commands[0, index : index + 1], states[0].target[index : index + 1], None)
+        for command, point in zip(commands[1:, index], points[1:, index], strict=True):
             arm = bullet.step(arm, command[None])
             apart = max(apart, float(np.linalg.norm(np.asarray(arm.tool_position)[0] - point)))
     bullet.close()
@@ -167,14 +160,14 @@ class Author:
 
 
 def pybullet_speed() -> Iterator[Row]:
-    """Environment steps a second in PyBullet, with 1 and 16 lanes, beside the tutorial's way."""
+    """Environment steps a second in PyBullet, with 1 and 16 environments, beside the tutorial's way."""
     author = _author_steps_per_second()
     yield row("env_steps_per_second/pybullet-author", author, "1/s", episode_steps=EPISODE_STEPS)
-    for lanes in (1, 16):
-        env = Env(configure(sim="pybullet", max_steps=EPISODE_STEPS), lanes)
-        rate = _host_steps_per_second(env, EPISODE_STEPS * (OUR_EPISODES if lanes == 1 else OUR_EPISODES // 5))
+    for num_envs in (1, 16):
+        env = Env(configure(sim="pybullet", max_steps=EPISODE_STEPS), num_envs)
+        rate = _host_steps_per_second(env, EPISODE_STEPS * (OUR_EPISODES if num_envs == 1 else OUR_EPISODES // 5))
         env.close()
-        yield row("env_steps_per_second/pybullet", rate, "1/s", num_envs=lanes, ratio=round(rate / author, 2))
+        yield row("env_steps_per_second/pybullet", rate, "1/s", num_envs=num_envs, ratio=round(rate / author, 2))
 
 
 def _author_steps_per_second() -> float:
@@ -213,15 +206,15 @@ def mujoco_speed() -> Iterator[Row]:
     Both are timed in turns, since other work on the machine comes and goes; the best of each counts.
     """
     results = []
-    for lanes in MUJOCO_BATCHES:
-        env = Env(configure(sim="mujoco"), lanes)
+    for num_envs in MUJOCO_BATCHES:
+        env = Env(configure(sim="mujoco"), num_envs)
         bare = _bare(env)
         rates = [(_host_steps_per_second(env, MUJOCO_STEPS), bare()) for _ in range(MUJOCO_ROUNDS)]
         env.close()
         through, engine = (max(column) for column in zip(*rates, strict=True))
-        results.append((through, lanes, through / engine))
-    rate, lanes, share = max(results)
-    yield row("env_steps_per_second/mujoco", rate, "1/s", num_envs=lanes, share_of_bare=round(share, 3))
+        results.append((through, num_envs, through / engine))
+    rate, num_envs, share = max(results)
+    yield row("env_steps_per_second/mujoco", rate, "1/s", num_envs=num_envs, share_of_bare=round(share, 3))
 
 
 def _bare(env: Env) -> Callable[[], float]:

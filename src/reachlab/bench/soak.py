@@ -1,4 +1,4 @@
-"""Measurements of what an environment stands: bad actions, neighbours, and being made and closed again and again."""
+"""Suite `soak`: bad actions, environments that take turns, and simulators made and closed many times."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from reachlab.bench.simulators import Row, row
+from reachlab.bench.table import Row, row
 from reachlab.envs.core import Env, EnvState
 from reachlab.envs.gymnasium_faces import ReachEnv
 from reachlab.envs.streams import lane_keys
@@ -20,8 +20,8 @@ from reachlab.sims import SIMULATORS
 ACTIONS, BAD_SHARE = 100_000, 0.01
 """Random actions, and how many of them are bad."""
 
-INTERLEAVINGS, LANES, STEPS = 100, 2, 25
-"""Random orders in which two environments take turns; lanes and steps of each."""
+INTERLEAVINGS, NUM_ENVS, STEPS = 100, 2, 25
+"""Random orders in which two batches take turns; environments and steps of each."""
 
 OPENINGS, WARM_UP = 200, 20
 """Times that a simulator is made and closed, and how many of them may still grow the process."""
@@ -64,7 +64,10 @@ HUGE = 1e30
 
 
 def bad_actions(sim: str, actions: int = ACTIONS, share: float = BAD_SHARE) -> Row:
-    """Faults among random actions, without clipping: something not finite, or a refusal that was none or moved."""
+    """Faults among random actions, without clipping.
+
+    A fault is a number that is not finite, or a bad action that is not refused or has moved the arm.
+    """
     env = ReachEnv(sim=sim, clip_actions=False)
     random, faults, refused = np.random.default_rng(0), 0, 0
     env.action_space.seed(0)
@@ -87,7 +90,7 @@ def bad_actions(sim: str, actions: int = ACTIONS, share: float = BAD_SHARE) -> R
 
 
 def _refuses(env: ReachEnv, action: object) -> bool:
-    """Whether an action is refused, in a sentence, and nothing has moved."""
+    """Whether an action is refused in a sentence and the state is as before."""
     before = _plain(env.state)
     try:
         env.step(action)  # pyright: ignore[reportArgumentType]
@@ -97,33 +100,33 @@ def _refuses(env: ReachEnv, action: object) -> bool:
 
 
 def interleavings(sim: str, count: int = INTERLEAVINGS) -> Row:
-    """Random orders of two environments' steps in which each went exactly as alone."""
-    envs = [Env(configure(sim=sim, max_steps=STEPS // 2), LANES) for _ in range(2)]
+    """Random orders of two batches' steps in which each came to exactly the state that it comes to alone."""
+    envs = [Env(configure(sim=sim, max_steps=STEPS // 2), NUM_ENVS) for _ in range(2)]
     low, high = envs[0].action_bounds
     turns = [_turn(env) for env in envs]
     begin = envs[0].compile(envs[0].init)
     same = 0
     for number in range(count):
         random = np.random.default_rng(number)
-        moves = random.uniform(low, high, (2, STEPS, LANES, len(low))).astype(np.float32)
+        moves = random.uniform(low, high, (2, STEPS, NUM_ENVS, len(low))).astype(np.float32)
         alone = []
         for which in range(2):
-            state = begin(lane_keys(number + which, LANES))
+            state = begin(lane_keys(number + which, NUM_ENVS))
             for move in moves[which]:
                 state = turns[which](state, move)
             alone.append(_plain(state))
-        states = [begin(lane_keys(number + which, LANES)) for which in range(2)]
+        states = [begin(lane_keys(number + which, NUM_ENVS)) for which in range(2)]
         queues = [iter(moves[which]) for which in range(2)]
         for which in random.permutation(np.repeat(range(2), STEPS)):
             states[which] = turns[which](states[which], next(queues[which]))
         same += all(_equal(x, _plain(state)) for x, state in zip(alone, states, strict=True))
     for env in envs:
         env.close()
-    return row(f"interleavings_as_alone/{sim}", same, f"of {count}", num_envs=LANES, steps=STEPS)
+    return row(f"interleavings_as_alone/{sim}", same, f"of {count}", num_envs=NUM_ENVS, steps=STEPS)
 
 
 def _turn(env: Env) -> Callable[[EnvState, np.ndarray], EnvState]:
-    """A step and the resets that it asks for."""
+    """A function that makes a step, and resets the episodes that end in it."""
     step, reset = env.compile(env.step), env.compile(env.reset)
 
     def turn(state: EnvState, move: np.ndarray) -> EnvState:
@@ -142,7 +145,7 @@ def _equal(a: list[np.ndarray], b: list[np.ndarray]) -> bool:
 
 
 def openings(sim: str, count: int = OPENINGS) -> Row:
-    """Growth of the process over many times making and closing a simulator."""
+    """Growth of the process while a simulator is made and closed many times."""
     config = configure(sim=sim)
     begun = (0.0, 0, 0)
     for number in range(count):

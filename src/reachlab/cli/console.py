@@ -16,10 +16,10 @@ PLAIN_WIDTH = 120
 
 
 class _Console(Console):
-    """A stream of the terminal. Results that nobody reads any more end the command; progress does not."""
+    """Console that ends the command where nobody reads its results any more; progress that nobody reads is dropped."""
 
     def on_broken_pipe(self) -> None:
-        """See `Console`; called when a reader of the stream has gone."""
+        """Called by rich when the reader of the stream has gone."""
         os.dup2(os.open(os.devnull, os.O_WRONLY), self.file.fileno())
         if not self.stderr:
             raise BrokenPipeError
@@ -40,7 +40,7 @@ notes = _make_console(stderr=True)
 
 
 def say(text: str) -> None:
-    """Print a line of a result, which no width of a terminal breaks."""
+    """Print a line of a result; it is not wrapped to the width of the terminal."""
     console.print(text, soft_wrap=True)
 
 
@@ -64,7 +64,7 @@ def asked(config: RunConfig) -> str:
 
 
 def succeeded(config: RunConfig) -> str:
-    """What an episode has to come to, to count as a success."""
+    """What counts as a success of an episode."""
     if config.rules.hold_steps:
         return f"at the end {_held(config.rules, config.physics.control_period)}"
     return f"the tool comes within {success_mm(config.rules)} of the target, which ends the episode"
@@ -86,14 +86,14 @@ def success_mm(rules: TaskConfig) -> str:
 
 
 def print_reports(reports: Sequence[dict[str, Any]], config: RunConfig) -> None:
-    """One table with a row for each report of a run's agents, and above it what counts as a success."""
+    """Print what counts as a success, and a table with a row for each report of a run's agents."""
     first, held = reports[0], config.rules.hold_steps > 0
     perturbed = ", perturbed" * first["perturb"] + ", random views" * first["perturb_view"]
     what = f"{first['task']} task, {first['robot']}{perturbed}"
     say(f"{what}: {first['episodes']:,} held-out targets of seed {first['seed']}.")
     say(f"Success: {succeeded(config)}.")
     table = Table("agent", "simulator")
-    # Where touching ends the episode, how far the tool is then is the success distance, and says nothing.
+    # Where touching ends the episode the final error is always about the success distance, so it is left out.
     last = (
         ("median error", "p99 error", "≤ 2 mm", "≤ 1 mm", "time to reach") if held else ("mean steps", "time to reach")
     )
@@ -124,7 +124,7 @@ def _millimetres(error: float | None) -> str:
 
 
 def print_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """A plain table."""
+    """Print a plain table."""
     table = Table(title=title, title_justify="left")
     for heading in headings:
         table.add_column(heading)

@@ -1,4 +1,4 @@
-"""Progress of trainings and evaluations as a person sees it: a bar on a terminal, plain lines elsewhere."""
+"""Progress of trainings and evaluations as they are shown to a person: a bar on a terminal, plain lines elsewhere."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ if TYPE_CHECKING:
     from reachlab.learn.train import TrainResult
 
 LINES = 20
-"""Plain progress lines printed of a run that uses all its steps."""
+"""Plain progress lines that are printed of a run that uses all its steps."""
 
 SHOWN_EPISODES = 100
-"""Training episodes that a success rate on a terminal stands for, at least."""
+"""Training episodes that a success rate on a terminal is taken over, at least."""
 
 EVAL_INTERVAL = 10.0
 """Time between plain progress lines of an evaluation [s]."""
@@ -46,7 +46,7 @@ def _duration(seconds: float) -> str:
 
 
 class _Ended:
-    """Training episodes that have ended since something was last said of them."""
+    """Training episodes that have ended since their success was last shown."""
 
     def __init__(self) -> None:
         self.episodes, self.successes, self.metres = 0.0, 0.0, 0.0
@@ -57,8 +57,8 @@ class _Ended:
         self.successes += row["episodes"] * row["success_rate"]
         self.metres += row["episodes"] * row["final_distance"]
 
-    def said(self, rules: TaskConfig) -> str:
-        """Their success rate, and where touching is not enough how far the tool is in the end."""
+    def in_words(self, rules: TaskConfig) -> str:
+        """Their success rate in words; for a task that asks to hold a point, also the mean distance at their end."""
         if not self.episodes:
             return ""
         held = "held " if rules.hold_steps else ""
@@ -68,10 +68,10 @@ class _Ended:
 
 
 class Bar:
-    """A bar on a terminal while it is entered; nothing elsewhere."""
+    """A progress bar while the context is open; on a terminal only."""
 
     def __init__(self, description: str) -> None:
-        """Bar of which no end is known yet."""
+        """Bar whose total is not known yet."""
         self._bar = Progress(
             SpinnerColumn(),
             TextColumn("{task.description}"),
@@ -100,19 +100,19 @@ class TrainDisplay(Bar):
     """Shows training: a bar on a terminal, plain lines elsewhere."""
 
     def __init__(self, config: RunConfig) -> None:
-        """Display of a run that shows nothing yet."""
-        super().__init__("compiling")  # where training may stop early there is no end to draw a bar towards
+        """Display of a run; it shows nothing before its first progress."""
+        super().__init__("compiling")  # training may stop early, so the bar has no total
         self._config = config
         self._printed = -1
         self._ended, self._success = _Ended(), ""
         self._validated: dict[str, float] = {}
         self.first: TrainProgress | None = None
         self.last: TrainProgress | None = None
-        """Where training stood after this session's first and last iteration."""
+        """Progress after the first and the last iteration of this process."""
 
     def __call__(self, progress: TrainProgress) -> None:
-        """Show where training stands."""
-        if self.first is None:  # only now is it known that nothing is refused
+        """Show the progress of training."""
+        if self.first is None:  # from here on it is known that no setting is refused
             note(explained(self._config))
             self.first = progress
         self.last = progress
@@ -124,7 +124,7 @@ class TrainDisplay(Bar):
 
     def _draw(self, progress: TrainProgress, first: TrainProgress) -> None:
         if self._ended.episodes >= SHOWN_EPISODES:
-            self._success, self._ended = self._ended.said(self._config.rules), _Ended()
+            self._success, self._ended = self._ended.in_words(self._config.rules), _Ended()
         self._validated |= {name: x for name, x in progress.metrics.items() if name == "validation_success"}
         shown = replace(progress, metrics=progress.metrics | self._validated)
         total = None if self._config.ppo.stop_early else progress.total_steps
@@ -135,12 +135,12 @@ class TrainDisplay(Bar):
         due = LINES * progress.steps // progress.total_steps
         if due > self._printed or "validation_success" in progress.metrics:
             self._printed = due
-            note(train_line(progress, first, self._config, self._ended.said(self._config.rules)))
+            note(train_line(progress, first, self._config, self._ended.in_words(self._config.rules)))
             self._ended = _Ended()
 
 
 def explained(config: RunConfig) -> str:
-    """What the lines of a training's progress speak of."""
+    """What a training does, and what the numbers in its progress lines mean."""
     stop = config.ppo
     most = f"at most {stop.total_steps:,}" if stop.stop_early else f"{stop.total_steps:,}"
     early = f", until {stop.stop_streak} validations in a row reach {100 * stop.stop_success:g} % success"
@@ -156,14 +156,14 @@ def explained(config: RunConfig) -> str:
 def train_line(
     progress: TrainProgress, first: TrainProgress, config: RunConfig, success: str, *, timed: bool = True
 ) -> str:
-    """Where training stands.
+    """The progress of training in one line.
 
     Args:
         progress: steps, time and metrics.
-        first: the same after the first iteration of this session.
+        first: the same after the first iteration of this process.
         config: settings of the run.
-        success: what the training episodes came to.
-        timed: whether to say the time, which a bar shows itself.
+        success: success of the training episodes in words.
+        timed: whether to give the time; a bar shows it itself.
     """
     now, seconds = progress.metrics, progress.elapsed_s
     # Only whole iterations are made.
@@ -188,7 +188,7 @@ def _speed(steps_per_second: float) -> str:
 
 
 def print_training(result: TrainResult, config: RunConfig, display: TrainDisplay, *, resumed: bool) -> None:
-    """The result of a training: its report, and its time."""
+    """Print the result of a training: its report, and its time."""
     print_reports([result.report.to_json()], config)
     first, last = display.first, display.last
     if resumed or first is None or last is None or first.steps == last.steps:
@@ -199,9 +199,9 @@ def print_training(result: TrainResult, config: RunConfig, display: TrainDisplay
 
 
 def parts_of_time(first: TrainProgress, last: TrainProgress, train_s: float) -> str:
-    """What a training of `train_s` seconds took its time for, from its progress after its first and last iteration.
+    """Where the time of a training of `train_s` seconds went, from its progress after its first and last iteration.
 
-    Where the simulator steps outside JAX the first iteration is compiled while it is made, so it stands apart.
+    A simulator outside JAX is compiled during the first iteration, so this iteration is counted apart.
     """
     looped = last.metrics["wall_s"] - first.metrics["wall_s"]
     busy = _busy_s(last) - _busy_s(first)
@@ -221,19 +221,19 @@ def _busy_s(progress: TrainProgress) -> float:
 
 
 class EvalDisplay(Bar):
-    """Shows how far evaluations are: a bar on a terminal, plain lines elsewhere."""
+    """Shows the progress of evaluations: a bar on a terminal, plain lines elsewhere."""
 
     def __init__(self, episodes: int) -> None:
-        """Display of evaluations of so many episodes, which shows nothing yet."""
+        """Display of evaluations of so many episodes each; it shows nothing yet."""
         super().__init__("")
         self._episodes = episodes
-        self._what, self._start, self._told = "", 0.0, 0.0
+        self._what, self._start, self._last_line = "", 0.0, 0.0
         self._complete = False
 
     def begin(self, agent: str, sim: str) -> None:
         """Show that an evaluation begins."""
         self._what, self._start = f"{agent} in {sim}", time.perf_counter()
-        self._told, self._complete = self._start, False
+        self._last_line, self._complete = self._start, False
         self._bar.reset(self._task, total=None, description=self._what, status="")
 
     def __call__(self, ended: int) -> None:
@@ -241,9 +241,9 @@ class EvalDisplay(Bar):
         now = time.perf_counter()
         status = f"{ended:,} of {self._episodes:,} episodes"
         self._bar.update(self._task, completed=ended, total=self._episodes, status=status)
-        if self._complete:  # the last batch steps on until all of its lanes have ended
+        if self._complete:  # the last batch steps on until all of its environments have ended
             return
         self._complete = ended == self._episodes
-        if not notes.is_terminal and (self._complete or now - self._told >= EVAL_INTERVAL):
-            self._told = now
+        if not notes.is_terminal and (self._complete or now - self._last_line >= EVAL_INTERVAL):
+            self._last_line = now
             note(f"{self._what}: {status}, {_duration(now - self._start)}")

@@ -8,8 +8,9 @@ from typing import Annotated
 
 import tyro
 
+from reachlab.bench import SUITES
 from reachlab.settings.config import DISTIL_DEFAULTS, PICTURED, DistilConfig, RunConfig
-from reachlab.settings.names import AGENTS, SUITES
+from reachlab.settings.names import AGENTS
 from reachlab.settings.validation import Checked, Count, NonNegative, Positive, Range, Seed, Steps
 
 Optional = tyro.conf.arg(metavar="PATH", help_behavior_hint="")
@@ -23,7 +24,7 @@ Agents = Annotated[tuple[str, ...], tyro.conf.arg(help=f"Agents: {', '.join(AGEN
 class Train(Checked):
     """Train a policy and report on held-out targets."""
 
-    # Without a name its own settings stand among the first flags, and its parts are called by their own names.
+    # Without a name, its own settings are in the first group of flags, and its parts are groups under their own names.
     run: Annotated[RunConfig, tyro.conf.arg(name="")] = field(default_factory=RunConfig)
     out: Annotated[Path | None, Optional] = None
     """Run directory to make; by default a new one below runs/."""
@@ -53,7 +54,7 @@ class Distil(Checked):
     randomise_view: bool = False
     """Vary light, colours and camera from episode to episode, see `randomise_view` of train."""
     total_steps: Steps = DISTIL_DEFAULTS["total_steps"]
-    """Environment steps after which training ends: 4,096 an iteration, other with another `--action-repeat`."""
+    """Environment steps after which training ends: 4,096 an iteration with the default `--action-repeat`."""
     report_episodes: Count = DISTIL_DEFAULTS["report_episodes"]
     """Held-out episodes of the report at the end."""
     action_repeat: Count = DISTIL_DEFAULTS["action_repeat"]
@@ -165,7 +166,7 @@ class Bench(Checked):
 
 @dataclass(frozen=True)
 class List(Checked):
-    """Show tasks, robots, simulators, observations, actions, rewards and agents."""
+    """Show tasks, robots, simulators, observations, actions, rewards, agents and suites of `bench`."""
 
     json: bool = False
     """Print them as one JSON object on standard output."""

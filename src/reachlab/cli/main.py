@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import io
 import itertools
 import os
-import re
 import sys
 from collections.abc import Sequence
 from importlib.metadata import version
@@ -24,14 +24,14 @@ DONE, WRONG_INPUT, NOT_FINITE, INTERRUPTED = 0, 2, 3, 130
 """Exit statuses."""
 
 UNREAD = 141
-"""Exit status where the reader of the results has gone, as in `reachlab list | head -1`: that of SIGPIPE."""
+"""Exit status where the reader of the results has gone, as in `reachlab list | head -1`: the one of SIGPIPE."""
 
 
 MORE: dict[type, str] = {
     Train: "\n\nNo flag is needed. The first group is enough for most runs, with --reward and --total-steps; the other"
     " groups change the rules of the task, the physics and the training."
 }
-"""What the help of some commands says beside their docstring."""
+"""Added to the docstring in the help of some commands."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -42,7 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         finally:
             sys.stdout.flush()
     except BrokenPipeError:
-        # What is left in the buffers has no reader either: it must not fail again as Python ends.
+        # The buffers have no reader either: writing them out must not fail again as Python ends.
         for stream in (sys.stdout, sys.stderr):
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
         return UNREAD
@@ -52,7 +52,7 @@ def _run(words: list[str]) -> int:
     """Exit status of a command.
 
     Raises:
-        BrokenPipeError: nobody reads what it says.
+        BrokenPipeError: nobody reads its output.
     """
     try:
         if not words or words[0] in ("-h", "--help"):
@@ -98,8 +98,8 @@ def _parse(verb: str, flags: type, words: list[str]) -> Any:
     """
     default: Any = tyro.MISSING_NONPROP
     if flags is Train:
-        default = Train(run=_defaults(words))
-    elif flags is Distil and isinstance(config := _resumed(words), DistilRunConfig):
+        default = Train(run=_defaults(_chosen(words)))
+    elif flags is Distil and isinstance(config := _resumed(_chosen(words)), DistilRunConfig):
         settings = flatten(to_json(config))
         default = Distil(**{name: settings[name] for name in LESSON}, settings=config.distil)
     said = io.StringIO()
@@ -116,41 +116,50 @@ def _parse(verb: str, flags: type, words: list[str]) -> Any:
     except SystemExit as end:
         if not end.code:
             raise
-        raise InputError(f"{_sentence(said.getvalue())} See `reachlab {verb} --help`.") from None
+        sentence = _refusal(end) or _sentence(said.getvalue())
+        raise InputError(f"{sentence} See `reachlab {verb} --help`.") from None
 
 
-def _defaults(words: Sequence[str]) -> RunConfig:
-    """Settings that the flags of a training change: those of the run to go on with, or a preset."""
-    if config := _resumed(words):
+def _defaults(chosen: argparse.Namespace) -> RunConfig:
+    """Settings that the flags of a training change: those of the run that is resumed, or a preset."""
+    if config := _resumed(chosen):
         return config
-    return preset(_value_of("--task", words) or "tutorial", *(_value_of(f"--{name}", words) for name in CHOICES))
+    return preset(chosen.task or "tutorial", *(vars(chosen)[name] for name in CHOICES))
 
 
-def _resumed(words: Sequence[str]) -> RunConfig | None:
-    """Settings of the run to go on with, if there is one."""
-    if not (folder := _value_of("--resume", words)):
+def _resumed(chosen: argparse.Namespace) -> RunConfig | None:
+    """Settings of the run that is resumed, if there is one."""
+    if not chosen.resume:
         return None
     from reachlab.runs.directory import RunDirectory
 
-    return RunDirectory(Path(folder)).read_config()
+    return RunDirectory(Path(chosen.resume)).read_config()
 
 
-def _value_of(flag: str, words: Sequence[str]) -> str | None:
-    """Value of a flag, the last one if it is there several times."""
-    value = None
-    for word, following in itertools.zip_longest(words, words[1:]):
-        if word == flag:
-            value = following
-        elif word.startswith(f"{flag}="):
-            value = word.partition("=")[2]
-    return value
+def _chosen(words: Sequence[str]) -> argparse.Namespace:
+    """The flags on which the defaults of others depend; None where one is not given or has no value."""
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    for name in ("resume", "task", *CHOICES):
+        parser.add_argument(f"--{name}", nargs="?")
+    return parser.parse_known_args(words)[0]
+
+
+def _refusal(end: SystemExit) -> str | None:
+    """Our own sentence, where a dataclass that tyro built refused a value: tyro exits while it handles that error."""
+    cause = end.__context__
+    while cause and not isinstance(cause, InputError):
+        cause = cause.__context__
+    return str(cause) if cause else None
 
 
 def _sentence(box: str) -> str:
-    """The first statement of tyro's framed message, and the flag it suggests; frames may be drawn in ASCII."""
+    """The first statement of tyro's framed message, and the flag that it suggests; frames may be drawn in ASCII.
+
+    tyro has no public function that gives its message without the frame, so its version is bounded in pyproject.toml.
+    """
     rows = [line.strip("│╭╮╰╯|+ ") for line in box.splitlines()[1:]]
     parts = [list(part) for rule, part in itertools.groupby(rows, lambda row: not row.strip("─-")) if not rule]
-    text = re.sub(r"^Error parsing [\w.]+: ", "", " ".join(parts[0])).rstrip(".") + "."
+    text = " ".join(parts[0]).rstrip(".") + "."
     for heading, *rest in parts[1:]:
         if heading.startswith("Perhaps you meant"):
             text += f" Did you mean {next(row for row in rest if row.startswith('--')).split()[0].rstrip(',')}?"

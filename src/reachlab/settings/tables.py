@@ -1,20 +1,29 @@
-"""Tables of names whose entries are loaded when they are asked for."""
+"""Entries of tables whose modules are too heavy to be imported before they are needed."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib import import_module
+from pkgutil import resolve_name
 from typing import Any
 
 
 @dataclass(frozen=True)
 class Lazy:
-    """An entry of a table: what it is in a sentence, and where it lies, as `package.module:name`."""
+    """An entry of a table that is loaded when it is asked for: what it is in a sentence, and where it lies.
+
+    Attributes:
+        summary: one sentence for the command line's help and for `reachlab list`.
+        place: `package.module:name`.
+    """
 
     summary: str
     place: str
 
     def load(self) -> Any:
-        """What lies there; its module is imported now."""
-        module, _, name = self.place.partition(":")
-        return vars(import_module(module))[name]
+        """The object itself; its module is imported the first time.
+
+        Raises:
+            ImportError: the module does not load, for example where an extra is not installed.
+            AttributeError: the module has no such name.
+        """
+        return resolve_name(self.place)

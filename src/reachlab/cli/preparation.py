@@ -1,0 +1,27 @@
+"""What a verb does before it uses JAX and MuJoCo."""
+
+from __future__ import annotations
+
+import os
+from importlib import import_module
+
+from reachlab.settings.validation import InputError
+
+
+def prepare() -> None:
+    """Quiet XLA's log, which prints pages of CPU features when it reads the compilation cache, and use the cache.
+
+    Raises:
+        InputError: MuJoCo does not load, as with a `MUJOCO_GL` that it does not know or cannot load.
+    """
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+    from reachlab.jax_setup import use_compilation_cache
+
+    use_compilation_cache()
+    try:
+        import_module("mujoco")
+    except Exception as error:
+        if "MUJOCO_GL" not in os.environ:
+            raise
+        wanted = os.environ["MUJOCO_GL"]
+        raise InputError(f"MuJoCo does not load with MUJOCO_GL={wanted!r} ({error}): unset it, or set egl.") from None

@@ -1,0 +1,100 @@
+"""The verbs `train` and `distil`."""
+
+from __future__ import annotations
+
+import json as jsonlib
+import sys
+import time
+from pathlib import Path
+
+from reachlab.cli.flags import LESSON, Distil, Train
+from reachlab.cli.preparation import prepare
+from reachlab.settings.config import DistilRunConfig, RunConfig, distillation, in_simulator, override
+from reachlab.settings.validation import InputError
+
+
+def train(arguments: Train) -> None:
+    """Run `reachlab train`."""
+    _learn(arguments, arguments.run, "train")
+
+
+def distil(arguments: Distil) -> None:
+    """Run `reachlab distil`."""
+    _learn(arguments, _distillation(arguments), "distil")
+
+
+def _distillation(arguments: Distil) -> RunConfig:
+    """Settings of a distillation: of the run that is resumed, or of the teacher, with the changes of the flags."""
+    from reachlab.runs.directory import RunDirectory
+
+    changes = {name: getattr(arguments, name) for name in LESSON} | vars(arguments.settings)
+    if arguments.resume:
+        config = RunDirectory(arguments.resume).read_config()
+        changes |= {"sim": arguments.sim} if arguments.sim else {}
+        changes |= {"teacher": str(arguments.teacher)} if arguments.teacher else {}
+        return override(config, **changes) if isinstance(config, DistilRunConfig) else config
+    if arguments.teacher is None:
+        raise InputError("distil needs a teacher: name the run directory of one, as `reachlab train` makes it.")
+    taught = RunDirectory(arguments.teacher).read_config()
+    config = in_simulator(taught, arguments.sim or taught.sim)
+    return distillation(str(arguments.teacher), config, **changes)
+
+
+def _learn(arguments: Train | Distil, config: RunConfig, verb: str) -> None:
+    """Train or distil, and show the result."""
+    from reachlab.learn.interrupts import raise_on_termination
+
+    raise_on_termination()
+    if config.verb != verb:
+        raise InputError(
+            f"run '{arguments.resume}' is resumed with `reachlab {config.verb} --resume {arguments.resume}`."
+        )
+    if arguments.resume and _is_finished(arguments, config, arguments.resume):
+        return
+    prepare()
+    from reachlab.cli.console import note, say
+    from reachlab.cli.displays import TrainDisplay, print_training
+    from reachlab.learn.train import distil as run_distillation
+    from reachlab.learn.train import train as run_training
+    from reachlab.watch.plots import plot as draw
+
+    out = arguments.resume or arguments.out or Path("runs") / f"{time.strftime('%Y%m%d-%H%M%S')}-{config.task}"
+    settings = {"resume": arguments.resume is not None, "tensorboard": arguments.tensorboard}
+    with TrainDisplay(config) as display:
+        if isinstance(config, DistilRunConfig):
+            result = run_distillation(config, out, display, **settings)
+        else:
+            result = run_training(config, out, display, **settings)
+    draw([out], out / "curve.png")
+    if arguments.json:
+        print(jsonlib.dumps(result.to_json()))
+    else:
+        print_training(result, config, display, resumed=arguments.resume is not None)
+        say(f"Written: {out}: report.json, curve.png, checkpoints. With the report: {result.total_wall_s:.1f} s.")
+    if result.validated is False:
+        note(
+            f"Warning: no {config.ppo.stop_streak} validations in a row reached {100 * config.ppo.stop_success:g} %"
+            f" success within {config.ppo.total_steps:,} steps."
+        )
+    note(f"Next: reachlab eval {out} --agent trained random ik")
+
+
+def _is_finished(arguments: Train | Distil, config: RunConfig, folder: Path) -> bool:
+    """Whether the run that is to be resumed is finished; if it is, this has been printed.
+
+    Raises:
+        InputError: it cannot be resumed; this is found before JAX is loaded.
+    """
+    from reachlab.runs.directory import RunDirectory
+    from reachlab.runs.files import read_json
+
+    if arguments.out:
+        raise InputError("--resume names the run directory already: leave --out out.")
+    run = RunDirectory(folder)
+    run.read_unfinished(config)
+    if not run.finished:
+        return False
+    if arguments.json:
+        print(jsonlib.dumps(read_json(run.report_file)))
+    print(f"Run {folder} is finished: {run.report_file} holds its report.", file=sys.stderr)
+    return True

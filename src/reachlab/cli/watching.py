@@ -1,0 +1,107 @@
+"""The verbs `video`, `view` and `plot`."""
+
+from __future__ import annotations
+
+import json as jsonlib
+import webbrowser
+from functools import partial
+
+from reachlab.cli.flags import Plot, Video, View
+from reachlab.cli.preparation import prepare
+from reachlab.settings.config import RunConfig, in_simulator, override
+from reachlab.settings.names import AGENTS
+from reachlab.settings.validation import InputError, choose
+
+
+def _as_it_is(trained: RunConfig, sim: str | None) -> RunConfig:
+    """Settings of a run in a simulator, by default its own, without random views."""
+    from reachlab.sims import SIMULATORS
+
+    return override(in_simulator(trained, choose("simulator", sim or trained.sim, SIMULATORS)), randomise_view=False)
+
+
+def video(arguments: Video) -> None:
+    """Run `reachlab video`."""
+    prepare()
+    from reachlab.cli.console import say
+    from reachlab.envs.core import Env
+    from reachlab.learn.train import load_policy
+    from reachlab.runs.directory import RunDirectory
+    from reachlab.watch.video import write_video
+
+    agent = choose("agent", arguments.agent, AGENTS)
+    run = RunDirectory(arguments.run)
+    config = _as_it_is(run.read_config(), arguments.sim)
+    env = Env(config, 1)
+    clip = write_video(
+        env,
+        agent,
+        load_policy(run, config, env),
+        arguments.out or run.path / "video.webp",
+        seed=arguments.seed,
+        episodes=arguments.episodes,
+        fps=arguments.fps,
+        speed=arguments.speed,
+    )
+    env.close()
+    if arguments.json:
+        print(jsonlib.dumps(vars(clip)))
+    else:
+        say(
+            f"Written: {clip.out}, {clip.seconds:.1f} s, {clip.frames} pictures, {clip.bytes / 1e6:.2f} MB:"
+            f" {clip.successes} of {clip.episodes} episodes reach the target."
+        )
+
+
+def view(arguments: View) -> None:
+    """Run `reachlab view`."""
+    prepare()
+    from reachlab.cli.console import note, say
+    from reachlab.envs.core import Env
+    from reachlab.learn.interrupts import Interrupts
+    from reachlab.learn.train import load_policy
+    from reachlab.runs.directory import RunDirectory
+    from reachlab.watch.stage import is_local
+    from reachlab.watch.viewer import Viewer, save_page
+
+    run = RunDirectory(arguments.run)
+    config = _as_it_is(run.read_config(), arguments.sim)
+    steps = run.checkpoint_steps()
+    env = Env(config, 1)
+    if arguments.save:
+        save_page(
+            env, arguments.agent, load_policy(run, config, env), arguments.seed, arguments.episodes, arguments.save
+        )
+        env.close()
+        say(f"Written: {arguments.save}")
+        return
+    load = partial(load_policy, run, config, env)
+    with (
+        Viewer(env, steps, load, arguments.agent, arguments.host, arguments.port) as viewer,
+        Interrupts() as interrupts,
+    ):
+        say(f"Viewer: {viewer.url}   Ctrl-C ends it.")
+        if not is_local(arguments.host):
+            note(
+                f"Warning: --host {arguments.host} lets other machines in, without a password: anyone who reaches it"
+                " can watch and move the target."
+            )
+        if arguments.open:
+            webbrowser.open(viewer.url)
+        viewer.prepare(arguments.seed)
+        viewer.run(lambda: interrupts.received is not None)
+    env.close()
+
+
+def plot(arguments: Plot) -> None:
+    """Run `reachlab plot`."""
+    from reachlab.cli.console import note, say
+    from reachlab.watch.plots import plot as draw
+
+    if not arguments.runs:
+        raise InputError("plot needs at least one run directory.")
+    out = arguments.out or arguments.runs[0] / "plots.png"
+    left_out = draw(arguments.runs, out)
+    say(f"Written: {out}")
+    for sentence in left_out:
+        note(f"Not drawn: {sentence}")
