@@ -32,12 +32,16 @@ from unittest import mock
 
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 
+from reachlab.agents import AGENTS
 from reachlab.cli import main as cli
-from reachlab.evaluation.report import AGENTS
-from reachlab.settings.config import TASKS, flatten, to_json
+from reachlab.settings.config import TASKS
+from reachlab.settings.plain import flatten, to_json
 from reachlab.settings.validation import Range, hints
 from reachlab.sims import SIMULATORS
-from reachlab.tasks.reach import ACTIONS, OBSERVATIONS, REWARDS, TARGETS
+from reachlab.tasks.actions import ACTIONS
+from reachlab.tasks.observations import OBSERVATIONS
+from reachlab.tasks.reach import TARGETS
+from reachlab.tasks.rewards import REWARDS
 from reachlab.watch import viewer
 
 SOUND = 0.75

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from reachlab.robots.kinematics import DAMPING, MAX_JOINT_STEP, MAX_TURN
+from reachlab.robots.inverse_kinematics import DAMPING, MAX_JOINT_STEP, MAX_TURN
 
 
 def rotation_matrix(quaternion):

@@ -14,20 +14,21 @@ from gymnasium.spaces import Box, Dict
 
 from reachlab.agents.policy import Policy
 from reachlab.envs.core import Env
-from reachlab.envs.streams import lane_keys
+from reachlab.envs.streams import env_keys
 from reachlab.evaluation import report as evaluation
 from reachlab.evaluation.report import evaluate
-from reachlab.learn.method import make_initial_policy
+from reachlab.learn.learner import make_initial_policy
 from reachlab.learn.rollout import host_collector
 from reachlab.learn.train import train
 from reachlab.render import observation_camera as camera
-from reachlab.render.observation_camera import Camera
-from reachlab.render.view_randomisation import CHANCES, FIELD_OF_VIEW, SHIFT, TURN, Views, make_views
+from reachlab.render.observation_camera import ObservationCamera
+from reachlab.render.view_randomisation import FIELD_OF_VIEW, SAMPLES, SHIFT, TURN, Views, make_views
 from reachlab.robots.loading import load_robot
-from reachlab.settings.config import PICTURED, PPOConfig, configure
+from reachlab.settings.config import PICTURED, PPOConfig
+from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError
 from reachlab.sims import SIMULATORS, make_simulator
-from reachlab.tasks.reach import OBSERVATIONS, SIZE
+from reachlab.tasks.observations import OBSERVATIONS, SIZE
 
 ROBOT = load_robot("iiwa14", "link_7")
 HOME = np.array(ROBOT.home)
@@ -35,7 +36,7 @@ TARGETS = np.array([[0.3, 0.2, -0.0083], [0.6, -0.2, -0.0083], [0.5, 0.05, -0.00
 
 
 def nominal(lanes: int) -> Views:
-    return make_views(np.zeros((lanes, CHANCES)))
+    return make_views(np.zeros((lanes, SAMPLES)))
 
 
 def at_home(lanes: int) -> np.ndarray:
@@ -43,8 +44,8 @@ def at_home(lanes: int) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def eye() -> Iterator[Camera]:
-    eye = Camera(ROBOT, threads=2)
+def eye() -> Iterator[ObservationCamera]:
+    eye = ObservationCamera(ROBOT, threads=2)
     yield eye
     eye.close()
 
@@ -73,7 +74,7 @@ def test_the_camera_stands_where_the_tutorial_puts_it() -> None:
 
 
 def test_random_views_stay_within_2_cm_and_2_degrees_on_each_axis() -> None:
-    plain, views = nominal(1), make_views(np.random.default_rng(0).uniform(-1, 1, (1000, CHANCES)))
+    plain, views = nominal(1), make_views(np.random.default_rng(0).uniform(-1, 1, (1000, SAMPLES)))
     assert np.abs(views.position - plain.position).max() == pytest.approx(SHIFT, rel=0.02)
     turned = np.einsum("bij,kj->bik", views.rotation, plain.rotation[0])
     angles = np.degrees(np.arccos((np.trace(turned, axis1=1, axis2=2) - 1) / 2))
@@ -103,35 +104,35 @@ def test_the_target_is_seen_where_it_is(sim: str) -> None:
     simulator.close()
 
 
-def test_the_arm_is_seen_to_move(eye: Camera) -> None:
+def test_the_arm_is_seen_to_move(eye: ObservationCamera) -> None:
     q = at_home(2)
     q[1, 3] -= 0.4
     one, other = eye.pictures(q, TARGETS[[0, 0]], nominal(2))
     assert (np.abs(one.astype(int) - other) > 20).sum() > 50
 
 
-def test_a_picture_depends_on_nothing_but_its_lane(eye: Camera) -> None:
-    q, views = at_home(4), make_views(np.random.default_rng(0).uniform(-1, 1, (4, CHANCES)))
+def test_a_picture_depends_on_nothing_but_its_lane(eye: ObservationCamera) -> None:
+    q, views = at_home(4), make_views(np.random.default_rng(0).uniform(-1, 1, (4, SAMPLES)))
     together, again = eye.pictures(q, TARGETS, views), eye.pictures(q, TARGETS, views)
-    alone = Camera(ROBOT, threads=1)
+    alone = ObservationCamera(ROBOT, threads=1)
     parts = [alone.pictures(q[i : i + 1], TARGETS[i : i + 1], Views(*(x[i : i + 1] for x in views))) for i in range(4)]
     alone.close()
     assert np.array_equal(together, again)
     assert np.array_equal(together, np.concatenate(parts))
 
 
-def test_no_lanes_are_no_pictures(eye: Camera) -> None:
+def test_no_lanes_are_no_pictures(eye: ObservationCamera) -> None:
     assert eye.pictures(at_home(0), TARGETS[:0], nominal(0)).shape == (0, SIZE, SIZE)
 
 
 def test_every_episode_has_its_own_view_where_views_are_random() -> None:
     env = Env(configure(observation="image", randomise_view=True), 3)
-    state = env.init(lane_keys(0, 3))
-    still = state.__class__(**{**vars(state), "target": state.target.at[:].set(state.target[0])})
-    seen = np.asarray(env.look(still))
+    state = env.init(env_keys(0, 3))
+    still = state.__class__(**{**vars(state), "target": state.goal.position.at[:].set(state.goal.position[0])})
+    seen = np.asarray(env.observe_now(still))
     assert not np.array_equal(seen[0], seen[1])
-    assert np.array_equal(seen, np.asarray(env.look(still)))
-    assert not np.array_equal(seen[2], np.asarray(env.look(env.reset(still, np.array([False, False, True]))))[2])
+    assert np.array_equal(seen, np.asarray(env.observe_now(still)))
+    assert not np.array_equal(seen[2], np.asarray(env.observe_now(env.reset(still, np.array([False, False, True]))))[2])
     env.close()
 
 
@@ -141,9 +142,9 @@ def test_without_opengl_one_sentence_says_what_to_install(monkeypatch: pytest.Mo
 
     monkeypatch.setattr(camera, "gl_context", none)
     env = Env(configure(observation="image"), 1)
-    state = env.init(lane_keys(0, 1))
+    state = env.init(env_keys(0, 1))
     with pytest.raises(InputError, match="apt install libegl1"):
-        env.look(state)
+        env.observe_now(state)
     env.step(state, np.zeros((1, 3), np.float32))  # all else works
     env.close()
     with pytest.raises(InputError, match="apt install libegl1"):
@@ -158,13 +159,13 @@ def test_without_opengl_one_sentence_says_what_to_install(monkeypatch: pytest.Mo
 def drawn(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """Numbers of pictures drawn, call by call."""
     counts: list[int] = []
-    draw = Camera.pictures
+    draw = ObservationCamera.pictures
 
-    def counted(self: Camera, q: np.ndarray, target: np.ndarray, views: Views) -> np.ndarray:
+    def counted(self: ObservationCamera, q: np.ndarray, target: np.ndarray, views: Views) -> np.ndarray:
         counts.append(len(q))
         return draw(self, q, target, views)
 
-    monkeypatch.setattr(Camera, "pictures", counted)
+    monkeypatch.setattr(ObservationCamera, "pictures", counted)
     return counts
 
 
@@ -200,7 +201,7 @@ def test_agents_that_do_not_look_have_nothing_drawn(env: Env, drawn: list[int], 
 
 
 def test_a_rollout_draws_one_picture_a_step_and_one_for_every_start(env: Env, drawn: list[int]) -> None:
-    state = env.init(lane_keys(0, 3))
+    state = env.init(env_keys(0, 3))
     _, rollout = host_collector()(env, untrained(env), state, jax.random.key(0), PPOConfig(rollout_steps=8))
     assert sum(drawn) == 3 + 8 * 3 + int(np.asarray(rollout.done).sum())
     seen, next_seen, done = (np.asarray(x) for x in (rollout.observation, rollout.next_observation, rollout.done))
@@ -210,7 +211,7 @@ def test_a_rollout_draws_one_picture_a_step_and_one_for_every_start(env: Env, dr
 
 
 def test_a_held_action_costs_one_picture(env: Env, drawn: list[int]) -> None:
-    state = env.init(lane_keys(0, 3))
+    state = env.init(env_keys(0, 3))
     _, rollout = host_collector()(
         env, untrained(env), state, jax.random.key(0), PPOConfig(rollout_steps=5, action_repeat=4)
     )

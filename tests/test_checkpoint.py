@@ -23,12 +23,13 @@ import safetensors.numpy
 from reachlab import sims
 from reachlab.cli import main as cli
 from reachlab.envs.core import Env
-from reachlab.learn.method import TrainState, initial_state
-from reachlab.learn.train import load_policy
+from reachlab.learn.ppo_method import TrainState, initial_state
+from reachlab.learn.saved import load_policy
 from reachlab.runs.directory import RunDirectory
 from reachlab.runs.files import write_json
 from reachlab.runs.manifest import seal
-from reachlab.settings.config import RunConfig, configure
+from reachlab.settings.config import RunConfig
+from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError
 
 STEP = "checkpoints/step_000000000512"
@@ -46,7 +47,7 @@ def env(config: RunConfig) -> Env:
 
 @pytest.fixture(scope="module")
 def state(env: Env, config: RunConfig) -> TrainState:
-    return env.compile(lambda seed: initial_state(env, config, seed))(np.uint32(config.seed))
+    return env.compile_whole(lambda seed: initial_state(env, config, seed))(np.uint32(config.seed))
 
 
 @pytest.fixture(scope="module")

@@ -18,18 +18,21 @@ import pytest
 from PIL import Image
 
 from reachlab import sims
+from reachlab.agents import AGENTS
 from reachlab.bench import SUITES
 from reachlab.cli import main as cli
 from reachlab.envs.core import Env
-from reachlab.evaluation.report import AGENTS
-from reachlab.learn.method import initial_state
-from reachlab.robots.loading import ROBOTS
+from reachlab.learn.ppo_method import initial_state
+from reachlab.robots.catalogue import ROBOTS
 from reachlab.runs.directory import RunDirectory
-from reachlab.settings.config import TASKS, RunConfig, configure
+from reachlab.settings.config import TASKS, RunConfig
+from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError
 from reachlab.sims import SIMULATORS
 from reachlab.sims.mujoco import MujocoSimulator
-from reachlab.tasks.reach import ACTIONS, OBSERVATIONS, REWARDS
+from reachlab.tasks.actions import ACTIONS
+from reachlab.tasks.observations import OBSERVATIONS
+from reachlab.tasks.rewards import REWARDS
 
 TINY = [
     "--num-envs",
@@ -94,7 +97,7 @@ def untrained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     env = Env(config, 8)
     run = RunDirectory(tmp_path_factory.mktemp("cli") / "untrained")
     run.create(config)
-    run.write_checkpoint(0, env.compile(lambda seed: initial_state(env, config, seed))(np.uint32(0)))
+    run.write_checkpoint(0, env.compile_whole(lambda seed: initial_state(env, config, seed))(np.uint32(0)))
     return run.path
 
 

@@ -14,11 +14,9 @@ from reachlab.settings.config import (
     RunConfig,
     SimConfig,
     TaskConfig,
-    configure,
-    from_json,
-    preset,
-    to_json,
 )
+from reachlab.settings.plain import from_json, to_json
+from reachlab.settings.presets import configure, preset
 from reachlab.settings.validation import InputError, choose
 
 PHYSICS = to_json(RunConfig())["physics"]
@@ -180,7 +178,7 @@ def test_config_survives_json_text():
     config = configure("tutorial", hidden=(32, 16, 8), seed=5, control_period=1 / 240, learning_rate=1e-3 / 3)
     again = from_json(json.loads(json.dumps(to_json(config))))
     assert again == config
-    assert again.ppo.hidden == (32, 16, 8)
+    assert again.learner.hidden == (32, 16, 8)
     assert hash(again) == hash(config)
 
 

@@ -11,13 +11,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reachlab.envs.core import Env, EnvState, Transition
-from reachlab.envs.streams import lane_keys
-from reachlab.robots.loading import ROBOTS
-from reachlab.settings.config import configure
+from reachlab.envs.core import Env
+from reachlab.envs.functions import EnvState, Transition
+from reachlab.envs.streams import env_keys
+from reachlab.robots.catalogue import ROBOTS
+from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError
 from reachlab.sims import SIMULATORS
-from reachlab.tasks.reach import ACTIONS, OBSERVATIONS, REWARDS
+from reachlab.tasks.actions import ACTIONS
+from reachlab.tasks.observations import OBSERVATIONS
+from reachlab.tasks.rewards import REWARDS
 
 LANES, STEPS, EPISODE = 4, 60, 25
 
@@ -61,13 +64,13 @@ class Subject:
         self.observation, self.sim = observation, sim
         self.give = SOFT_LIMIT if SIMULATORS[sim].real_time else 0.0
         self.env = Env(config, LANES)
-        self.init: Callable[..., EnvState] = self.env.compile(self.env.init)
-        self.step: Callable[..., tuple[EnvState, Transition]] = self.env.compile(self.env.step)
-        self.reset: Callable[..., EnvState] = self.env.compile(self.env.reset)
-        self.look: Callable[..., np.ndarray] = lambda state: flat(self.env.look(state))
+        self.init: Callable[..., EnvState] = self.env.compile_whole(self.env.init)
+        self.step: Callable[..., tuple[EnvState, Transition]] = self.env.compile_whole(self.env.step)
+        self.reset: Callable[..., EnvState] = self.env.compile_whole(self.env.reset)
+        self.look: Callable[..., np.ndarray] = lambda state: flat(self.env.observe_now(state))
 
     def start(self, seed: int = 0) -> EnvState:
-        return self.init(lane_keys(seed, LANES))
+        return self.init(env_keys(seed, LANES))
 
     def actions(self, steps: int) -> np.ndarray:
         low, high = self.env.action_bounds
@@ -138,7 +141,7 @@ def test_lanes_differ(seen: Trajectory) -> None:
 
 
 def test_observations_are_finite_and_inside_their_bounds(subject: Subject, seen: Trajectory) -> None:
-    low, high = (np.concatenate([x.ravel() for x in jax.tree.leaves(side)]) for side in subject.env.observation_bounds)
+    low, high = (np.concatenate([x.ravel() for x in jax.tree.leaves(side)]) for side in subject.env.schema.bounds)
     for observation in (seen.observation, seen.first):
         assert observation.shape[1:] == (LANES, len(low))
         assert observation.dtype == (np.uint8 if subject.observation == "image" else np.float32)
@@ -163,7 +166,7 @@ def test_rewards_are_finite_and_bounded(seen: Trajectory) -> None:
 
 
 def test_joints_stay_within_their_limits_and_move(subject: Subject, seen: Trajectory) -> None:
-    chain = subject.env.reach.robot.chain
+    chain = subject.env.setup.robot.chain
     assert (seen.q >= np.array(chain.lower, np.float32) - subject.give).all()
     assert (seen.q <= np.array(chain.upper, np.float32) + subject.give).all()
     assert (np.ptp(seen.q, axis=(0, 1)) > 1e-4).all()

@@ -9,7 +9,8 @@ import pytest
 from reachlab.cli.console import asked
 from reachlab.cli.displays import EvalDisplay, TrainDisplay, explained, parts_of_time, train_line
 from reachlab.learn.loop import Progress
-from reachlab.settings.config import RunConfig, configure
+from reachlab.settings.config import RunConfig
+from reachlab.settings.presets import configure
 
 
 def progress(steps: int, elapsed_s: float, **metrics: float) -> Progress:
@@ -70,7 +71,7 @@ def test_a_training_explains_what_its_lines_speak_of() -> None:
     tutorial, precise = explained(configure()), explained(configure("precise"))
     assert "at most 20,000,000 steps, until 3 validations in a row reach 100 % success" in tutorial
     assert "Training episodes explore with noise;" in tutorial
-    assert f": {configure('precise').ppo.total_steps:,} steps." in precise
+    assert f": {configure('precise').loop.total_steps:,} steps." in precise
     assert "noise and on perturbed arms" in precise
 
 

@@ -16,12 +16,15 @@ from PIL import Image
 from reachlab.bench.camera import SPOILT
 from reachlab.cli import main as cli
 from reachlab.envs.core import Env
-from reachlab.envs.streams import REPORT_STREAM, episode_keys, lane_keys
-from reachlab.learn.dagger_buffer import Album, make_memory, remember
+from reachlab.envs.streams import REPORT_STREAM, env_keys, episode_keys
+from reachlab.learn.dagger_buffer import Pictures, add, make_buffer
 from reachlab.learn.interrupts import Interrupted
-from reachlab.learn.train import distil, load_policy, train
+from reachlab.learn.saved import load_policy
+from reachlab.learn.train import distil, train
 from reachlab.runs.directory import RunDirectory
-from reachlab.settings.config import DistilRunConfig, configure, distillation, override
+from reachlab.settings.config import DistilRunConfig
+from reachlab.settings.plain import override
+from reachlab.settings.presets import configure, distillation
 from reachlab.settings.validation import InputError
 from test_resume import ask, at, rows, weights
 
@@ -100,12 +103,12 @@ def test_the_run_directory_is_as_that_of_a_training(whole: Path) -> None:
 
 def test_pictures_that_are_drawn_again_are_the_same() -> None:
     env = Env(configure(observation="image", randomise_view=True), 8)
-    state = env.init(lane_keys(0, 8))
-    memory, album, again = make_memory(state, 12), Album(env, 12), Album(env, 12)
+    state = env.init(env_keys(0, 8))
+    memory, album, again = make_buffer(state, 12), Pictures(env, 12), Pictures(env, 12)
     for seed in range(2):
-        state = env.init(lane_keys(8 * seed, 8))
-        memory = remember(memory, state, state.last_action)
-        pictures = env.see(state)
+        state = env.init(env_keys(8 * seed, 8))
+        memory = add(memory, state, state.last_action)
+        pictures = env.render_observation(state)
         assert pictures is not None
         album.add(pictures)
     again.complete(memory)
@@ -118,14 +121,14 @@ def test_pictures_that_are_drawn_again_are_the_same() -> None:
 def student(whole: Path) -> Iterator[tuple[Env, Any]]:
     run = RunDirectory(whole)
     env = Env(run.read_config(), 2)
-    yield env, load_policy(run, run.read_config(), env)
+    yield env, load_policy(run, env)
     env.close()
 
 
 @pytest.mark.parametrize("way", SPOILT)
 def test_whatever_the_picture_actions_are_finite(student: tuple[Env, Any], way: str) -> None:
     env, policy = student
-    seen = env.see(env.init(lane_keys(0, 2)))
+    seen = env.render_observation(env.init(env_keys(0, 2)))
     assert seen is not None
     spoilt = SPOILT[way](seen, np.random.default_rng(0)).astype(np.uint8)
     assert not np.array_equal(spoilt, seen)
@@ -188,7 +191,7 @@ def test_videos_of_a_student_of_random_views_show_the_view_as_it_is(whole: Path,
     pictures = []
     for randomise_view in (False, True):
         env = Env(override(RunDirectory(whole).read_config(), randomise_view=randomise_view), 1)
-        pictures.append(np.asarray(env.look(env.init(episode_keys(1, REPORT_STREAM, 0, 1))), int)[0])
+        pictures.append(np.asarray(env.observe_now(env.init(episode_keys(1, REPORT_STREAM, 0, 1))), int)[0])
         env.close()
     tutorial, random = (np.abs(shown - picture).mean() for picture in pictures)
     assert tutorial < 5 < random

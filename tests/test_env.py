@@ -12,10 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reachlab.envs.core import Env, EnvState, Transition
-from reachlab.envs.streams import lane_keys
-from reachlab.evaluation.report import compile_agent
-from reachlab.settings.config import configure
+from reachlab.agents.acting import make_act
+from reachlab.envs.core import Env
+from reachlab.envs.functions import EnvState, Transition
+from reachlab.envs.streams import env_keys
+from reachlab.settings.presets import configure
 
 LANES = 4
 TOOL = slice(3, 6)
@@ -30,13 +31,13 @@ class Compiled:
 
     def __init__(self, **settings: Any) -> None:
         self.env = Env(configure("tutorial", **settings), LANES)
-        self.init: Callable[..., EnvState] = self.env.compile(self.env.init)
-        self.step: Callable[..., tuple[EnvState, Transition]] = self.env.compile(self.env.step)
-        self.reset: Callable[..., EnvState] = self.env.compile(self.env.reset)
-        self.observe: Callable[..., jax.Array] = self.env.compile(self.env.observe)
+        self.init: Callable[..., EnvState] = self.env.compile_whole(self.env.init)
+        self.step: Callable[..., tuple[EnvState, Transition]] = self.env.compile_whole(self.env.step)
+        self.reset: Callable[..., EnvState] = self.env.compile_whole(self.env.reset)
+        self.observe: Callable[..., jax.Array] = self.env.compile_whole(self.env.observe)
 
     def start(self, seed: int = 0, num_envs: int = LANES) -> EnvState:
-        return self.init(lane_keys(seed, num_envs))
+        return self.init(env_keys(seed, num_envs))
 
     def walk(self, state: EnvState, action: tuple[float, ...], steps: int) -> tuple[EnvState, Transition]:
         actions = np.tile(np.array(action, np.float32), (len(state.clock), 1))
@@ -110,7 +111,7 @@ def test_actions_beyond_the_box_move_the_tool_further_only_where_they_are_not_cl
 @pytest.mark.parametrize("action", ["tool_delta", "joint_delta"])
 def test_joint_limits_hold_under_extreme_actions(action: str) -> None:
     env = Compiled(action=action, clip_actions=False)
-    chain, random = env.env.reach.robot.chain, np.random.default_rng(0)
+    chain, random = env.env.setup.robot.chain, np.random.default_rng(0)
     low, high = np.array(chain.lower, np.float32), np.array(chain.upper, np.float32)
     state = env.start()
     touched = np.zeros(chain.n, bool)
@@ -150,7 +151,7 @@ def test_a_straight_descent_ends_as_success_and_pays_one(tutorial: Compiled) -> 
     state, sparse, steps = tutorial.start(num_envs=1), 0.0, 0
     returned, first = 0.0, float(state.distance[0])
     while True:
-        offset = np.asarray(state.target - state.arm.tool_position)
+        offset = np.asarray(state.goal.position - state.arm.tool_position)
         state, transition = tutorial.step(state, np.clip(offset / 0.005, -0.4, 0.4).astype(np.float32))
         sparse += sum(float(transition.terms[name][0]) for name in ("reach", "outside", "timeout"))
         returned, steps = returned + float(transition.reward[0]), steps + 1
@@ -191,7 +192,7 @@ def test_a_reset_changes_the_masked_lanes_and_no_other(tutorial: Compiled, settl
         assert np.array_equal(old[~mask], new[~mask])
     fresh = tutorial.reset(settled, mask)
     assert np.asarray(fresh.clock).tolist() == [0, 60, 60, 0]
-    assert np.asarray(fresh.arm.q)[mask] == pytest.approx(np.tile(tutorial.env.reach.robot.home, (2, 1)), abs=1e-6)
+    assert np.asarray(fresh.arm.q)[mask] == pytest.approx(np.tile(tutorial.env.setup.robot.home, (2, 1)), abs=1e-6)
     assert np.asarray(fresh.target_q)[mask] == pytest.approx(np.asarray(fresh.arm.q)[mask])
     assert not np.asarray(fresh.arm.qd)[mask].any()
     assert not np.asarray(fresh.last_action)[mask].any()
@@ -199,10 +200,10 @@ def test_a_reset_changes_the_masked_lanes_and_no_other(tutorial: Compiled, settl
 
 def test_every_reset_draws_a_new_target(tutorial: Compiled) -> None:
     state = tutorial.start()
-    drawn = [np.asarray(state.target)]
+    drawn = [np.asarray(state.goal.position)]
     for _ in range(100):
         state = tutorial.reset(state, np.ones(LANES, bool))
-        drawn.append(np.asarray(state.target))
+        drawn.append(np.asarray(state.goal.position))
     assert len(np.unique(np.concatenate(drawn), axis=0)) == 101 * LANES
 
 
@@ -238,7 +239,7 @@ def test_an_action_taken_several_times_ends_where_the_episode_does(sim: str, obs
         states.append(state)
         transitions.append(transition)
     actions = np.tile(np.array((0.1, -0.2, -0.3), np.float32), (LANES, 1))
-    step = several.env.compile(lambda state, action: several.env.step(state, action, 4))
+    step = several.env.compile_whole(lambda state, action: several.env.step(state, action, 4))
     end, transition = step(begun, actions)
 
     lasted = np.array([4, 3, 3, 3])  # the fifth step of its episode ends a lane
@@ -287,8 +288,8 @@ def reach_and_stay(at_goal: str, sim: str, **settings: Any) -> tuple[list[EnvSta
     # The tutorial's own targets lie below the workspace's floor: an arm that goes on to their middle leaves it.
     box = {"targets": "box", "target_low": (0.4, -0.2, 0.2), "target_high": (0.6, 0.2, 0.3)}
     env = Env(configure(sim=sim, at_goal=at_goal, max_steps=300, **box, **settings), LANES)
-    decide, step = compile_agent(env, "ik"), env.compile(env.step)
-    state, key = env.compile(env.init)(lane_keys(0, LANES)), jax.random.key(0)
+    decide, step = make_act(env, "ik"), env.compile_whole(env.step)
+    state, key = env.compile_whole(env.init)(env_keys(0, LANES)), jax.random.key(0)
     states, paid = [state], np.zeros(LANES)
     while True:
         state, transition = step(state, decide(None, state, key, None))
@@ -340,14 +341,14 @@ def test_held_long_enough_an_episode_ends_in_success_if_the_task_says_so() -> No
 @pytest.mark.parametrize("sim", ["kinematic", "mujoco"])
 def test_a_share_of_episodes_begins_where_the_last_one_ended_if_that_is_inside(sim: str) -> None:
     env = Env(configure(sim=sim), 200)
-    state, reset = env.compile(env.init)(lane_keys(0, 200)), env.reset
+    state, reset = env.compile_whole(env.init)(env_keys(0, 200)), env.reset
     home, away = np.asarray(state.arm.q), np.asarray(state.arm.q) + np.float32(0.05)
     inside = replace(state, arm=replace(state.arm, q=jnp.asarray(away)))
     begun = reset(inside, np.ones(200, bool), 0.5)
     stayed = np.isclose(np.asarray(begun.arm.q), away, atol=1e-6).all(axis=1)
     np.testing.assert_allclose(np.asarray(begun.arm.q)[~stayed], home[~stayed], atol=1e-6)
     assert 0.35 < stayed.mean() < 0.65
-    assert not np.allclose(np.asarray(begun.target), np.asarray(state.target), atol=1e-3)
+    assert not np.allclose(np.asarray(begun.goal.position), np.asarray(state.goal.position), atol=1e-3)
     outside = replace(inside, arm=replace(inside.arm, tool_position=inside.arm.tool_position + 1.0))
     np.testing.assert_allclose(np.asarray(reset(outside, np.ones(200, bool), 1.0).arm.q), home, atol=1e-6)
     env.close()

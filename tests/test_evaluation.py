@@ -13,8 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import binomtest, rankdata
 
+from reachlab.agents import AGENTS
 from reachlab.agents.policy import Policy
-from reachlab.envs.core import Env, EnvState
+from reachlab.envs.core import Env
+from reachlab.envs.functions import EnvState
 from reachlab.envs.streams import (
     AGENT_STREAM,
     LEARNER_STREAM,
@@ -23,25 +25,14 @@ from reachlab.envs.streams import (
     TRAINING_STREAM,
     VALIDATION_STREAM,
     VIEW_STREAM,
+    env_keys,
     episode_keys,
-    lane_keys,
     noise_keys,
     stream_key,
 )
-from reachlab.evaluation.report import (
-    AGENTS,
-    LANES,
-    Episodes,
-    Report,
-    Runner,
-    evaluate,
-    examine,
-    make_runner,
-    run_episodes,
-    summarise,
-    wilson_interval,
-)
-from reachlab.settings.config import configure
+from reachlab.evaluation.episodes import BATCH, Episodes, Runner, make_runner, run_episodes
+from reachlab.evaluation.report import Report, evaluate, examine, summarise, wilson_interval
+from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError
 
 REPORT_FIELDS = [
@@ -71,7 +62,7 @@ REPORT_FIELDS = [
 
 @pytest.fixture(scope="module")
 def env() -> Env:
-    return Env(configure(), LANES)
+    return Env(configure(), BATCH)
 
 
 @pytest.fixture(scope="module")
@@ -148,17 +139,17 @@ def test_an_episodes_key_depends_on_its_number_alone() -> None:
 def test_held_out_targets_were_never_trained_or_validated_on(env: Env) -> None:
     targets = jax.jit(lambda keys: env.init(keys).target[:, :2])
     streams = {
-        stream: np.asarray(targets(episode_keys(0, stream, 0, LANES)))
+        stream: np.asarray(targets(episode_keys(0, stream, 0, BATCH)))
         for stream in (TRAINING_STREAM, VALIDATION_STREAM, REPORT_STREAM)
     }
     assert len(streams) == 3
-    assert len(np.unique(np.concatenate(list(streams.values())), axis=0)) == 3 * LANES
+    assert len(np.unique(np.concatenate(list(streams.values())), axis=0)) == 3 * BATCH
 
 
 def test_no_seed_repeats_the_keys_of_another_seed_or_stream() -> None:
     streams = (TRAINING_STREAM, VALIDATION_STREAM, REPORT_STREAM)
     parts = [key_rows(episode_keys(seed, stream, 0, 200)) for seed in range(10) for stream in streams]
-    parts.append(key_rows(lane_keys(0, 200)))
+    parts.append(key_rows(env_keys(0, 200)))
     assert len(set.union(*parts)) == 200 * len(parts)
 
 
@@ -178,8 +169,8 @@ def test_every_key_of_a_run_is_used_for_one_thing() -> None:
 def test_measurement_noise_says_nothing_of_starts_and_targets() -> None:
     lanes = 1000
     env = Env(configure("precise", sim="kinematic", perturb=True), lanes)
-    state = env.compile(env.init)(episode_keys(0, REPORT_STREAM, 0, lanes))
-    after = env.compile(env.reset)(state, np.ones(lanes, bool))
+    state = env.compile_whole(env.init)(episode_keys(0, REPORT_STREAM, 0, lanes))
+    after = env.compile_whole(env.reset)(state, np.ones(lanes, bool))
     noise = [np.asarray(env.situation(replace(state, clock=state.clock + step)).q - state.arm.q) for step in range(5)]
     drawn = np.concatenate([np.asarray(x) for s in (state, after) for x in (s.arm.q, s.target)], axis=1)
     columns = np.concatenate([*noise, drawn], axis=1)
@@ -209,8 +200,8 @@ def test_every_episode_is_counted_to_its_first_end_and_no_further(env: Env, whol
     # From the start's height to 0.1 m above the target at 3 mm a step, or from afar at 2 mm sideways.
     assert whole.steps.min() > 100
     assert whole.steps.max() < 300
-    start = np.asarray(env.init(episode_keys(1, REPORT_STREAM, 0, LANES)).distance)
-    sparse = whole.returns[:LANES] - 5 * (start - whole.distance[:LANES])
+    start = np.asarray(env.init(episode_keys(1, REPORT_STREAM, 0, BATCH)).distance)
+    sparse = whole.returns[:BATCH] - 5 * (start - whole.distance[:BATCH])
     assert sparse == pytest.approx(1, abs=1e-3)
 
 
@@ -242,7 +233,7 @@ def test_random_actions_rarely_reach(env: Env) -> None:
 
 
 def test_all_agents_meet_the_same_targets(env: Env, idle: Report) -> None:
-    start = np.asarray(env.init(episode_keys(1, REPORT_STREAM, 0, LANES)).distance)[:30]
+    start = np.asarray(env.init(episode_keys(1, REPORT_STREAM, 0, BATCH)).distance)[:30]
     # The idle tool stays where it starts, but for the millimetre that turning costs.
     assert idle.final_error_mm["max"] == pytest.approx(1000 * start.max(), abs=5)
     assert idle.final_error_mm["median"] == pytest.approx(1000 * np.median(start), abs=5)
@@ -311,7 +302,7 @@ def test_speed_and_jerk_are_those_of_a_known_motion(monkeypatch: pytest.MonkeyPa
 
     monkeypatch.setitem(AGENTS, "turn", turn)
     steps, move, period = 10, 0.02, 1 / 240
-    report = evaluate(Env(configure(action="joint_delta", max_steps=steps), LANES), "turn", seed=0, episodes=50)
+    report = evaluate(Env(configure(action="joint_delta", max_steps=steps), BATCH), "turn", seed=0, episodes=50)
     assert report.steps_mean == steps
     assert report.max_joint_speed[0] == pytest.approx(move / period, rel=1e-3)
     assert report.max_joint_speed[1:] == pytest.approx([0] * 6, abs=1e-3)

@@ -31,11 +31,12 @@ from reachlab.runs.directory import RunDirectory
 from reachlab.runs.files import read_json, write_json
 from reachlab.runs.manifest import MANIFEST, seal
 from reachlab.runs.metrics import Metrics
-from reachlab.settings.config import configure, to_json
+from reachlab.settings.plain import to_json
+from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError
 from reachlab.sims.mujoco import MujocoSimulator
 from reachlab.tasks import reach as task
-from reachlab.tasks.reach import Outcome
+from reachlab.tasks.task import Outcome
 
 EACH = 64
 """Environment steps of an iteration."""

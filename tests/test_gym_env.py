@@ -17,8 +17,9 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
-from reachlab.envs.gymnasium_faces import ReachEnv, ReachVectorEnv
-from reachlab.render.scene import Camera
+from reachlab.envs.gymnasium_single import ReachEnv
+from reachlab.envs.gymnasium_vector import ReachVectorEnv
+from reachlab.render.offscreen import Camera
 from reachlab.robots.loading import load_robot
 from reachlab.settings.validation import InputError
 

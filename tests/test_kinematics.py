@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 
 from reachlab.jax_setup import jit
 from reachlab.robots.chain import chain_from_model
-from reachlab.robots.kinematics import Pose, forward_kinematics, ik_point_step, ik_step, inverse_kinematics, jacobian
+from reachlab.robots.inverse_kinematics import ik_point_step, ik_step, inverse_kinematics
+from reachlab.robots.kinematics import Pose, forward_kinematics, jacobian
 from reachlab.robots.loading import load_robot
 from reference import Arm, angle_between, quaternion, random_quaternions, rotation_matrix
 

@@ -7,7 +7,8 @@ import pytest
 
 from reachlab.jax_setup import jit
 from reachlab.robots import scalars as lanes
-from reachlab.robots.kinematics import Pose, ik_step
+from reachlab.robots.inverse_kinematics import ik_step
+from reachlab.robots.kinematics import Pose
 from reachlab.robots.loading import load_robot
 from reachlab.robots.scalars import IDENTITY, Rotation, Vec
 from reference import angle_between, quaternion, random_quaternions, rotation_matrix

@@ -9,7 +9,7 @@ import pytest
 
 from reachlab.learn.train import train
 from reachlab.runs.metrics import Metrics, read_metrics
-from reachlab.settings.config import configure
+from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError
 
 ROWS = [{"steps": 128, "success_rate": 0.25}, {"steps": 256, "success_rate": 0.5, "validation_success": 0.75}]

@@ -7,10 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from reachlab.agents import AGENTS
 from reachlab.envs.core import Env
-from reachlab.evaluation.report import AGENTS, LANES, REPORT_STREAM, make_runner, run_episodes
-from reachlab.learn.method import make_initial_policy
-from reachlab.settings.config import configure
+from reachlab.evaluation.episodes import BATCH, make_runner, run_episodes
+from reachlab.evaluation.report import REPORT_STREAM
+from reachlab.learn.learner import make_initial_policy
+from reachlab.settings.presets import configure
 from reachlab.watch.player import LATE, LEFT, Player, target_box
 
 FAR, NEAR = np.array([0.6, 0.2, -0.0083]), np.array([0.4, -0.2, -0.0083])
@@ -42,7 +44,7 @@ def test_a_new_episode_has_a_new_target_and_begins_at_home(player: Player) -> No
     before = player.moment
     play(player)
     player.go_on()
-    assert not np.allclose(before.target, player.moment.target)
+    assert not np.allclose(before.goal.position, player.moment.target)
     np.testing.assert_allclose(player.moment.q, before.q)
     assert (player.over, player.moment.reached) == (False, False)
 
@@ -64,11 +66,11 @@ def test_the_arm_rests_where_it_came_within_the_success_distance_until_the_targe
     before = player.moment
     play(player, 100)
     np.testing.assert_array_equal(player.moment.q, before.q)
-    player.move_target(before.target + 0.02 * (before.tool - before.target) / before.distance)
+    player.move_target(before.goal.position + 0.02 * (before.tool - before.goal.position) / before.distance)
     assert player.moment.reached, "it is near enough still"
     play(player, 1)
     np.testing.assert_array_equal(player.moment.q, before.q)
-    player.move_target(FAR if before.target[1] < 0 else NEAR)
+    player.move_target(FAR if before.goal.position[1] < 0 else NEAR)
     assert not player.moment.reached, "reached means now"
     play(player, 1)
     assert not np.array_equal(player.moment.q, before.q)
@@ -117,7 +119,7 @@ def test_an_arm_that_never_arrives_begins_again_once_the_time_of_an_episode_is_o
 
 def test_the_episodes_are_those_of_the_evaluation() -> None:
     player = player_in("kinematic")
-    evaluated = run_episodes(make_runner(Env(configure(), LANES), "ik"), None, 0, REPORT_STREAM, 3)
+    evaluated = run_episodes(make_runner(Env(configure(), BATCH), "ik"), None, 0, REPORT_STREAM, 3)
     for number in range(3):
         np.testing.assert_allclose(player.moment.target, evaluated.target[number], atol=1e-6)
         play(player)

@@ -12,9 +12,11 @@ import pytest
 from matplotlib.figure import Figure
 from PIL import Image
 
+from reachlab.agents import AGENTS
 from reachlab.runs.directory import RunDirectory
-from reachlab.settings.config import RunConfig, configure, to_json
-from reachlab.settings.names import AGENTS
+from reachlab.settings.config import RunConfig
+from reachlab.settings.plain import to_json
+from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError
 from reachlab.watch.plots import plot
 from reachlab.watch.results import band, group_runs, read_evaluations

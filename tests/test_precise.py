@@ -10,19 +10,24 @@ import numpy as np
 import pytest
 from jax import Array
 
+from reachlab.agents import AGENTS
 from reachlab.agents.policy import Policy
 from reachlab.bench import bound as bench_bound
 from reachlab.bench import precise as bench_precise
 from reachlab.bench.table import to_markdown
-from reachlab.envs.core import Env, EnvState
-from reachlab.envs.streams import lane_keys
-from reachlab.evaluation.report import AGENTS, Report, evaluate
+from reachlab.envs.core import Env
+from reachlab.envs.functions import EnvState
+from reachlab.envs.streams import env_keys
+from reachlab.evaluation.report import Report, evaluate
 from reachlab.jax_setup import jit
 from reachlab.learn.train import train
-from reachlab.robots.kinematics import forward_kinematics, ik_point_step
+from reachlab.robots.inverse_kinematics import ik_point_step
+from reachlab.robots.kinematics import forward_kinematics
 from reachlab.runs.directory import RunDirectory
-from reachlab.settings.config import configure, override
-from reachlab.tasks.reach import Situation, judge, nothing_held, remember
+from reachlab.settings.plain import override
+from reachlab.settings.presets import configure
+from reachlab.tasks.reach import judge, nothing_held, remember
+from reachlab.tasks.task import Situation
 
 LANES = 40
 HOLD = 10
@@ -40,10 +45,10 @@ def situation(distance: float, speed: float = 0.0) -> Situation:
 
 
 def held_after(env: Env, steps: list[Situation]) -> tuple[float, bool]:
-    recent = nothing_held(env.reach, 1)
+    recent = nothing_held(env.setup, 1)
     for now in steps:
-        recent = remember(env.reach, recent, now)
-    outcome = judge(env.reach, jnp.array([0.5]), recent, steps[-1], jnp.array([len(steps)]))
+        recent = remember(env.setup, recent, now)
+    outcome = judge(env.setup, jnp.array([0.5]), recent, steps[-1], jnp.array([len(steps)]))
     return float(outcome.held[0]), bool(outcome.success[0])
 
 
@@ -62,19 +67,19 @@ def test_nothing_is_held_before_ten_steps_or_while_a_joint_moves(env):
 
 
 def test_starts_lie_about_home_and_targets_in_the_box_independently(env):
-    state = env.init(lane_keys(0, 400)[:LANES])
-    spread = np.asarray(state.arm.q) - np.array(env.reach.robot.home)
+    state = env.init(env_keys(0, 400)[:LANES])
+    spread = np.asarray(state.arm.q) - np.array(env.setup.robot.home)
     assert np.abs(spread).max() <= 0.3 + 1e-6
     assert (np.ptp(spread, axis=0) > 0.4).all()
     low, high = np.array(env.config.rules.target_low), np.array(env.config.rules.target_high)
-    target = np.asarray(state.target)
+    target = np.asarray(state.goal.position)
     assert ((target >= low - 1e-6) & (target <= high + 1e-6)).all()
     assert (np.ptp(target, axis=0) > 0.7 * (high - low)).all()
     assert np.abs(np.corrcoef(spread.T, target.T)[:7, 7:]).max() < 0.6
 
 
 def test_every_target_of_the_box_can_be_reached(env):
-    rules, chain = env.config.rules, env.reach.robot.chain
+    rules, chain = env.config.rules, env.setup.robot.chain
     axes = [np.linspace(low, high, 7) for low, high in zip(rules.target_low, rules.target_high, strict=True)]
     targets = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 1, 3).astype(np.float32)
     lower, upper = jnp.array(chain.lower), jnp.array(chain.upper)
@@ -93,7 +98,7 @@ def test_every_target_of_the_box_can_be_reached(env):
 
 
 def test_an_episode_lasts_two_seconds_whatever_happens(env):
-    state = env.init(lane_keys(0, LANES))
+    state = env.init(env_keys(0, LANES))
     still = np.zeros((LANES, 7), np.float32)
     for step in range(1, 101):
         state, transition = env.step(state, still)
@@ -102,14 +107,14 @@ def test_an_episode_lasts_two_seconds_whatever_happens(env):
 
 
 def test_a_clipped_action_is_the_clipped_one_in_command_observation_and_reward(env):
-    state, box = env.init(lane_keys(0, LANES)), np.ones((LANES, 7), np.float32)
+    state, box = env.init(env_keys(0, LANES)), np.ones((LANES, 7), np.float32)
     after, expected = env.step(state, box)
     for beyond in (2.0, 1e30):
         clipped, transition = env.step(state, beyond * box)
         assert np.array_equal(clipped.target_q, after.target_q)
         assert np.array_equal(transition.observation, expected.observation)
         assert np.array_equal(transition.reward, expected.reward)
-    low, high = env.observation_bounds
+    low, high = env.schema.bounds
     assert ((np.asarray(expected.observation) >= low) & (np.asarray(expected.observation) <= high)).all()
 
 
@@ -136,7 +141,7 @@ def test_solving_once_is_the_same_whatever_the_policy_would_command(plain, repor
 
 
 def test_no_joint_goes_faster_than_it_may(env, reports):
-    assert (np.array(reports["ik"].max_joint_speed) <= np.array(env.reach.robot.speed)).all()
+    assert (np.array(reports["ik"].max_joint_speed) <= np.array(env.setup.robot.speed)).all()
 
 
 def test_an_arm_that_comes_and_goes_has_reached_only_when_it_stays(plain):
@@ -170,9 +175,9 @@ def settled(env: Env, state: EnvState) -> EnvState:
 
 
 def test_every_episode_has_an_arm_of_its_own_which_a_saved_state_keeps(env, perturbed):
-    begun = perturbed.init(lane_keys(0, LANES))
+    begun = perturbed.init(env_keys(0, LANES))
     sag = np.asarray(settled(perturbed, begun).arm.q - begun.target_q)
-    usual = settled(env, env.init(lane_keys(0, LANES)))
+    usual = settled(env, env.init(env_keys(0, LANES)))
     ratio = sag[:, 1] / np.asarray(usual.arm.q - usual.target_q)[:, 1]
     assert np.ptp(ratio) > 0.2
     saved = jax.tree.map(np.array, begun.arm)
@@ -183,7 +188,7 @@ def test_every_episode_has_an_arm_of_its_own_which_a_saved_state_keeps(env, pert
 
 
 def test_measurements_are_noisy_and_the_score_is_not(perturbed):
-    state = perturbed.init(lane_keys(0, LANES))
+    state = perturbed.init(env_keys(0, LANES))
     now = perturbed.situation(state)
     noise = np.asarray(now.q - state.arm.q)
     assert noise.std() == pytest.approx(5e-4, rel=0.2)
@@ -191,7 +196,7 @@ def test_measurements_are_noisy_and_the_score_is_not(perturbed):
     measured = forward_kinematics(perturbed.reach.robot.chain, now.q).position
     assert np.allclose(now.tool_position, measured, atol=1e-6)
     state, transition = perturbed.step(state, np.zeros((LANES, 7), np.float32))
-    true = np.linalg.norm(np.asarray(state.arm.tool_position) - np.asarray(state.target), axis=1)
+    true = np.linalg.norm(np.asarray(state.arm.tool_position) - np.asarray(state.goal.position), axis=1)
     assert np.allclose(transition.terms["distance"], true, atol=1e-6)
 
 

@@ -24,7 +24,8 @@ from reachlab.runs.files import read_json, write_json
 from reachlab.runs.lock import NAME, locked
 from reachlab.runs.manifest import Counters, seal
 from reachlab.runs.metrics import cut_metrics
-from reachlab.settings.config import RunConfig, configure
+from reachlab.settings.config import RunConfig
+from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError
 
 EACH = 256
@@ -211,7 +212,7 @@ def test_a_signal_saves_and_leaves_after_the_iteration(
 TWICE = """
 import os, signal, sys
 from pathlib import Path
-from reachlab.settings.config import configure
+from reachlab.settings.presets import configure
 from reachlab.learn.interrupts import Interrupts
 with Interrupts():
     os.kill(os.getpid(), signal.SIGINT)

@@ -6,8 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from reachlab.robots.catalogue import ROBOTS
 from reachlab.robots.kinematics import forward_kinematics
-from reachlab.robots.loading import ROBOTS, load_robot
+from reachlab.robots.loading import load_robot
 from reachlab.settings.validation import InputError
 
 TWO_LINKS = """

@@ -11,11 +11,13 @@ import numpy as np
 import pytest
 
 from reachlab.envs.core import Env
-from reachlab.envs.streams import lane_keys
+from reachlab.envs.streams import env_keys
 from reachlab.render.marks import Marks
-from reachlab.render.scene import HEIGHT, WIDTH, Camera, scene_spec
-from reachlab.robots.loading import Robot, load_robot
-from reachlab.settings.config import configure
+from reachlab.render.offscreen import Camera
+from reachlab.render.scene import HEIGHT, WIDTH, scene_spec
+from reachlab.robots.loading import load_robot
+from reachlab.robots.robot import Robot
+from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError
 
 TARGET = np.array([0.45, 0.1, -0.0083])
@@ -116,7 +118,7 @@ def test_cameras_of_other_sizes_do_not_disturb_each_other(robot: Robot, camera: 
 def test_an_environment_draws_the_lane_that_is_asked_for(camera: Camera) -> None:
     del camera
     env = Env(configure(), 2)
-    state = env.compile(env.init)(lane_keys(0, 2))
+    state = env.compile_whole(env.init)(env_keys(0, 2))
     first, second = env.render(state, 0), env.render(state, 1)
     assert first.shape == (HEIGHT, WIDTH, 3)
     assert changed(first, second).any(), "two lanes have two targets"
@@ -129,7 +131,7 @@ def test_an_environment_draws_the_lane_that_is_asked_for(camera: Camera) -> None
 def test_an_environment_draws_whether_its_target_is_reached(camera: Camera) -> None:
     del camera
     env = Env(configure(), 1)
-    state = env.compile(env.init)(lane_keys(0, 1))
+    state = env.compile_whole(env.init)(env_keys(0, 1))
     away, near = env.render(state), env.render(replace(state, distance=state.distance * 0))
     ball = changed(away, near)
     greener = near[ball].astype(int) - away[ball]

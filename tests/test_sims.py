@@ -10,9 +10,9 @@ import pytest
 
 from reachlab.bench.soak import bad_actions, interleavings
 from reachlab.envs.core import Env
-from reachlab.envs.streams import lane_keys
+from reachlab.envs.streams import env_keys
 from reachlab.robots.loading import load_robot
-from reachlab.settings.config import configure
+from reachlab.settings.presets import configure
 from reachlab.sims import SIMULATORS, make_simulator
 from reachlab.sims.mujoco import MujocoSimulator
 
@@ -75,8 +75,8 @@ def test_pybullet_follows_joint_commands_as_the_kinematic_simulator_does():
 
 def test_mujoco_arm_follows_its_commands_no_faster_than_its_joints_may():
     env = Env(configure(sim="mujoco", action="joint_delta", joint_scale=1.0), LANES)
-    state = env.init(lane_keys(0, LANES))
-    speed = np.array(env.reach.robot.speed)
+    state = env.init(env_keys(0, LANES))
+    speed = np.array(env.setup.robot.speed)
     before = np.asarray(state.target_q)
     state, _ = env.step(state, np.ones((LANES, 7), np.float32))
     assert np.allclose(np.asarray(state.target_q) - before, speed * env.config.physics.control_period, atol=1e-6)
@@ -100,7 +100,7 @@ def test_gravity_pulls_the_mujoco_arm_down_unless_compensated():
 def test_mujoco_refuses_to_go_on_from_a_broken_state_and_then_goes_on_from_a_sound_one(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # the engine leaves its log where it runs
     env = Env(configure(sim="mujoco"), LANES)
-    state = env.init(lane_keys(0, LANES))
+    state = env.init(env_keys(0, LANES))
     still = np.zeros_like(np.asarray(state.last_action))
     broken = np.array(state.arm.engine)
     broken.view(np.float64)[2] = np.nan

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from reachlab.render.scene import scene_spec
-from reachlab.robots.loading import ROBOTS, load_robot
+from reachlab.robots.catalogue import ROBOTS
+from reachlab.robots.loading import load_robot
 from reachlab.watch.solids import SHAPES, Solid, solids
 
 TETRAHEDRON = '<asset><mesh name="corner" vertex="0 0 0 0.3 0 0 0 0.3 0 0 0 0.3"/></asset>'

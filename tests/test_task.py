@@ -13,24 +13,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from jax import Array
 
+from reachlab.envs.settle import make_setup
 from reachlab.robots.kinematics import forward_kinematics
 from reachlab.robots.loading import load_robot
 from reachlab.settings.config import TaskConfig
 from reachlab.settings.validation import InputError
-from reachlab.tasks.reach import (
-    ACTIONS,
-    OBSERVATIONS,
-    REWARDS,
-    Outcome,
-    Reach,
-    Situation,
-    bounded,
-    command,
-    draw_start,
-    draw_target,
-    judge,
-    make_reach,
-)
+from reachlab.tasks.actions import ACTIONS
+from reachlab.tasks.observations import OBSERVATIONS
+from reachlab.tasks.reach import bounded, command, draw_start, draw_target, judge
+from reachlab.tasks.rewards import REWARDS
+from reachlab.tasks.task import Outcome, Situation, TaskSetup
 
 PERIOD, LAG = 0.02, (0.1,) * 7
 
@@ -40,11 +32,11 @@ NEAR = (0.5, 0.0, 0.05)
 
 
 @pytest.fixture(scope="module")
-def reach() -> Reach:
-    return make_reach(TaskConfig(), load_robot("iiwa14", "link_7"), PERIOD, LAG)
+def reach() -> TaskSetup:
+    return make_setup(TaskConfig(), load_robot("iiwa14", "link_7"), PERIOD, LAG)
 
 
-def outcome_of(reach: Reach, tool: tuple[float, ...], clock: int, before: float = 0.5) -> Outcome:
+def outcome_of(reach: TaskSetup, tool: tuple[float, ...], clock: int, before: float = 0.5) -> Outcome:
     still = jnp.zeros((1, 7))
     now = Situation(still, still, jnp.array([tool]), jnp.array([TARGET]), still, jnp.zeros((1, 3)))
     return judge(reach, jnp.array([before]), None, now, jnp.array([clock]))
@@ -75,7 +67,7 @@ def sparse_reward(outcome: Outcome) -> float:
     ],
 )
 def test_the_end_of_an_episode_is_judged_in_the_tutorials_order(
-    reach: Reach, tool: tuple[float, ...], clock: int, expected: tuple[bool, ...], reward: float
+    reach: TaskSetup, tool: tuple[float, ...], clock: int, expected: tuple[bool, ...], reward: float
 ) -> None:
     outcome = outcome_of(reach, tool, clock)
     assert flags(outcome) == expected
@@ -84,7 +76,7 @@ def test_the_end_of_an_episode_is_judged_in_the_tutorials_order(
 
 @pytest.mark.parametrize("axis", range(3))
 @pytest.mark.parametrize("side", [0, 1])
-def test_every_face_of_the_workspace_ends_the_episode(reach: Reach, axis: int, side: int) -> None:
+def test_every_face_of_the_workspace_ends_the_episode(reach: TaskSetup, axis: int, side: int) -> None:
     step = (-0.001, 0.001)[side]
     face = list(INSIDE)
     face[axis] = ((0.2, -0.3, 0.0), (0.7, 0.3, 0.55))[side][axis]
@@ -96,14 +88,14 @@ def test_every_face_of_the_workspace_ends_the_episode(reach: Reach, axis: int, s
 
 
 @pytest.mark.parametrize(("distance", "reached"), [(0.0999, True), (0.1001, False)])
-def test_a_tenth_of_a_metre_is_near_enough(reach: Reach, distance: float, reached: bool) -> None:
+def test_a_tenth_of_a_metre_is_near_enough(reach: TaskSetup, distance: float, reached: bool) -> None:
     tool = (0.5, 0.0, TARGET[2] + distance)
     outcome = outcome_of(reach, tool, 1)
     assert bool(outcome.success[0]) is reached
     assert float(outcome.distance[0]) == pytest.approx(distance, abs=1e-6)
 
 
-def test_success_distance_and_max_steps_are_settings(reach: Reach) -> None:
+def test_success_distance_and_max_steps_are_settings(reach: TaskSetup) -> None:
     strict = replace(reach, config=replace(reach.config, success_distance=0.01, max_steps=7))
     assert flags(outcome_of(strict, NEAR, 6)) == (False, False, False)
     assert flags(outcome_of(strict, NEAR, 7)) == (False, False, True)
@@ -144,7 +136,7 @@ def test_the_dense_reward_is_the_sparse_one_and_the_metres_gained(
 def test_where_the_episode_goes_on_success_pays_once(
     at_goal: str, before: float, tool: tuple[float, ...], clock: int, expected: tuple[bool, ...], reward: float
 ) -> None:
-    reach = make_reach(TaskConfig(at_goal=at_goal), load_robot("iiwa14", "link_7"), PERIOD, LAG)
+    reach = make_setup(TaskConfig(at_goal=at_goal), load_robot("iiwa14", "link_7"), PERIOD, LAG)
     outcome = outcome_of(reach, tool, clock, before)
     assert flags(outcome) == expected
     assert sparse_reward(outcome) == pytest.approx(reward)
@@ -152,7 +144,7 @@ def test_where_the_episode_goes_on_success_pays_once(
 
 def test_holding_for_the_policy_and_asking_it_to_hold_do_not_go_together() -> None:
     with pytest.raises(InputError, match=r"at_goal 'hold' holds the arm .* hold_steps 10 .* set at_goal to 'continue'"):
-        make_reach(TaskConfig(at_goal="hold", hold_steps=10), load_robot("iiwa14", "link_7"), PERIOD, LAG)
+        make_setup(TaskConfig(at_goal="hold", hold_steps=10), load_robot("iiwa14", "link_7"), PERIOD, LAG)
 
 
 def test_coming_closer_by_a_metre_is_worth_five_by_default() -> None:
@@ -164,7 +156,7 @@ def test_coming_closer_by_a_metre_is_worth_five_by_default() -> None:
 
 
 @pytest.fixture(scope="module")
-def targets(reach: Reach) -> np.ndarray:
+def targets(reach: TaskSetup) -> np.ndarray:
     keys = jax.random.split(jax.random.key(0), 10_000)
     return np.asarray(jax.jit(jax.vmap(lambda key: draw_target(reach, key)))(keys), np.float64)
 
@@ -186,14 +178,14 @@ def test_targets_are_uniform(targets: np.ndarray) -> None:
     assert np.abs(np.sort(unit, axis=0) - ranks[:, None]).max() < 0.0195
 
 
-def test_targets_lie_at_the_height_that_is_asked_for(reach: Reach) -> None:
+def test_targets_lie_at_the_height_that_is_asked_for(reach: TaskSetup) -> None:
     high = replace(reach, config=replace(reach.config, target_height=0.25))
     assert float(draw_target(high, jax.random.key(3))[2]) == 0.25
     low, top = OBSERVATIONS["target"].bounds(high)
     assert low[2] <= 0.25 <= top[2]
 
 
-def test_an_episode_starts_at_the_tutorials_joints(reach: Reach) -> None:
+def test_an_episode_starts_at_the_tutorials_joints(reach: TaskSetup) -> None:
     start = draw_start(reach, jax.random.key(0))
     joints = (0.006418, 0.413184, -0.011401, -1.589317, 0.005379, 1.137684, -0.006539)
     assert np.asarray(start) == pytest.approx(joints, abs=1e-6)
@@ -204,7 +196,7 @@ def test_an_episode_starts_at_the_tutorials_joints(reach: Reach) -> None:
 # --- observations ---------------------------------------------------------------------------------
 
 
-def test_observations_hold_what_their_names_say(reach: Reach) -> None:
+def test_observations_hold_what_their_names_say(reach: TaskSetup) -> None:
     joints = jnp.zeros((1, 7))
     target, tool = jnp.array([[1.0, 2.0, 3.0]]), jnp.array([[4.0, 5.0, 6.0]])
     now = Situation(joints, joints, tool, target, joints, jnp.zeros((1, 3)))
@@ -212,7 +204,7 @@ def test_observations_hold_what_their_names_say(reach: Reach) -> None:
     assert OBSERVATIONS["target+tool"].observe(reach, now).tolist() == [[1, 2, 3, 4, 5, 6]]
 
 
-def test_the_observed_box_of_the_target_is_the_workspace_from_just_below_the_table(reach: Reach) -> None:
+def test_the_observed_box_of_the_target_is_the_workspace_from_just_below_the_table(reach: TaskSetup) -> None:
     low, high = OBSERVATIONS["target"].bounds(reach)
     assert low == pytest.approx((0.2, -0.3, -0.05))
     assert high == pytest.approx((0.7, 0.3, 0.55))
@@ -221,14 +213,14 @@ def test_the_observed_box_of_the_target_is_the_workspace_from_just_below_the_tab
 # --- actions --------------------------------------------------------------------------------------
 
 
-def test_the_tool_delta_box_is_the_tutorials(reach: Reach) -> None:
+def test_the_tool_delta_box_is_the_tutorials(reach: TaskSetup) -> None:
     low, high = ACTIONS["tool_delta"].bounds(reach)
     assert low == pytest.approx((-0.4, -0.4, -0.6))
     assert high == pytest.approx((0.4, 0.4, 0.3))
 
 
 @pytest.mark.parametrize("name", ACTIONS)
-def test_actions_are_clipped_to_their_box_unless_told_otherwise(reach: Reach, name: str) -> None:
+def test_actions_are_clipped_to_their_box_unless_told_otherwise(reach: TaskSetup, name: str) -> None:
     clipping = replace(reach, config=replace(reach.config, action=name))
     free = replace(reach, config=replace(reach.config, action=name, clip_actions=False))
     high = jnp.array([ACTIONS[name].bounds(reach)[1]])
@@ -236,13 +228,13 @@ def test_actions_are_clipped_to_their_box_unless_told_otherwise(reach: Reach, na
     assert np.asarray(bounded(free, 2 * high)) == pytest.approx(2 * np.asarray(high))
 
 
-def at_home(reach: Reach, target: tuple[float, ...] = TARGET) -> Situation:
+def at_home(reach: TaskSetup, target: tuple[float, ...] = TARGET) -> Situation:
     home = jnp.array([reach.robot.home])
     tool = forward_kinematics(reach.robot.chain, home).position
     return Situation(home, jnp.zeros((1, 7)), tool, jnp.array([target]), home, jnp.zeros((1, 7)))
 
 
-def test_a_joint_displacement_adds_to_the_last_command(reach: Reach) -> None:
+def test_a_joint_displacement_adds_to_the_last_command(reach: TaskSetup) -> None:
     joints = replace(reach, config=replace(reach.config, action="joint_delta", joint_scale=0.03))
     now = at_home(reach)
     action = jnp.array([[1.0, -1.0, 0.5, 0.0, -0.5, 0.25, 0.0]])
@@ -250,7 +242,7 @@ def test_a_joint_displacement_adds_to_the_last_command(reach: Reach) -> None:
     assert moved == pytest.approx(0.03 * np.asarray(action), abs=1e-6)
 
 
-def test_joint_displacements_stop_at_the_limits(reach: Reach) -> None:
+def test_joint_displacements_stop_at_the_limits(reach: TaskSetup) -> None:
     joints = replace(reach, config=replace(reach.config, action="joint_delta"))
     upper = jnp.array([reach.robot.chain.upper], jnp.float32)
     near = at_home(reach)._replace(target_q=upper - 0.001)
@@ -258,7 +250,7 @@ def test_joint_displacements_stop_at_the_limits(reach: Reach) -> None:
 
 
 @pytest.mark.parametrize("name", ACTIONS)
-def test_the_action_towards_the_target_is_inside_the_box(reach: Reach, name: str) -> None:
+def test_the_action_towards_the_target_is_inside_the_box(reach: TaskSetup, name: str) -> None:
     design, now = ACTIONS[name], at_home(reach, (0.3, 0.25, -0.0083))
     action = np.asarray(design.towards(reach, now, now))
     low, high = design.bounds(reach)
@@ -268,7 +260,7 @@ def test_the_action_towards_the_target_is_inside_the_box(reach: Reach, name: str
     assert float(jnp.linalg.norm(moved - now.target)) < float(jnp.linalg.norm(now.tool_position - now.target))
 
 
-def test_a_correction_is_added_to_inverse_kinematics_and_fades_at_the_target(reach: Reach) -> None:
+def test_a_correction_is_added_to_inverse_kinematics_and_fades_at_the_target(reach: TaskSetup) -> None:
     far, nothing = at_home(reach), jnp.zeros((1, 7))
     classical = ACTIONS["joint_delta"].towards(reach, far, far)
     correction = 0.3 * jnp.array([[1.0, -1.0, 0.5, 0.0, -0.5, 0.25, 0.0]])
@@ -287,7 +279,7 @@ def test_a_correction_is_added_to_inverse_kinematics_and_fades_at_the_target(rea
     assert added == pytest.approx(np.asarray(2 * correction) / 4, abs=1e-3)
 
 
-def test_inverse_kinematics_need_no_correction_but_for_what_they_wrongly_believe(reach: Reach) -> None:
+def test_inverse_kinematics_need_no_correction_but_for_what_they_wrongly_believe(reach: TaskSetup) -> None:
     now, towards = at_home(reach), ACTIONS["joint_residual"].towards
     assert np.asarray(towards(reach, now, now)) == pytest.approx(np.zeros((1, 7)))
     believed = now._replace(target_q=now.target_q + 0.01, q=now.q + 0.01)
@@ -308,10 +300,10 @@ def test_inverse_kinematics_need_no_correction_but_for_what_they_wrongly_believe
     ],
 )
 def test_a_name_that_does_not_exist_is_refused_with_the_nearest(
-    reach: Reach, setting: str, value: str, nearest: str
+    reach: TaskSetup, setting: str, value: str, nearest: str
 ) -> None:
     wrong: dict[str, Any] = {setting: value}
     with pytest.raises(
         InputError, match=f"^{setting} '.*' is not one of: .* Did you mean '{nearest.replace('+', '.')}'"
     ):
-        make_reach(TaskConfig(**wrong), reach.robot, PERIOD, LAG)
+        make_setup(TaskConfig(**wrong), reach.robot, PERIOD, LAG)

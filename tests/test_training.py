@@ -15,11 +15,14 @@ import numpy as np
 import pytest
 
 from reachlab.envs.core import Env
-from reachlab.evaluation.report import LANES, evaluate
+from reachlab.evaluation.episodes import BATCH
+from reachlab.evaluation.report import evaluate
 from reachlab.learn.loop import ENOUGH_EPISODES, Loop, Progress
-from reachlab.learn.train import TrainResult, load_policy, train
+from reachlab.learn.saved import load_policy
+from reachlab.learn.train import TrainResult, train
 from reachlab.runs.directory import RunDirectory
-from reachlab.settings.config import configure, to_json
+from reachlab.settings.plain import to_json
+from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError
 
 TINY = {
@@ -54,7 +57,7 @@ import hashlib, sys
 from pathlib import Path
 from reachlab.jax_setup import use_compilation_cache
 use_compilation_cache()
-from reachlab.settings.config import configure
+from reachlab.settings.presets import configure
 from reachlab.learn.train import train
 out = Path(sys.argv[1])
 train(configure(seed=int(sys.argv[2]), **{tiny}), out)
@@ -112,12 +115,12 @@ def test_training_ends_once_a_validation_holds(tutorial: Trained) -> None:
 def test_the_checkpoint_holds_the_policy_that_was_reported(tutorial: Trained) -> None:
     directory = RunDirectory(tutorial.out)
     config = directory.read_config()
-    env = Env(config, LANES)
-    again = evaluate(env, "trained", load_policy(directory, config, env), seed=0, episodes=1000)
+    env = Env(config, BATCH)
+    again = evaluate(env, "trained", load_policy(directory, env), seed=0, episodes=1000)
     reported = tutorial.result.report
     assert again.success_rate == reported.success_rate
     assert again.final_error_mm == pytest.approx(reported.final_error_mm)
-    other = evaluate(env, "trained", load_policy(directory, config, env), seed=1234, episodes=1000)
+    other = evaluate(env, "trained", load_policy(directory, env), seed=1234, episodes=1000)
     assert other.success_rate >= 0.99
     assert other.final_error_mm["median"] != reported.final_error_mm["median"]
 
@@ -138,7 +141,7 @@ def loop_of(tmp_path: Path, **settings: object) -> Loop:
 
 def end_episodes(loop: Loop, episodes: int, successes: int) -> None:
     """What an iteration leaves in which so many training episodes ended."""
-    loop.now = replace(loop.now, steps=2 * loop.config.ppo.iteration_steps)
+    loop.now = replace(loop.now, steps=2 * loop.config.loop.iteration_steps)
     loop._count({"episodes": float(episodes), "success_rate": successes / max(episodes, 1)})
 
 
@@ -203,7 +206,7 @@ def test_the_configuration_and_the_report_are_on_disk(tutorial: Trained) -> None
 
 def test_every_iteration_leaves_a_row(tutorial: Trained) -> None:
     steps = [row["steps"] for row in tutorial.rows]
-    each = configure().ppo.num_envs * configure().ppo.rollout_steps
+    each = configure().loop.num_envs * configure().loop.rollout_steps
     assert steps == list(range(each, tutorial.result.steps + 1, each))
     assert (np.diff([row["wall_s"] for row in tutorial.rows]) > 0).all()
     for row in tutorial.rows:
@@ -217,7 +220,7 @@ def test_every_iteration_leaves_a_row(tutorial: Trained) -> None:
 def test_whoever_watches_sees_every_row(tutorial: Trained) -> None:
     assert [progress.metrics for progress in tutorial.seen] == tutorial.rows
     assert [progress.steps for progress in tutorial.seen] == [row["steps"] for row in tutorial.rows]
-    assert {progress.total_steps for progress in tutorial.seen} == {configure().ppo.total_steps}
+    assert {progress.total_steps for progress in tutorial.seen} == {configure().loop.total_steps}
 
 
 # --- settings -------------------------------------------------------------------------------------

@@ -12,17 +12,19 @@ import pytest
 
 from reachlab.cli import main as cli
 from reachlab.envs.core import Env
-from reachlab.envs.gymnasium_faces import ReachEnv
-from reachlab.envs.settle import NEEDS, check, check_reach, in_evaluation
-from reachlab.envs.streams import lane_keys
+from reachlab.envs.gymnasium_single import ReachEnv
+from reachlab.envs.settle import NEEDS, check, check_reach, in_evaluation, make_setup
+from reachlab.envs.streams import env_keys
 from reachlab.learn import train as training
 from reachlab.robots.loading import load_robot
 from reachlab.runs.directory import RunDirectory
-from reachlab.settings.config import TASKS, RunConfig, configure, in_simulator
+from reachlab.settings.config import TASKS, RunConfig
+from reachlab.settings.presets import configure, in_simulator
 from reachlab.settings.validation import InputError
 from reachlab.sims import SIMULATORS
-from reachlab.tasks.reach import OBSERVATIONS, REWARDS, make_reach
+from reachlab.tasks.observations import OBSERVATIONS
 from reachlab.tasks.reachability import survey
+from reachlab.tasks.rewards import REWARDS
 
 ARM = """
 <mujoco>
@@ -179,7 +181,7 @@ def test_settings_of_an_older_run_are_not_asked_about_when_it_goes_on(tmp_path: 
 
 def reached(config: RunConfig) -> float:
     robot = load_robot(config.robot, config.rules.tool)
-    return survey(make_reach(config.rules, robot, config.physics.control_period, (0.0,) * robot.chain.n)).reached
+    return survey(make_setup(config.rules, robot, config.physics.control_period, (0.0,) * robot.chain.n)).reached
 
 
 @pytest.mark.parametrize(
@@ -258,7 +260,7 @@ def test_an_own_arm_is_perturbed_with_a_payload(tmp_path: Path, name: str, text:
     (tmp_path / name).write_text(text)
     tool = "hand" if name == "arm.xml" else "fore"
     env = Env(configure("precise", robot=str(tmp_path / name), tool=tool, perturb=True), 2)
-    state = env.init(lane_keys(0, 2))
+    state = env.init(env_keys(0, 2))
     for _ in range(20):
         state, _ = env.step(state, np.zeros((2, 2), np.float32))
     assert state.arm.q[0] != pytest.approx(np.asarray(state.arm.q[1])), "arms differ"

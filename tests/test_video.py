@@ -14,8 +14,8 @@ from PIL import Image
 
 from reachlab.envs.core import Env
 from reachlab.envs.streams import REPORT_STREAM
-from reachlab.evaluation.report import LANES, make_runner, run_episodes
-from reachlab.settings.config import configure
+from reachlab.evaluation.episodes import BATCH, make_runner, run_episodes
+from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError
 from reachlab.watch import video
 from reachlab.watch.captions import HEIGHT, VERDICTS, Caption, captioned, distance_text
@@ -81,7 +81,7 @@ def durations(path: str) -> list[int]:
 
 
 def test_the_episodes_are_those_of_the_evaluation(moments: list[list[Shown]]) -> None:
-    evaluated = run_episodes(make_runner(Env(configure(), LANES), "ik"), None, 1, REPORT_STREAM, 2)
+    evaluated = run_episodes(make_runner(Env(configure(), BATCH), "ik"), None, 1, REPORT_STREAM, 2)
     assert [episode[-1].step for episode in moments] == evaluated.steps.tolist()
     assert [episode[-1].success for episode in moments] == evaluated.success.tolist()
     ends = [episode[-1].distance for episode in moments]

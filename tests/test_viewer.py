@@ -22,12 +22,13 @@ from reachlab.bench.follow import follow
 from reachlab.bench.viewer import free_port
 from reachlab.cli import main as cli
 from reachlab.envs.core import Env
-from reachlab.learn.method import initial_state
-from reachlab.learn.train import load_policy
+from reachlab.learn.ppo_method import initial_state
+from reachlab.learn.saved import load_policy
 from reachlab.render.marks import REACHED, TARGET_RADIUS
 from reachlab.robots.loading import load_robot
 from reachlab.runs.directory import RunDirectory
-from reachlab.settings.config import TASKS, RunConfig, configure
+from reachlab.settings.config import TASKS, RunConfig
+from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError
 from reachlab.watch import panel
 from reachlab.watch.player import PATH_STEP
@@ -73,10 +74,10 @@ def run(config: RunConfig, tmp_path_factory: pytest.TempPathFactory) -> RunDirec
 
 def untrained(config: RunConfig, path: Path) -> RunDirectory:
     """A run with two checkpoints of policies that have learnt nothing, and not the same."""
-    env = Env(config, config.ppo.num_envs)
+    env = Env(config, config.loop.num_envs)
     run = RunDirectory(path)
     run.create(config)
-    begin = env.compile(lambda seed: initial_state(env, config, seed))
+    begin = env.compile_whole(lambda seed: initial_state(env, config, seed))
     for step in CHECKPOINTS:
         run.write_checkpoint(step, begin(np.uint32(step)))
     return run
@@ -103,7 +104,7 @@ def page(chromium: Page) -> Iterator[Page]:
 @contextlib.contextmanager
 def view(config: RunConfig, run: RunDirectory, agent: str = "ik") -> Iterator[Viewer]:
     env = Env(config, 1)
-    load = partial(load_policy, run, config, env)
+    load = partial(load_policy, run, env)
     with Viewer(env, run.checkpoint_steps(), load, agent, LOCAL, free_port()) as viewer:
         viewer.prepare(seed=1)
         yield viewer
@@ -307,8 +308,8 @@ def test_wrong_words_are_refused_in_a_sentence(
 
 def test_every_checkpoint_can_be_chosen(run: RunDirectory, config: RunConfig) -> None:
     env = Env(config, 1)
-    first, last = (load_policy(run, config, env, step) for step in run.checkpoint_steps())
-    newest = load_policy(run, config, env)
+    first, last = (load_policy(run, env, step) for step in run.checkpoint_steps())
+    newest = load_policy(run, env)
     weights = [np.asarray(policy.parameters.actor[0][0]) for policy in (first, last, newest)]
     assert not np.array_equal(weights[0], weights[1])
     np.testing.assert_array_equal(weights[1], weights[2])

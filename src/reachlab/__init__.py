@@ -12,11 +12,14 @@ from gymnasium.envs.registration import register
 
 if TYPE_CHECKING:
     from reachlab.envs.core import Env
-    from reachlab.envs.gymnasium_faces import ReachEnv, ReachVectorEnv
+    from reachlab.envs.gymnasium_single import ReachEnv
+    from reachlab.envs.gymnasium_vector import ReachVectorEnv
     from reachlab.evaluation.report import Report, evaluate
     from reachlab.learn.train import TrainResult, train
-    from reachlab.robots.loading import Robot, load_robot
-    from reachlab.settings.config import RunConfig, configure
+    from reachlab.robots.loading import load_robot
+    from reachlab.robots.robot import Robot
+    from reachlab.settings.config import RunConfig
+    from reachlab.settings.presets import configure
     from reachlab.settings.validation import InputError
 
 __version__ = "0.1.0"

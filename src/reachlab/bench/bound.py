@@ -29,20 +29,20 @@ def least_time(config: RunConfig, seed: int) -> float:
     smallest largest displacement found by successive linear programmes from the start; stopping is not counted.
     """
     env = Env(config, EPISODES)
-    state, reach = env.init(episode_keys(seed, REPORT_STREAM, 0, EPISODES)), env.reach
-    start, target = np.asarray(state.arm.q, float), np.asarray(state.target, float)
+    state, setup = env.init(episode_keys(seed, REPORT_STREAM, 0, EPISODES)), env.setup
+    start, target = np.asarray(state.arm.q, float), np.asarray(state.goal.position, float)
     linear = jit(
-        lambda q: (forward_kinematics(reach.robot.chain, q).position, jacobian(reach.robot.chain, q)[..., :3, :])
+        lambda q: (forward_kinematics(setup.robot.chain, q).position, jacobian(setup.robot.chain, q)[..., :3, :])
     )
     moved = np.zeros_like(start)
     for _ in range(ITERATIONS):
         tool, rows = (np.asarray(x, float) for x in linear(jnp.asarray(start + moved, jnp.float32)))
         for episode in range(EPISODES):
             way = target[episode] - tool[episode]
-            moved[episode] += _smaller(moved[episode], rows[episode], way, reach.config.success_distance)
+            moved[episode] += _smaller(moved[episode], rows[episode], way, setup.rules.success_distance)
     env.close()
-    times, lag = np.linspace(0.0, LONGEST, INSTANTS), max(reach.lag)
-    travelled = (times - lag * (1 - np.exp(-times / lag))) * reach.config.joint_scale / reach.period
+    times, lag = np.linspace(0.0, LONGEST, INSTANTS), max(setup.lag)
+    travelled = (times - lag * (1 - np.exp(-times / lag))) * setup.rules.joint_scale / setup.period
     return float(np.interp(np.abs(moved).max(axis=1), travelled, times).mean())
 
 

@@ -15,13 +15,16 @@ from jax import Array
 
 from reachlab.agents.policy import Policy
 from reachlab.bench.table import Row, row
-from reachlab.envs.core import Env, EnvState, Transition
-from reachlab.envs.streams import lane_keys
+from reachlab.envs.core import Env
+from reachlab.envs.functions import EnvState, Transition
+from reachlab.envs.streams import env_keys
 from reachlab.evaluation.report import FRESH_SEED, Report, evaluate
 from reachlab.jax_setup import jit
-from reachlab.learn.train import distil, load_policy, train
+from reachlab.learn.saved import load_policy
+from reachlab.learn.train import distil, train
 from reachlab.runs.directory import RunDirectory
-from reachlab.settings.config import configure, distillation, in_simulator, override
+from reachlab.settings.plain import override
+from reachlab.settings.presets import configure, distillation, in_simulator
 from reachlab.sims import BatchArray
 
 SEEDS, HELD_OUT = range(3), 1000
@@ -84,7 +87,7 @@ def camera() -> Iterator[Row]:
         yield from spoilt(runs[0])
         yield success("camera/success/pybullet", runs[0], "pybullet", BULLET_EPISODES, BULLET_NUM_ENVS, 0)
         varied = Path(folder) / "varied"
-        _distil(teachers[0], varied, 0, randomise_view=True, total_steps=VARIED_STEPS)
+        _distil(teachers[0], varied, 0, randomise=("view",), total_steps=VARIED_STEPS)
         yield success("camera/success_randomised/pybullet", varied, "pybullet", BULLET_EPISODES, BULLET_NUM_ENVS, 0)
 
 
@@ -118,9 +121,9 @@ def _evaluated(run: Path, sim: str, episodes: int, num_envs: int, seed: int) -> 
 
 def _environment(run: Path, sim: str, num_envs: int, kind: type[Env] = Env, **settings: Any) -> tuple[Env, Policy]:
     directory = RunDirectory(run)
-    config = override(in_simulator(directory.read_config(), sim), randomise_view=False, **settings)
+    config = override(in_simulator(directory.read_config(), sim), randomise=(), **settings)
     env = kind(config, num_envs)
-    return env, load_policy(directory, config, env)
+    return env, load_policy(directory, env)
 
 
 # --- speed ----------------------------------------------------------------------------------------
@@ -129,11 +132,11 @@ def _environment(run: Path, sim: str, num_envs: int, kind: type[Env] = Env, **se
 def frames_per_second(run: Path) -> Iterator[Row]:
     """Pictures a second that are drawn and given to the policy."""
     env, policy = _environment(run, "kinematic", NUM_ENVS)
-    state, act = env.init(lane_keys(0, NUM_ENVS)), jit(lambda policy, observation: policy.act(observation))
-    jax.block_until_ready(act(policy, env.look(state)))
+    state, act = env.init(env_keys(0, NUM_ENVS)), jit(lambda policy, observation: policy.act(observation))
+    jax.block_until_ready(act(policy, env.observe_now(state)))
     start = time.perf_counter()
     for _ in range(FRAMES):
-        jax.block_until_ready(act(policy, env.look(state)))
+        jax.block_until_ready(act(policy, env.observe_now(state)))
     rate = FRAMES * NUM_ENVS / (time.perf_counter() - start)
     env.close()
     yield row("camera/frames_per_second", rate, "1/s", num_envs=NUM_ENVS)
@@ -155,9 +158,9 @@ class SpoiltEnv(Env):
 
     lens = Lens(None, np.random.default_rng(0))
 
-    def see(self, state: EnvState, lanes: np.ndarray | None = None) -> np.ndarray | None:
-        """See `Env.see`."""
-        pictures = super().see(state, lanes)
+    def render_observation(self, state: EnvState, mask: np.ndarray | None = None) -> np.ndarray | None:
+        """See `Env.render_observation`."""
+        pictures = super().render_observation(state, mask)
         if pictures is None or self.lens.spoil is None:
             return pictures
         return self.lens.spoil(pictures, self.lens.random).astype(np.uint8)

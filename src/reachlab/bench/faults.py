@@ -19,7 +19,8 @@ from typing import Any
 import numpy as np
 
 from reachlab.runs.directory import RunDirectory
-from reachlab.settings.config import RunConfig, configure
+from reachlab.settings.config import RunConfig
+from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError
 
 CALLS = ("open", "write", "fsync", "close", "mkdir", "rename", "unlink", "rmdir")

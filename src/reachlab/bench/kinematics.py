@@ -14,8 +14,10 @@ from reachlab.bench.table import Row, row
 from reachlab.bench.timing import shortest_time
 from reachlab.jax_setup import jit
 from reachlab.robots.chain import Chain
-from reachlab.robots.kinematics import forward_kinematics, inverse_kinematics, jacobian
-from reachlab.robots.loading import Robot, load_robot
+from reachlab.robots.inverse_kinematics import inverse_kinematics
+from reachlab.robots.kinematics import forward_kinematics, jacobian
+from reachlab.robots.loading import load_robot
+from reachlab.robots.robot import Robot
 
 POSES = 10_000
 """Random joint vectors that are compared."""

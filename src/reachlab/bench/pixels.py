@@ -9,7 +9,7 @@ from pathlib import Path
 from reachlab.bench.camera import HELD_OUT, NUM_ENVS, SEEDS, success
 from reachlab.bench.table import Row, row
 from reachlab.learn.train import train
-from reachlab.settings.config import configure
+from reachlab.settings.presets import configure
 
 
 def pixels() -> Iterator[Row]:
@@ -18,7 +18,7 @@ def pixels() -> Iterator[Row]:
         for seed in SEEDS:
             run = Path(folder) / str(seed)
             result = train(configure(observation="image", seed=seed), run)
-            pictures = result.steps // configure(observation="image").ppo.action_repeat
+            pictures = result.steps // configure(observation="image").loop.action_repeat
             yield row("pixels/wall", result.total_wall_s, "s", seed=seed, pictures=pictures)
             for sim in ("kinematic", "mujoco"):
                 yield success(f"pixels/success/{sim}", run, sim, HELD_OUT, NUM_ENVS, seed)

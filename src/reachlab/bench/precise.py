@@ -14,10 +14,13 @@ from reachlab.agents.policy import Policy
 from reachlab.bench.bound import EPISODES, least_time
 from reachlab.bench.table import Row, row
 from reachlab.envs.core import Env
-from reachlab.evaluation.report import FRESH_SEED, LANES, Episodes, Report, examine, make_runner, summarise
+from reachlab.evaluation.episodes import BATCH, Episodes, make_runner
+from reachlab.evaluation.report import FRESH_SEED, Report, examine, summarise
 from reachlab.learn.train import TrainResult, train
 from reachlab.robots.loading import load_robot
-from reachlab.settings.config import RunConfig, configure, override
+from reachlab.settings.config import RunConfig
+from reachlab.settings.plain import override
+from reachlab.settings.presets import configure
 
 SEEDS, HELD_OUT = range(5), 2000
 """Trainings, and held-out targets of each: seed s has those of seed `FRESH_SEED` + s."""
@@ -42,13 +45,13 @@ def precise() -> Iterator[Row]:
         }
     for name, results in trained.items():
         yield from _training(name, results)
-    for perturb in (False, True):
+    for randomise in ((), ("dynamics",)):
         for name, config in configs.items():
-            reports = _reports(override(config, perturb=perturb), "trained", [one.policy for one in trained[name]])
-            yield from _accuracy(name + PERTURBED * perturb, reports)
+            reports = _reports(override(config, randomise=randomise), "trained", [one.policy for one in trained[name]])
+            yield from _accuracy(name + PERTURBED * bool(randomise), reports)
         for agent in BASELINES:
-            reports = _reports(override(configs["trained"], perturb=perturb), agent, [None for _ in SEEDS])
-            yield from _accuracy(agent + PERTURBED * perturb, reports)
+            reports = _reports(override(configs["trained"], randomise=randomise), agent, [None for _ in SEEDS])
+            yield from _accuracy(agent + PERTURBED * bool(randomise), reports)
     bound = least_time(configs["trained"], FRESH_SEED)
     yield row("time to reach 10 mm for good/no controller below", bound, "s", episodes=EPISODES)
 
@@ -61,7 +64,7 @@ def _training(name: str, trained: list[TrainResult]) -> Iterator[Row]:
 
 def _reports(config: RunConfig, agent: str, policies: Sequence[Policy | None]) -> tuple[Report, list[Report]]:
     """Report of an agent on the targets of all seeds together, and the reports of the seeds."""
-    env = Env(config, LANES)
+    env = Env(config, BATCH)
     runner = make_runner(env, agent)
     results = [
         examine(env, agent, policy, seed=FRESH_SEED + seed, episodes=HELD_OUT, runner=runner)

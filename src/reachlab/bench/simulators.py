@@ -6,28 +6,34 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import cast
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from mujoco.batch import Batch
 
 from reachlab.bench.table import Row, row
 from reachlab.envs.core import Env
-from reachlab.envs.streams import lane_keys
-from reachlab.evaluation.report import FRESH_SEED, LANES, evaluate
+from reachlab.envs.streams import env_keys
+from reachlab.evaluation.episodes import BATCH
+from reachlab.evaluation.report import FRESH_SEED, evaluate
 from reachlab.jax_setup import jit
 from reachlab.learn.train import train
+from reachlab.robots.catalogue import ROBOTS
 from reachlab.robots.kinematics import forward_kinematics
-from reachlab.robots.loading import Robot, load_robot
-from reachlab.settings.config import configure, in_simulator
+from reachlab.robots.loading import load_robot
+from reachlab.robots.robot import Robot
+from reachlab.settings.presets import configure, in_simulator
 from reachlab.sims import make_simulator
 from reachlab.sims.mujoco import physics_model
-from reachlab.sims.pybullet import GRAVITY, GROUND, TABLE, URDFS, import_pybullet
+from reachlab.sims.pybullet import GRAVITY, GROUND, TABLE, import_pybullet
+from reachlab.tasks.task import Goal
 
 TRANSFER_SEEDS, TRANSFER_EPISODES = range(3), 1000
 """Policies, and held-out episodes for each."""
 
-NUM_ENVS = {"kinematic": LANES, "mujoco": LANES, "pybullet": 8}
+NUM_ENVS = {"kinematic": BATCH, "mujoco": BATCH, "pybullet": 8}
 """Environments of an evaluation in each simulator."""
 
 POSES = 10_000
@@ -69,8 +75,8 @@ def pybullet_kinematics() -> Iterator[Row]:
     chain, bullet = robot.chain, make_simulator("pybullet", robot, configure().physics, 1)
     q = np.random.default_rng(1).uniform(chain.lower, chain.upper, (POSES, chain.n)).astype(np.float32)
     ours = np.asarray(jit(lambda q: forward_kinematics(chain, q).position)(q))
-    target = np.zeros((1, 3), np.float32)
-    theirs = np.array([bullet.reset(None, joints[None], target, None).tool_position[0] for joints in q])
+    goal = Goal(jnp.zeros((1, 3)))
+    theirs = np.array([bullet.reset(None, joints[None], goal, None).tool_position[0] for joints in q])
     bullet.close()
     yield row("forward_kinematics_error/pybullet", np.linalg.norm(ours - theirs, axis=1).max(), "m", poses=POSES)
 
@@ -80,29 +86,34 @@ def pybullet_parity() -> Iterator[Row]:
     env = Env(configure(), PARITY_EPISODES)
     low, high = env.action_bounds
     actions = np.random.default_rng(2).uniform(low, high, (PARITY_STEPS, PARITY_EPISODES, len(low)))
-    step = env.compile(lambda state, action: env.step(state, action)[0])
-    states = [env.compile(env.init)(lane_keys(0, PARITY_EPISODES))]
+    step = env.compile_whole(lambda state, action: env.step(state, action)[0])
+    states = [env.compile_whole(env.init)(env_keys(0, PARITY_EPISODES))]
     for action in actions.astype(np.float32):
         states.append(step(states[-1], action))
     commands = np.array([state.arm.q for state in states])
     points = np.array([state.arm.tool_position for state in states])
 
-    bullet = make_simulator("pybullet", env.reach.robot, env.config.physics, 1)
+    bullet = make_simulator("pybullet", env.setup.robot, env.config.physics, 1)
     apart = 0.0
     for index in range(PARITY_EPISODES):
-        arm = bullet.reset(None, commands[0, index : index + 1], states[0].target[index : index + 1], None)
+        goal = Goal(states[0].goal.position[index : index + 1])
+        arm = bullet.reset(None, commands[0, index : index + 1], goal, None)
         for command, point in zip(commands[1:, index], points[1:, index], strict=True):
             arm = bullet.step(arm, command[None])
             apart = max(apart, float(np.linalg.norm(np.asarray(arm.tool_position)[0] - point)))
     bullet.close()
     yield row("parity/pybullet", apart, "m", episodes=PARITY_EPISODES, steps=PARITY_STEPS)
 
-    author, stray = Author(env.reach.robot), []
+    author, stray = Author(env.setup.robot), []
     for before, after, action in zip(points[:-1, 0], points[1:, 0], actions[:, 0], strict=True):
         author.set_joints(author.solve(before + env.config.rules.tool_scale * action))
         stray.append(np.linalg.norm(author.tool() - after))
     author.close()
     yield row("pybullet_ik_stray", float(np.median(stray)), "m, median", max=float(np.max(stray)), steps=PARITY_STEPS)
+
+
+MODEL = cast("PybulletModel", ROBOTS["iiwa14"].pybullet)
+"""The arm in PyBullet's data."""
 
 
 class Author:
@@ -124,7 +135,7 @@ class Author:
         bullet.setAdditionalSearchPath(pybullet_data.getDataPath(), physicsClientId=client)
         bullet.loadURDF("plane.urdf", basePosition=GROUND, physicsClientId=client)
         bullet.loadURDF("table/table.urdf", basePosition=TABLE, physicsClientId=client)
-        self._arm = bullet.loadURDF(URDFS["iiwa14"].file, useFixedBase=True, physicsClientId=client)
+        self._arm = bullet.loadURDF(MODEL.file, useFixedBase=True, physicsClientId=client)
         bullet.loadURDF("random_urdfs/000/000.urdf", basePosition=(0.5, 0, 0.01), physicsClientId=client)
         self.set_joints(self._robot.home)
 
@@ -133,7 +144,7 @@ class Author:
         w, x, y, z = self._robot.held_quaternion
         damping = [1e-5] * self._robot.chain.n
         return self._bullet.calculateInverseKinematics(
-            self._arm, URDFS["iiwa14"].link, position, (x, y, z, w), jointDamping=damping, physicsClientId=self._client
+            self._arm, MODEL.link, position, (x, y, z, w), jointDamping=damping, physicsClientId=self._client
         )
 
     def set_joints(self, q: Sequence[float]) -> None:
@@ -144,7 +155,7 @@ class Author:
     def tool(self) -> np.ndarray:
         """Tool position `[3]` m."""
         state = self._bullet.getLinkState(
-            self._arm, URDFS["iiwa14"].link, computeForwardKinematics=True, physicsClientId=self._client
+            self._arm, MODEL.link, computeForwardKinematics=True, physicsClientId=self._client
         )
         return np.array(state[4])
 
@@ -185,7 +196,7 @@ def _author_steps_per_second() -> float:
 def _host_steps_per_second(env: Env, steps: int) -> float:
     random = np.random.default_rng(0)
     low, high = env.action_bounds
-    state = env.init(lane_keys(0, env.num_envs))
+    state = env.init(env_keys(0, env.num_envs))
     actions = random.uniform(low, high, (steps, env.num_envs, len(low))).astype(np.float32)
     warm, timed = actions[:2], actions[2:]
     for action in warm:
@@ -219,8 +230,8 @@ def mujoco_speed() -> Iterator[Row]:
 
 def _bare(env: Env) -> Callable[[], float]:
     """Measures the steps a second of the engine alone."""
-    batch = Batch(physics_model(env.reach.robot, env.config.physics), nsim=env.num_envs)
-    batch.bind("qpos")[:] = batch.bind("ctrl")[:] = env.reach.robot.home
+    batch = Batch(physics_model(env.setup.robot, env.config.physics), nsim=env.num_envs)
+    batch.bind("qpos")[:] = batch.bind("ctrl")[:] = env.setup.robot.home
 
     def measure() -> float:
         start = time.perf_counter()

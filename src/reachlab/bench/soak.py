@@ -10,10 +10,11 @@ import jax
 import numpy as np
 
 from reachlab.bench.table import Row, row
-from reachlab.envs.core import Env, EnvState
-from reachlab.envs.gymnasium_faces import ReachEnv
-from reachlab.envs.streams import lane_keys
-from reachlab.settings.config import configure
+from reachlab.envs.core import Env
+from reachlab.envs.functions import EnvState
+from reachlab.envs.gymnasium_single import ReachEnv
+from reachlab.envs.streams import env_keys
+from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError
 from reachlab.sims import SIMULATORS
 
@@ -104,18 +105,18 @@ def interleavings(sim: str, count: int = INTERLEAVINGS) -> Row:
     envs = [Env(configure(sim=sim, max_steps=STEPS // 2), NUM_ENVS) for _ in range(2)]
     low, high = envs[0].action_bounds
     turns = [_turn(env) for env in envs]
-    begin = envs[0].compile(envs[0].init)
+    begin = envs[0].compile_whole(envs[0].init)
     same = 0
     for number in range(count):
         random = np.random.default_rng(number)
         moves = random.uniform(low, high, (2, STEPS, NUM_ENVS, len(low))).astype(np.float32)
         alone = []
         for which in range(2):
-            state = begin(lane_keys(number + which, NUM_ENVS))
+            state = begin(env_keys(number + which, NUM_ENVS))
             for move in moves[which]:
                 state = turns[which](state, move)
             alone.append(_plain(state))
-        states = [begin(lane_keys(number + which, NUM_ENVS)) for which in range(2)]
+        states = [begin(env_keys(number + which, NUM_ENVS)) for which in range(2)]
         queues = [iter(moves[which]) for which in range(2)]
         for which in random.permutation(np.repeat(range(2), STEPS)):
             states[which] = turns[which](states[which], next(queues[which]))
@@ -127,7 +128,7 @@ def interleavings(sim: str, count: int = INTERLEAVINGS) -> Row:
 
 def _turn(env: Env) -> Callable[[EnvState, np.ndarray], EnvState]:
     """A function that makes a step, and resets the episodes that end in it."""
-    step, reset = env.compile(env.step), env.compile(env.reset)
+    step, reset = env.compile_whole(env.step), env.compile_whole(env.reset)
 
     def turn(state: EnvState, move: np.ndarray) -> EnvState:
         state, transition = step(state, move)
@@ -137,7 +138,7 @@ def _turn(env: Env) -> Callable[[EnvState, np.ndarray], EnvState]:
 
 
 def _plain(state: EnvState) -> list[np.ndarray]:
-    return [np.array(x) for x in jax.tree.leaves((state.arm, state.target, state.target_q, state.clock))]
+    return [np.array(x) for x in jax.tree.leaves((state.arm, state.goal.position, state.target_q, state.clock))]
 
 
 def _equal(a: list[np.ndarray], b: list[np.ndarray]) -> bool:
@@ -152,7 +153,7 @@ def openings(sim: str, count: int = OPENINGS) -> Row:
         if number == WARM_UP:
             begun = _held()
         env = Env(config, 2)
-        env.init(lane_keys(0, 2))
+        env.init(env_keys(0, 2))
         env.close()
         del env
         gc.collect()

@@ -12,11 +12,12 @@ from jax import Array
 
 from reachlab.bench.table import Row, machine, row
 from reachlab.bench.timing import shortest_time
-from reachlab.envs.core import Env, EnvState
-from reachlab.envs.streams import lane_keys
+from reachlab.envs.core import Env
+from reachlab.envs.functions import EnvState
+from reachlab.envs.streams import env_keys
 from reachlab.jax_setup import jit
-from reachlab.learn.method import compile_iteration, initial_state
-from reachlab.settings.config import configure
+from reachlab.learn.ppo_method import compile_iteration, initial_state
+from reachlab.settings.presets import configure
 
 ENV_BATCHES = (256, 1024, 4096, 16384)
 """Batch sizes among which the best is looked for."""
@@ -34,7 +35,7 @@ def speed() -> Iterator[Row]:
     best, num_envs = max(rows)
     yield row("env_steps_per_second/kinematic", best, "1/s", num_envs=num_envs, machine=machine())
     config = configure()
-    env = Env(config, config.ppo.num_envs)
+    env = Env(config, config.loop.num_envs)
     state = jit(lambda seed: initial_state(env, config, seed))(config.seed)
     step = compile_iteration(env, config, state)
     times = []
@@ -43,8 +44,8 @@ def speed() -> Iterator[Row]:
         state, watched = step(state)
         jax.block_until_ready(watched)
         times.append(time.perf_counter() - start)
-    steps_per_second = config.ppo.iteration_steps / float(np.median(times))
-    yield row("train_steps_per_second/kinematic", steps_per_second, "1/s", num_envs=config.ppo.num_envs)
+    steps_per_second = config.loop.iteration_steps / float(np.median(times))
+    yield row("train_steps_per_second/kinematic", steps_per_second, "1/s", num_envs=config.loop.num_envs)
 
 
 def _env_steps_per_second(num_envs: int) -> float:
@@ -59,5 +60,5 @@ def _env_steps_per_second(num_envs: int) -> float:
         return begun, jnp.stack([jnp.sum(x) for x in jax.tree.leaves((transition, env.observe(begun)))])
 
     run = jit(lambda state, key: jax.lax.scan(step, state, jax.random.split(key, ENV_STEPS)))
-    state = jit(env.init)(lane_keys(0, num_envs))
+    state = jit(env.init)(env_keys(0, num_envs))
     return num_envs * ENV_STEPS / shortest_time(lambda: run(state, jax.random.key(0)))

@@ -29,10 +29,11 @@ from reachlab.envs.core import Env
 from reachlab.jax_setup import jit
 from reachlab.learn import method as iteration
 from reachlab.learn import ppo
-from reachlab.learn.method import TrainState, compile_iteration, initial_state
+from reachlab.learn.ppo_method import TrainState, compile_iteration, initial_state
 from reachlab.learn.train import train
 from reachlab.runs.directory import RunDirectory
-from reachlab.settings.config import RunConfig, configure, in_simulator
+from reachlab.settings.config import RunConfig
+from reachlab.settings.presets import configure, in_simulator
 
 KILLS, KILLS_IN_A_RUN, CORRUPTIONS, FAILING_SAVES = 50, 10, 10_000, 20
 """How often each fault is tried."""
@@ -235,8 +236,8 @@ def _bytes(state: TrainState) -> list[bytes]:
 def _cost(sim: str) -> Iterator[Row]:
     """Time of a save, and its share of training at the default interval."""
     config: RunConfig = in_simulator(configure(), sim)
-    env = Env(config, config.ppo.num_envs)
-    state = env.compile(lambda seed: initial_state(env, config, seed))(np.uint32(0))
+    env = Env(config, config.loop.num_envs)
+    state = env.compile_whole(lambda seed: initial_state(env, config, seed))(np.uint32(0))
     with tempfile.TemporaryDirectory(dir=os.environ.get("TMPDIR")) as folder:
         run = RunDirectory(Path(folder) / "run")
         run.create(config)
@@ -246,6 +247,6 @@ def _cost(sim: str) -> Iterator[Row]:
             run.write_checkpoint(step, state)
             times.append(time.perf_counter() - start)
     env.close()
-    took, interval = statistics.median(times), config.ppo.checkpoint_interval
-    yield row(f"trust/save/{sim}", 1000 * took, "ms", num_envs=config.ppo.num_envs)
+    took, interval = statistics.median(times), config.loop.checkpoint_interval
+    yield row(f"trust/save/{sim}", 1000 * took, "ms", num_envs=config.loop.num_envs)
     yield row(f"trust/saving_share/{sim}", took / interval, "of training time", interval=interval, slowest=max(times))

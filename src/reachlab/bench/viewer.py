@@ -18,8 +18,9 @@ import numpy as np
 
 from reachlab.bench.simulators import Row, row
 from reachlab.envs.core import Env
-from reachlab.learn.method import initial_state
-from reachlab.learn.train import load_policy, train
+from reachlab.learn.ppo_method import initial_state
+from reachlab.learn.saved import load_policy
+from reachlab.learn.train import train
 from reachlab.runs.directory import RunDirectory
 from reachlab.settings.config import TASKS, RunConfig
 from reachlab.settings.validation import InputError
@@ -78,7 +79,7 @@ def _followed(page: Page, config: RunConfig, path: Path) -> Iterator[Row]:
 
     train(config, path)
     run, env = RunDirectory(path), Env(config, 1)
-    load = partial(load_policy, run, config, env)
+    load = partial(load_policy, run, env)
     with Viewer(env, run.checkpoint_steps(), load, "trained", LOCAL, free_port()) as shown:
         shown.prepare(seed=1)
         yield from follow(shown, page, config.task, DRAGS, FOLLOWED)
@@ -88,9 +89,9 @@ def _followed(page: Page, config: RunConfig, path: Path) -> Iterator[Row]:
 
 def _untrained(config: RunConfig, path: Path) -> RunDirectory:
     """A run whose policy has learnt nothing, which takes as long to compute as any other."""
-    env, run = Env(config, config.ppo.num_envs), RunDirectory(path)
+    env, run = Env(config, config.loop.num_envs), RunDirectory(path)
     run.create(config)
-    run.write_checkpoint(0, env.compile(partial(initial_state, env, config))(np.uint32(config.seed)))
+    run.write_checkpoint(0, env.compile_whole(partial(initial_state, env, config))(np.uint32(config.seed)))
     env.close()
     return run
 
@@ -127,7 +128,7 @@ def _live(page: Page, run: RunDirectory, config: RunConfig) -> Iterator[Row]:
     from reachlab.bench.chromium import drawn, wait_until
 
     env = Env(config, 1)
-    load = partial(load_policy, run, config, env)
+    load = partial(load_policy, run, env)
     with Viewer(env, run.checkpoint_steps(), load, "trained", LOCAL, free_port()) as shown:
         shown.prepare(seed=1)
         shown.panel.endless = True

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.table import Table
 
 from reachlab.settings.config import RunConfig, TaskConfig
+
+if TYPE_CHECKING:
+    from reachlab.tasks.task import Task
 
 PLAIN_WIDTH = 120
 """Width of tables where there is no terminal [characters]."""
@@ -54,27 +57,18 @@ def note(text: str) -> None:
 
 def asked(config: RunConfig) -> str:
     """What a task asks for."""
-    rules, period = config.rules, config.physics.control_period
-    steps = f"{rules.max_steps:,} steps ({rules.max_steps * period:.2g} s)"
-    low, high = rules.target_low, rules.target_high
-    where = f"in the box from {low} to {high} m" if rules.targets == "box" else f"on the {rules.targets}"
-    if not rules.hold_steps:
-        return f"touch a point {where}: the tool comes within {success_mm(rules)} of it, in at most {steps}"
-    return f"hold a point {where}: {_held(rules, period)}; an episode has {steps}"
+    return _task(config).asks(config.rules, config.physics.control_period)
 
 
 def succeeded(config: RunConfig) -> str:
-    """What counts as a success of an episode."""
-    if config.rules.hold_steps:
-        return f"at the end {_held(config.rules, config.physics.control_period)}"
-    return f"the tool comes within {success_mm(config.rules)} of the target, which ends the episode"
+    """What an episode has to come to, to count as a success."""
+    return _task(config).succeeds(config.rules, config.physics.control_period)
 
 
-def _held(rules: TaskConfig, period: float) -> str:
-    return (
-        f"the tool has been within {success_mm(rules)} for {rules.hold_steps} steps"
-        f" ({rules.hold_steps * period:.2g} s), no joint faster than {rules.hold_speed:g} rad/s"
-    )
+def _task(config: RunConfig) -> Task:
+    from reachlab.tasks import TASKS
+
+    return TASKS[config.task].load()
 
 
 def success_mm(rules: TaskConfig) -> str:
@@ -88,8 +82,8 @@ def success_mm(rules: TaskConfig) -> str:
 def print_reports(reports: Sequence[dict[str, Any]], config: RunConfig) -> None:
     """Print what counts as a success, and a table with a row for each report of a run's agents."""
     first, held = reports[0], config.rules.hold_steps > 0
-    perturbed = ", perturbed" * first["perturb"] + ", random views" * first["perturb_view"]
-    what = f"{first['task']} task, {first['robot']}{perturbed}"
+    varied = f", {' and '.join(first['randomised'])} randomised" if first["randomised"] else ""
+    what = f"{first['task']} task, {first['robot']}{varied}"
     say(f"{what}: {first['episodes']:,} held-out targets of seed {first['seed']}.")
     say(f"Success: {succeeded(config)}.")
     table = Table("agent", "simulator")

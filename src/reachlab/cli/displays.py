@@ -127,7 +127,7 @@ class TrainDisplay(Bar):
             self._success, self._ended = self._ended.in_words(self._config.rules), _Ended()
         self._validated |= {name: x for name, x in progress.metrics.items() if name == "validation_success"}
         shown = replace(progress, metrics=progress.metrics | self._validated)
-        total = None if self._config.ppo.stop_early else progress.total_steps
+        total = None if self._config.loop.stop_early else progress.total_steps
         status = train_line(shown, first, self._config, self._success, timed=False)
         self._bar.update(self._task, description="training", completed=progress.steps, total=total, status=status)
 
@@ -141,15 +141,15 @@ class TrainDisplay(Bar):
 
 def explained(config: RunConfig) -> str:
     """What a training does, and what the numbers in its progress lines mean."""
-    stop = config.ppo
+    stop = config.loop
     most = f"at most {stop.total_steps:,}" if stop.stop_early else f"{stop.total_steps:,}"
     early = f", until {stop.stop_streak} validations in a row reach {100 * stop.stop_success:g} % success"
-    arms = " and on perturbed arms" if stop.randomise else ""
+    varied = f" and vary in {' and '.join(config.randomise)}" if config.randomise else ""
     return (
         f"The {config.task} task on {config.robot} in {config.sim}: {most} steps{early if stop.stop_early else ''}.\n"
         f"Success: {succeeded(config)}.\n"
-        f"Training episodes explore with noise{arms}; validations and the report at the end are without noise,"
-        f" on other targets{', the report on arms as they are' if stop.randomise else ''}."
+        f"Training episodes explore with noise{varied}; validations and the report at the end are without noise,"
+        f" on other targets{', the report without what varies' if config.randomise else ''}."
     )
 
 
@@ -167,8 +167,8 @@ def train_line(
     """
     now, seconds = progress.metrics, progress.elapsed_s
     # Only whole iterations are made.
-    total = -(-progress.total_steps // config.ppo.iteration_steps) * config.ppo.iteration_steps
-    of = "" if config.ppo.stop_early else f" of {total / MILLION:.2f}M"
+    total = -(-progress.total_steps // config.loop.iteration_steps) * config.loop.iteration_steps
+    of = "" if config.loop.stop_early else f" of {total / MILLION:.2f}M"
     parts = [f"{progress.steps / MILLION:.2f}M{of} steps", success]
     if "validation_success" in now:
         parts.append(f"validation {100 * now['validation_success']:.1f} %")

@@ -6,19 +6,18 @@ import json as jsonlib
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
+from reachlab.agents import AGENTS
 from reachlab.cli.flags import Eval
 from reachlab.cli.preparation import prepare
 from reachlab.settings.config import RunConfig
-from reachlab.settings.names import AGENTS
+from reachlab.settings.plain import override
+from reachlab.settings.presets import preset
 from reachlab.settings.validation import InputError, choose
 
 if TYPE_CHECKING:
     from reachlab.cli.displays import EvalDisplay
-    from reachlab.learn.train import Saved
+    from reachlab.learn.saved import Saved
     from reachlab.runs.directory import RunDirectory
-
-EVALUATION_NUM_ENVS = {"pybullet": 8}
-"""Environments of an evaluation where fewer of them are faster."""
 
 
 def evaluate(arguments: Eval) -> None:
@@ -37,8 +36,8 @@ def evaluate(arguments: Eval) -> None:
     from reachlab.runs.directory import RunDirectory
     from reachlab.sims import SIMULATORS
 
-    run = RunDirectory(arguments.run)
-    trained, several = run.read_config(), arguments.sim == "all"
+    run = RunDirectory(arguments.run) if arguments.run else None
+    trained, several = _settings(arguments, run), arguments.sim == "all"
     names = list(SIMULATORS) if several else [arguments.sim or trained.sim]
     configs = {name: _evaluated_config(arguments, trained, name) for name in names}
     reports: list[dict[str, Any]] = []
@@ -69,6 +68,24 @@ def evaluate(arguments: Eval) -> None:
         raise InputError(f"no result in {', '.join(failed)}: the reason is above.")
 
 
+def _settings(arguments: Eval, run: RunDirectory | None) -> RunConfig:
+    """Settings of the run, or without one those of the task and the robot that the flags name.
+
+    Raises:
+        InputError: no such run, one that is missing or not needed, or a robot that is not named right.
+    """
+    named = {"task": arguments.task, "robot": arguments.robot}
+    if run:
+        if given := [f"--{name}" for name, value in named.items() if value]:
+            raise InputError(f"a run has its own task and robot: leave {' and '.join(given)} out, or the run.")
+        return run.read_config()
+    if needing := [agent for agent in arguments.agent if AGENTS[agent].trained]:
+        others = ", ".join(name for name, entry in AGENTS.items() if not entry.trained)
+        raise InputError(f"agent {needing[0]!r} needs a run: name its directory, or choose --agent among {others}.")
+    config = preset(arguments.task or "tutorial")
+    return override(config, robot=arguments.robot) if arguments.robot else config
+
+
 def _evaluated_config(arguments: Eval, trained: RunConfig, name: str) -> RunConfig:
     """Settings of an evaluation in a simulator.
 
@@ -77,8 +94,7 @@ def _evaluated_config(arguments: Eval, trained: RunConfig, name: str) -> RunConf
     """
     from reachlab.envs.settle import in_evaluation
 
-    physics = {"gui": arguments.gui, "slow": arguments.slow, "perturb": arguments.perturb}
-    return in_evaluation(trained, name, **physics, randomise_view=arguments.perturb_view)
+    return in_evaluation(trained, name, gui=arguments.gui, slow=arguments.slow, randomise=arguments.randomise)
 
 
 def _can_be_used(config: RunConfig) -> bool:
@@ -95,34 +111,36 @@ def _can_be_used(config: RunConfig) -> bool:
 
 
 def _evaluated(
-    arguments: Eval, run: RunDirectory, config: RunConfig, loaded: list[Saved], display: EvalDisplay
+    arguments: Eval, run: RunDirectory | None, config: RunConfig, loaded: list[Saved], display: EvalDisplay
 ) -> Iterator[tuple[dict[str, Any], list[str]]]:
-    """Report of each agent in one simulator, and where it could not be saved a list with the reason.
+    """Report of each agent in one simulator, and where it could not be saved in the run a list with the reason.
 
     What is already `loaded` is used again: all simulators get the same checkpoint, even where a training writes newer
     ones meanwhile.
     """
     from reachlab.envs.core import Env
-    from reachlab.evaluation.report import LANES, examine
-    from reachlab.learn.train import load_saved
+    from reachlab.evaluation.episodes import BATCH
+    from reachlab.evaluation.report import examine
+    from reachlab.learn.saved import load_saved
+    from reachlab.sims import SIMULATORS
 
-    name = config.sim
-    env = Env(config, 1 if arguments.gui else min(arguments.episodes, EVALUATION_NUM_ENVS.get(name, LANES)))
+    name, episodes = config.sim, arguments.episodes
+    env = Env(config, 1 if arguments.gui else min(episodes, SIMULATORS[name].most_envs or BATCH))
     try:
-        if not loaded:
-            loaded.append(load_saved(run, config, env))
-        policy, checkpoint = loaded[0].policy, loaded[0].checkpoint
+        if run and not loaded:
+            loaded.append(load_saved(run, env))
+        policy, checkpoint = (loaded[0].policy, loaded[0].checkpoint) if loaded else (None, None)
         for agent in arguments.agent:
             display.begin(agent, name)
-            seed, episodes = arguments.seed, arguments.episodes
             result, played = examine(
-                env, agent, policy, seed=seed, episodes=episodes, watch=display, checkpoint=checkpoint
+                env, agent, policy, seed=arguments.seed, episodes=episodes, watch=display, checkpoint=checkpoint
             )
             report = result.to_json()
-            rows = {"target": played.target, "distance": played.distance, "success": played.success}
-            kind = "-perturbed" * arguments.perturb + "-views" * arguments.perturb_view
+            rows = {"goal": played.goal, "distance": played.distance, "success": played.success}
+            title = "-".join((name, agent, str(arguments.seed), *arguments.randomise))
             try:
-                run.write_report(f"{name}-{agent}-{seed}{kind}", report, rows)
+                if run:
+                    run.write_report(title, report, rows)
             except InputError as error:
                 yield report, [str(error)]
             else:

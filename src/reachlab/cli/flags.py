@@ -8,9 +8,10 @@ from typing import Annotated
 
 import tyro
 
+from reachlab.agents import AGENTS
 from reachlab.bench import SUITES
-from reachlab.settings.config import DISTIL_DEFAULTS, PICTURED, DistilConfig, RunConfig
-from reachlab.settings.names import AGENTS
+from reachlab.settings.config import DaggerConfig, RunConfig
+from reachlab.settings.presets import DISTILLATION
 from reachlab.settings.validation import Checked, Count, NonNegative, Positive, Range, Seed, Steps
 
 Optional = tyro.conf.arg(metavar="PATH", help_behavior_hint="")
@@ -42,7 +43,8 @@ class Distil(Checked):
 
     teacher: Annotated[Path | None, tyro.conf.Positional] = None
     """Run directory of the teacher."""
-    observation: Annotated[str, tyro.conf.arg(help=f"What the student observes: {', '.join(PICTURED)}.")] = "image"
+    observation: str = "image"
+    """What the student observes, with a picture in it; see `reachlab list`."""
     sim: Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")] = None
     """Simulator, kinematic or mujoco; by default the teacher's."""
     seed: Seed = 0
@@ -51,44 +53,46 @@ class Distil(Checked):
     """Run directory to make; by default a new one below runs/."""
     resume: Annotated[Path | None, Optional] = None
     """Run directory to resume: training continues from its newest checkpoint, with its own settings."""
-    randomise_view: bool = False
-    """Vary light, colours and camera from episode to episode, see `randomise_view` of train."""
-    total_steps: Steps = DISTIL_DEFAULTS["total_steps"]
+    randomise: tuple[str, ...] = ()
+    """What varies from episode to episode, dynamics and view, see train; by default what varied for the teacher."""
+    total_steps: Steps = DISTILLATION["total_steps"]
     """Environment steps after which training ends: 4,096 an iteration with the default `--action-repeat`."""
-    report_episodes: Count = DISTIL_DEFAULTS["report_episodes"]
+    report_episodes: Count = DISTILLATION["report_episodes"]
     """Held-out episodes of the report at the end."""
-    action_repeat: Count = DISTIL_DEFAULTS["action_repeat"]
+    action_repeat: Count = DISTILLATION["action_repeat"]
     """While training, steps from one picture to the next; the action is the same in between."""
     deterministic: bool = False
     """Compute on one thread: the same weights on any number of cores."""
-    settings: DistilConfig = field(default_factory=DistilConfig)
+    settings: DaggerConfig = field(default_factory=DaggerConfig)
     tensorboard: bool = False
     """Write TensorBoard's event file into the run directory too; needs the extra `tensorboard`."""
     json: bool = False
     """Print the result as one JSON object on standard output."""
 
 
-LESSON = ("observation", "seed", "randomise_view", "total_steps", "report_episodes", "action_repeat", "deterministic")
+LESSON = ("observation", "seed", "randomise", "total_steps", "report_episodes", "action_repeat", "deterministic")
 """Flags of `Distil` that are settings of its run, beside `settings`."""
 
 
 @dataclass(frozen=True)
 class Eval(Checked):
-    """Evaluate a run beside its baselines, on held-out targets."""
+    """Evaluate a run beside its baselines, or baselines alone, on held-out targets."""
 
-    run: Annotated[Path, tyro.conf.Positional]
-    """Run directory."""
+    run: Annotated[Path | None, tyro.conf.Positional] = None
+    """Run directory; baselines need none."""
+    task: Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")] = None
+    """Task preset, where there is no run; see `reachlab list`."""
+    robot: Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")] = None
+    """Robot, where there is no run: a name of `reachlab list`, or the path of an MJCF or URDF file."""
     sim: Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")] = None
-    """Simulator, or `all` of them; by default the run's own."""
+    """Simulator, or `all` of them; by default the run's own or the task's."""
     agent: Agents = ("trained",)
     episodes: Count = 1000
     """Held-out episodes."""
     seed: Seed = 1
     """Seed of the targets."""
-    perturb: bool = False
-    """Vary the arm from episode to episode and measure with noise, see `perturb` of train."""
-    perturb_view: bool = False
-    """For a policy that gets pictures: vary light, colours and camera, see `randomise_view` of train."""
+    randomise: tuple[str, ...] = ()
+    """What varies from episode to episode: dynamics, and for a policy that gets pictures view; see train."""
     gui: bool = False
     """PyBullet: open its window."""
     slow: bool = False

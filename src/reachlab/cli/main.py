@@ -17,7 +17,9 @@ import tyro
 
 from reachlab.cli.flags import LESSON, Distil, Train
 from reachlab.cli.verbs import VERBS
-from reachlab.settings.config import CHOICES, DistilRunConfig, RunConfig, flatten, preset, to_json
+from reachlab.settings.config import DistilRunConfig, RunConfig
+from reachlab.settings.plain import flatten, to_json
+from reachlab.settings.presets import CHOICES, preset
 from reachlab.settings.validation import InputError, choose
 
 DONE, WRONG_INPUT, NOT_FINITE, INTERRUPTED = 0, 2, 3, 130
@@ -101,7 +103,7 @@ def _parse(verb: str, flags: type, words: list[str]) -> Any:
         default = Train(run=_defaults(_chosen(words)))
     elif flags is Distil and isinstance(config := _resumed(_chosen(words)), DistilRunConfig):
         settings = flatten(to_json(config))
-        default = Distil(**{name: settings[name] for name in LESSON}, settings=config.distil)
+        default = Distil(**{name: settings[name] for name in LESSON}, settings=config.dagger)
     said = io.StringIO()
     try:
         with contextlib.redirect_stderr(said):
@@ -124,7 +126,7 @@ def _defaults(chosen: argparse.Namespace) -> RunConfig:
     """Settings that the flags of a training change: those of the run that is resumed, or a preset."""
     if config := _resumed(chosen):
         return config
-    return preset(chosen.task or "tutorial", *(vars(chosen)[name] for name in CHOICES))
+    return preset(chosen.task or "tutorial", **{name: vars(chosen)[name] for name in CHOICES if vars(chosen)[name]})
 
 
 def _resumed(chosen: argparse.Namespace) -> RunConfig | None:

@@ -9,7 +9,9 @@ from pathlib import Path
 
 from reachlab.cli.flags import LESSON, Distil, Train
 from reachlab.cli.preparation import prepare
-from reachlab.settings.config import DistilRunConfig, RunConfig, distillation, in_simulator, override
+from reachlab.settings.config import DistilRunConfig, RunConfig
+from reachlab.settings.plain import override
+from reachlab.settings.presets import distillation, in_simulator
 from reachlab.settings.validation import InputError
 
 
@@ -27,7 +29,7 @@ def _distillation(arguments: Distil) -> RunConfig:
     """Settings of a distillation: of the run that is resumed, or of the teacher, with the changes of the flags."""
     from reachlab.runs.directory import RunDirectory
 
-    changes = {name: getattr(arguments, name) for name in LESSON} | vars(arguments.settings)
+    changes = {name: vars(arguments)[name] for name in LESSON} | vars(arguments.settings)
     if arguments.resume:
         config = RunDirectory(arguments.resume).read_config()
         changes |= {"sim": arguments.sim} if arguments.sim else {}
@@ -37,6 +39,7 @@ def _distillation(arguments: Distil) -> RunConfig:
         raise InputError("distil needs a teacher: name the run directory of one, as `reachlab train` makes it.")
     taught = RunDirectory(arguments.teacher).read_config()
     config = in_simulator(taught, arguments.sim or taught.sim)
+    changes["randomise"] = arguments.randomise or taught.randomise
     return distillation(str(arguments.teacher), config, **changes)
 
 
@@ -73,8 +76,8 @@ def _learn(arguments: Train | Distil, config: RunConfig, verb: str) -> None:
         say(f"Written: {out}: report.json, curve.png, checkpoints. With the report: {result.total_wall_s:.1f} s.")
     if result.validated is False:
         note(
-            f"Warning: no {config.ppo.stop_streak} validations in a row reached {100 * config.ppo.stop_success:g} %"
-            f" success within {config.ppo.total_steps:,} steps."
+            f"Warning: no {config.loop.stop_streak} validations in a row reached {100 * config.loop.stop_success:g} %"
+            f" success within {config.loop.total_steps:,} steps."
         )
     note(f"Next: reachlab eval {out} --agent trained random ik")
 

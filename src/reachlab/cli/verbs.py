@@ -13,7 +13,6 @@ from reachlab.cli.flags import Bench, Distil, Eval, List, Plot, Train, Video, Vi
 from reachlab.cli.preparation import prepare
 from reachlab.cli.training import distil, train
 from reachlab.cli.watching import plot, video, view
-from reachlab.settings.config import TASKS
 
 
 def bench(arguments: Bench) -> None:
@@ -35,24 +34,28 @@ def bench(arguments: Bench) -> None:
 def list_names(arguments: List) -> None:
     """Run `reachlab list`."""
     prepare()
+    from reachlab.agents import AGENTS
     from reachlab.cli.console import asked, print_table
-    from reachlab.evaluation.report import AGENTS
-    from reachlab.robots.loading import ROBOTS
+    from reachlab.robots.catalogue import ROBOTS
+    from reachlab.settings.presets import preset
     from reachlab.sims import SIMULATORS
-    from reachlab.tasks.reach import ACTIONS, OBSERVATIONS, REWARDS
+    from reachlab.tasks import TASKS
+    from reachlab.tasks.actions import ACTIONS
+    from reachlab.tasks.observations import OBSERVATIONS
+    from reachlab.tasks.rewards import REWARDS
 
     names: dict[str, dict[str, str]] = {
         "tasks": {
             name: f"{asked(config)}. Unless told otherwise: simulator {config.sim}, observation"
             f" {config.rules.observation}, action {config.rules.action}, reward {config.rules.reward}"
-            for name, config in TASKS.items()
+            for name, config in ((name, preset(name)) for name in TASKS)
         },
-        "robots": {name: f"tool frames {', '.join(robot.tools)}" for name, robot in ROBOTS.items()},
+        "robots": {name: f"tool frames {', '.join(robot.tools.values())}" for name, robot in ROBOTS.items()},
         "simulators": {name: entry.summary for name, entry in SIMULATORS.items()},
         "observations": {name: design.summary for name, design in OBSERVATIONS.items()},
         "actions": {name: design.summary for name, design in ACTIONS.items()},
         "rewards": {name: _summary(reward) for name, reward in REWARDS.items()},
-        "agents": {name: _summary(agent) for name, agent in AGENTS.items()},
+        "agents": {name: agent.summary for name, agent in AGENTS.items()},
         "suites": {name: suite.summary for name, suite in SUITES.items()},
     }
     if arguments.json:

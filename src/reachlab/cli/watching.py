@@ -6,10 +6,12 @@ import json as jsonlib
 import webbrowser
 from functools import partial
 
+from reachlab.agents import AGENTS
 from reachlab.cli.flags import Plot, Video, View
 from reachlab.cli.preparation import prepare
-from reachlab.settings.config import RunConfig, in_simulator, override
-from reachlab.settings.names import AGENTS
+from reachlab.settings.config import RunConfig
+from reachlab.settings.plain import override
+from reachlab.settings.presets import in_simulator
 from reachlab.settings.validation import InputError, choose
 
 
@@ -17,7 +19,7 @@ def _as_it_is(trained: RunConfig, sim: str | None) -> RunConfig:
     """Settings of a run in a simulator, by default its own, without random views."""
     from reachlab.sims import SIMULATORS
 
-    return override(in_simulator(trained, choose("simulator", sim or trained.sim, SIMULATORS)), randomise_view=False)
+    return override(in_simulator(trained, choose("simulator", sim or trained.sim, SIMULATORS)), randomise=())
 
 
 def video(arguments: Video) -> None:
@@ -25,7 +27,7 @@ def video(arguments: Video) -> None:
     prepare()
     from reachlab.cli.console import say
     from reachlab.envs.core import Env
-    from reachlab.learn.train import load_policy
+    from reachlab.learn.saved import load_policy
     from reachlab.runs.directory import RunDirectory
     from reachlab.watch.video import write_video
 
@@ -36,7 +38,7 @@ def video(arguments: Video) -> None:
     clip = write_video(
         env,
         agent,
-        load_policy(run, config, env),
+        load_policy(run, env),
         arguments.out or run.path / "video.webp",
         seed=arguments.seed,
         episodes=arguments.episodes,
@@ -59,7 +61,7 @@ def view(arguments: View) -> None:
     from reachlab.cli.console import note, say
     from reachlab.envs.core import Env
     from reachlab.learn.interrupts import Interrupts
-    from reachlab.learn.train import load_policy
+    from reachlab.learn.saved import load_policy
     from reachlab.runs.directory import RunDirectory
     from reachlab.watch.stage import is_local
     from reachlab.watch.viewer import Viewer, save_page
@@ -69,13 +71,11 @@ def view(arguments: View) -> None:
     steps = run.checkpoint_steps()
     env = Env(config, 1)
     if arguments.save:
-        save_page(
-            env, arguments.agent, load_policy(run, config, env), arguments.seed, arguments.episodes, arguments.save
-        )
+        save_page(env, arguments.agent, load_policy(run, env), arguments.seed, arguments.episodes, arguments.save)
         env.close()
         say(f"Written: {arguments.save}")
         return
-    load = partial(load_policy, run, config, env)
+    load = partial(load_policy, run, env)
     with (
         Viewer(env, steps, load, arguments.agent, arguments.host, arguments.port) as viewer,
         Interrupts() as interrupts,

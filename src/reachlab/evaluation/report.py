@@ -41,7 +41,8 @@ class Report:
         success_rate: share of episodes that ended in success.
         success_interval: its 95 % Wilson interval.
         success_within: share within so many millimetres at the end; None where success ends the episode.
-        final_error_mm: the error that counts, see `Progress.error`, at the end: median, p95, p99, max; None if infinite.
+        final_error_mm: the error that counts at the end, see `Progress.error`: median, p95, p99, max; None if it is
+            infinite.
         return_mean: mean sum of rewards.
         steps_mean: mean length, to success or the end.
         time_to_reach_s: mean time of the successes until the tool is there for good [s]; None without any.

@@ -8,22 +8,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import jax
-
 from reachlab.agents.policy import Policy
 from reachlab.envs.core import Env
 from reachlab.envs.settle import check, check_reach
 from reachlab.evaluation.report import Report, evaluate
 from reachlab.jax_setup import set_threads
-from reachlab.learn.dagger import check_distillation, dagger
+from reachlab.learn import METHODS
 from reachlab.learn.interrupts import Interrupts
 from reachlab.learn.loop import Loop, Progress, unwritable
-from reachlab.learn.method import PPO, Method, make_initial_policy
+from reachlab.learn.method import Method
 from reachlab.runs.directory import RunDirectory
 from reachlab.runs.files import write_json
 from reachlab.runs.lock import locked
 from reachlab.runs.metrics import Metrics, cut_metrics, event_writer
-from reachlab.settings.config import DistilRunConfig, RunConfig, override
+from reachlab.settings.config import DistilRunConfig, RunConfig
+from reachlab.settings.plain import override
 from reachlab.settings.validation import InputError
 
 

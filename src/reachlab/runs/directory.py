@@ -17,7 +17,8 @@ from typing import Any, TypeVar
 from reachlab.runs.files import read_json, remove, sync, write_json, write_synced, write_whole
 from reachlab.runs.lock import in_turn, refuse_if_held
 from reachlab.runs.manifest import ARRAYS, FORMAT, MANIFEST, Counters, Manifest, read_manifest, seal
-from reachlab.settings.config import RunConfig, difference, from_json, to_json
+from reachlab.settings.config import RunConfig
+from reachlab.settings.plain import difference, from_json, to_json
 from reachlab.settings.validation import InputError
 
 KEEP = 3

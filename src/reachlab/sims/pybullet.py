@@ -63,7 +63,7 @@ class PybulletSimulator:
         """Simulator of `num_envs` arms.
 
         Raises:
-            InputError: PyBullet is not installed or has no such robot, or too many environments or no display are there.
+            InputError: PyBullet is not installed, has no such robot or no display, or there are too many environments.
         """
         del randomise_dynamics
         most = SIMULATORS["pybullet"].most_envs or num_envs  # each is a client of its own, of about 29 MB

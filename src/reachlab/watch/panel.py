@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from reachlab.evaluation.report import AGENTS
+from reachlab.agents import AGENTS
 
 if TYPE_CHECKING:
     import viser

@@ -11,11 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from reachlab.agents.acting import make_act
 from reachlab.agents.policy import Policy
-from reachlab.envs.core import Env, EnvState, Transition
+from reachlab.envs.core import Env
+from reachlab.envs.functions import EnvState, Transition
 from reachlab.envs.streams import AGENT_STREAM, REPORT_STREAM, episode_keys
-from reachlab.evaluation.report import compile_agent
-from reachlab.tasks import reach as task
+from reachlab.tasks.task import Goal, TaskSetup
 
 Advance = Callable[[Policy | None, EnvState, Array, bool, np.ndarray], tuple[EnvState, Transition, Array]]
 
@@ -74,13 +75,13 @@ class Player:
     state: EnvState
 
     def __init__(self, env: Env, seed: int) -> None:
-        """Player of the held-out targets of a seed, on an environment of one lane."""
+        """Player of the held-out targets of a seed, on an environment of a single episode."""
         self._env, self._seed = env, seed
         self._advances: dict[str, Advance] = {}
-        self._init = env.compile(env.init)
+        self._init = env.compile_whole(env.init)
         rules = env.config.rules
-        self._knows_home_alone = not (rules.hold_steps or rules.start_noise or env.config.ppo.chained_starts)
-        self._nothing = np.full(env.reach.robot.chain.n, np.nan, np.float32)
+        self._knows_home_alone = not (rules.hold_steps or rules.start_noise or env.config.loop.chained_starts)
+        self._nothing = np.full(env.setup.robot.chain.n, np.nan, np.float32)
         self._following = False
         self.steps = self.episodes = self.successes = 0
         self.begin(0)
@@ -134,7 +135,7 @@ class Player:
 
         A tool near a target at the workspace's edge may be outside by the success distance: that is no failure.
         """
-        rules, (low, high) = self._env.config.rules, np.array(self._env.reach.robot.workspace)
+        rules, (low, high) = self._env.config.rules, np.array(self._env.setup.robot.workspace)
         away = np.linalg.norm(self.moment.tool - np.clip(self.moment.tool, low, high))
         if not rules.hold_steps and away > rules.success_distance:
             return LEFT
@@ -149,14 +150,14 @@ class Player:
         if not self.failed or (self._at_home and not self._following):
             self.begin(self.number + 1)
             return
-        target = self.state.target
+        target = self.state.goal.position
         self.begin(self.number)
         self.move_target(np.asarray(target[0]))
         self._at_home = True
 
     def see(self) -> np.ndarray | None:
         """What the policy sees now, `[SIZE, SIZE, 3]` uint8, if that is a picture."""
-        seen = self._env.see(self.state)
+        seen = self._env.render_observation(self.state)
         return None if seen is None else np.stack([seen[0]] * 3, axis=-1)
 
     def follow(self, following: bool) -> None:
@@ -165,24 +166,23 @@ class Player:
         self.over = self.over and (bool(self.failed) or not following)
 
     def move_target(self, target: np.ndarray) -> None:
-        """Put the target at `[3]` [m]; the arm goes on from where it is, with all the time of an episode."""
-        row = jnp.asarray(target, jnp.float32)[None]
-        distance = jnp.linalg.norm(self.state.arm.tool_position - row, axis=-1)
-        self.state = replace(self.state, target=row, distance=distance)
-        away = float(distance[0]) >= self._env.config.rules.success_distance
+        """Put the target at `[3]` [m]; the arm continues from where it is, with all the time of an episode."""
+        self.state = replace(self.state, goal=Goal(jnp.asarray(target, jnp.float32)[None]))
+        self._renew()
+        away = float(self.state.distance[0]) >= self._env.config.rules.success_distance
         self._going_back = self._knows_home_alone and away and bool(self._way)
         self._touched, self._at_home, self.over = True, False, bool(self.failed)
-        self._renew()
         self._look()
 
     def _renew(self) -> None:
         """Give the arm all the time of an episode again."""
-        recent, clock = task.nothing_held(self._env.reach, 1), jnp.zeros_like(self.state.clock)
-        self.state, self.clock = replace(self.state, recent=recent, clock=clock), 0
+        setup, state = self._env.setup, self.state
+        progress = setup.task.begin(setup, state.goal.distance(state.arm.tool_position))
+        self.state, self.clock = replace(state, progress=progress, clock=jnp.zeros_like(state.clock)), 0
 
     def _look(self) -> None:
         arm = self.state.arm
-        rows = (arm.q, arm.tool_position, arm.tool_quaternion, self.state.target, self.state.distance)
+        rows = (arm.q, arm.tool_position, arm.tool_quaternion, self.state.goal.position, self.state.distance)
         q, tool, orientation, target, distance = (np.asarray(row)[0] for row in rows)
         longer = not self._path or np.linalg.norm(self._path[-1] - tool) >= PATH_STEP
         if longer:
@@ -205,22 +205,20 @@ def make_advance(env: Env, agent: str) -> Advance:
 
     A joint command `[n]` that is a number is taken in place of the agent's.
     """
-    decide, rules = compile_agent(env, agent), env.config.rules
+    act, rules = make_act(env, agent), env.config.rules
 
     def advance(
         policy: Policy | None, state: EnvState, key: Array, following: bool, command: np.ndarray
     ) -> tuple[EnvState, Transition, Array]:
-        key, now = jax.random.split(key)
-        action, instead = decide(policy, state, now, None), None
+        instead = None
         if not rules.hold_steps:
             rests = (state.distance < rules.success_distance) & (following | (rules.at_goal == "hold"))
             instead = jnp.where(rests[:, None], state.target_q, command)
-        state, transition = env.step(state, action, instead=instead)
-        return state, transition, key
+        return act(policy, state, key, instead=instead)
 
-    return env.compile(advance)
+    return env.compile_whole(advance)
 
 
-def target_box(reach: task.Reach) -> np.ndarray:
-    """Lower and upper corner `[2, 3]` of the task's targets [m]."""
-    return np.stack(task.TARGETS[reach.config.targets](reach))
+def target_box(setup: TaskSetup) -> np.ndarray:
+    """Lower and upper corner `[2, 3]` of the task's goals [m]."""
+    return np.stack(setup.task.goal_box(setup))

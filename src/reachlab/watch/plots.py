@@ -15,7 +15,7 @@ from matplotlib.collections import QuadMesh
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.ticker import EngFormatter, FuncFormatter, LogLocator, MaxNLocator, NullLocator, PercentFormatter
 
-from reachlab.settings.names import AGENTS
+from reachlab.agents import AGENTS
 from reachlab.settings.validation import InputError
 from reachlab.watch.results import (
     Band,
@@ -284,7 +284,7 @@ def _maps(found: Sequence[Evaluated]) -> list[Map]:
         maps = [(label, first, *ABOVE) for label, first in firsts[:MOST_MAPS]]
     else:
         maps = [(title, first, *view) for _, first in firsts for title, view in VIEWS.items()]
-    return [entry for entry in maps if np.ptp(entry[1].target[:, entry[2:]], axis=0).min() > FLAT]
+    return [entry for entry in maps if np.ptp(entry[1].goal[:, entry[2:]], axis=0).min() > FLAT]
 
 
 def _draw_map(axes: Axes, title: str, evaluation: Evaluation, across: int, up: int) -> QuadMesh | None:
@@ -292,7 +292,7 @@ def _draw_map(axes: Axes, title: str, evaluation: Evaluation, across: int, up: i
 
     Without a failure all cells would be alike: the targets are drawn instead, and there are no cells.
     """
-    points = evaluation.target[:, [across, up]]
+    points = evaluation.goal[:, [across, up]]
     failed = points[~evaluation.success]
     came = f"{len(failed):,} of {len(points):,} missed" if len(failed) else f"all {len(points):,} reached"
     axes.set(xlabel=f"target's {'xyz'[across]} [m]", ylabel=f"target's {'xyz'[up]} [m]", aspect="equal")

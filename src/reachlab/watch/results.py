@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 
 from reachlab.runs.metrics import read_metrics
-from reachlab.settings import config
-from reachlab.settings.config import flatten, preset, to_json
+from reachlab.settings import presets
+from reachlab.settings.plain import flatten, to_json
+from reachlab.settings.presets import preset
 from reachlab.settings.validation import InputError
 
 POOL = 100
@@ -22,8 +23,8 @@ POOL = 100
 MOST_DIFFERENCES = 3
 """Settings that a label names at most; groups that differ in more are called by their first run."""
 
-CHOICES = ("task", *config.CHOICES)
-"""Settings that bring others with them, see `config.preset`."""
+CHOICES = ("task", *presets.CHOICES)
+"""Settings that bring others with them, see `presets.preset`."""
 
 QUANTILE = 0.975
 """Of Student's distribution, for intervals of 95 %."""
@@ -50,18 +51,14 @@ class Band:
     high: np.ndarray | None
 
 
-CONDITIONS = {"perturb": " (perturbed)", "perturb_view": " (random views)"}
-"""What is said of an evaluation in which arms, or views, varied from episode to episode."""
-
-
 @dataclass(frozen=True)
 class Evaluation:
     """Held-out episodes of a group's runs, by one agent in one simulator.
 
     Attributes:
         sim, agent: names.
-        condition: that arms were perturbed or views random; empty where neither was.
-        target: `[N, 3]` [m].
+        condition: what varied from episode to episode; empty where nothing did.
+        goal: `[N, 3]` [m].
         error: tool to target at the end `[N]` [mm], infinite where it had to be held and was not.
         success: `[N]`.
     """
@@ -69,7 +66,7 @@ class Evaluation:
     sim: str
     agent: str
     condition: str
-    target: np.ndarray
+    goal: np.ndarray
     error: np.ndarray
     success: np.ndarray
 
@@ -186,7 +183,8 @@ def read_evaluations(group: Group) -> list[Evaluation]:
     for run in group.runs:
         for file in sorted((run / "reports").glob("*.safetensors")):
             report = _read_report(file) or _read_json(file.with_suffix(".json"))
-            condition = "".join(words for name, words in CONDITIONS.items() if report.get(name))
+            varied = report.get("randomised") or []
+            condition = f" ({' and '.join(varied)} randomised)" if varied else ""
             parts.setdefault((report["sim"], report["agent"], condition), []).append(_read_episodes(file))
     order = sorted(parts, key=lambda names: (names[1] != "trained", names[2], names[0] != own, names))
     return [_join(*names, parts[names]) for names in order]
@@ -200,11 +198,11 @@ def _read_json(file: Path) -> dict[str, Any]:
 
 
 def _join(sim: str, agent: str, condition: str, parts: Sequence[dict[str, np.ndarray]]) -> Evaluation:
-    target, distance, success = (np.concatenate([part[name] for part in parts]) for name in FIELDS)
-    return Evaluation(sim, agent, condition, target, 1000 * distance, success)
+    goal, distance, success = (np.concatenate([part[name] for part in parts]) for name in FIELDS)
+    return Evaluation(sim, agent, condition, goal, 1000 * distance, success)
 
 
-FIELDS = ("target", "distance", "success")
+FIELDS = ("goal", "distance", "success")
 """Arrays that an evaluation keeps of its episodes."""
 
 

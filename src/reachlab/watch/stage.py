@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from reachlab.render import view_randomisation as views
 from reachlab.render.marks import PATH, Colour, Marks
 from reachlab.render.scene import TABLE_CENTRE, TABLE_SIZE, scene_spec
-from reachlab.robots.loading import Robot
+from reachlab.robots.robot import Robot
 from reachlab.settings.validation import InputError
 from reachlab.watch.player import Moment
 from reachlab.watch.solids import Solid, solids

@@ -14,9 +14,9 @@ from typing import IO, Any, cast
 import numpy as np
 from PIL import Image
 
+from reachlab.agents import AGENTS
 from reachlab.agents.policy import Policy
 from reachlab.envs.core import Env
-from reachlab.evaluation.report import AGENTS
 from reachlab.settings.validation import InputError, choose
 from reachlab.watch.captions import Caption, captioned, inset
 from reachlab.watch.player import Player, played
@@ -134,7 +134,7 @@ def _picture(env: Env, player: Player) -> np.ndarray:
 
 def _caption(env: Env, agent: str, player: Player, title: str, speed: float) -> Caption:
     config = env.config
-    parts = [f"{config.task} task", env.reach.robot.name, config.sim, agent]
+    parts = [f"{config.task} task", env.setup.robot.name, config.sim, agent]
     return Caption(
         title=title,
         detail=" · ".join(parts if speed == 1 else [*parts, f"{speed:g}× speed"]),

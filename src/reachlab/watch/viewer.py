@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
+from reachlab.agents import AGENTS
 from reachlab.agents.policy import Policy
 from reachlab.envs.core import Env
-from reachlab.evaluation.report import AGENTS
 from reachlab.settings.validation import InputError, choose
 from reachlab.watch.panel import Panel
 from reachlab.watch.player import TRAINED, Player, played, target_box
@@ -71,7 +71,7 @@ class Viewer:
         self._policies: dict[int, Policy] = {}
         self._playing: int | None = None
         self._server = start_server(host, port)
-        self.stage = Stage(self._server, env.reach.robot, env.config.rules.success_distance)
+        self.stage = Stage(self._server, env.setup.robot, env.config.rules.success_distance)
         self.panel = Panel(self._server.gui, agent, checkpoints, tuple(COMMANDS), pictured=env.pictured)
         self.panel.on_shadows(self.stage.cast_shadows)
         self._pace = Pace()
@@ -92,7 +92,7 @@ class Viewer:
     def prepare(self, seed: int) -> None:
         """Compile what playing takes and show the first held-out target of a seed."""
         self.player = Player(self._env, seed)
-        self.box = target_box(self._env.reach)
+        self.box = target_box(self._env.setup)
         self.handle = self.stage.add_handle((self.box[1] > self.box[0]).tolist())
 
         async def drag(event: viser.TransformControlsEvent) -> None:
@@ -281,7 +281,7 @@ def save_page(env: Env, agent: str, policy: Policy | None, seed: int, episodes: 
     title = f"{TITLE} · {env.config.task} task · {agent}"
     server = start_server(LOCAL, 0)
     try:
-        stage, player = Stage(server, env.reach.robot, env.config.rules.success_distance), Player(env, seed)
+        stage, player = Stage(server, env.setup.robot, env.config.rules.success_distance), Player(env, seed)
         recording = server.get_scene_serializer()
         for number in range(episodes):
             player.begin(number)
