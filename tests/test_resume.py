@@ -19,10 +19,10 @@ from reachlab.jax_setup import threads
 from reachlab.learn.interrupts import Interrupted
 from reachlab.learn.loop import Progress
 from reachlab.learn.train import train
+from reachlab.runs.checkpoint import Counters, seal
 from reachlab.runs.directory import RunDirectory
 from reachlab.runs.files import read_json, write_json
 from reachlab.runs.lock import NAME, locked
-from reachlab.runs.manifest import Counters, seal
 from reachlab.runs.metrics import cut_metrics
 from reachlab.settings.config import RunConfig, configure
 from reachlab.settings.validation import InputError
@@ -246,9 +246,9 @@ def test_a_finished_run_says_so(unbroken: Path, capsys: pytest.CaptureFixture[st
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        (["--num-envs", "32"], "was begun with num_envs 16 and cannot go on with 32: leave the setting out"),
-        (["--sim", "mujoco"], "was begun with sim 'kinematic' and cannot go on with 'mujoco'"),
-        (["--deterministic"], "was begun with deterministic False and cannot go on with True"),
+        (["--num-envs", "32"], "was begun with num_envs 16 and cannot be resumed with 32: leave the setting out"),
+        (["--sim", "mujoco"], "was begun with sim 'kinematic' and cannot be resumed with 'mujoco'"),
+        (["--deterministic"], "was begun with deterministic False and cannot be resumed with True"),
         (["--out", "elsewhere"], "leave --out out"),
     ],
 )

@@ -69,6 +69,7 @@ def _learn(arguments: Train | Distil, config: RunConfig, verb: str) -> None:
     from reachlab.cli.displays import TrainDisplay, print_training
     from reachlab.learn.train import distil as run_distillation
     from reachlab.learn.train import train as run_training
+    from reachlab.runs.directory import RunDirectory
     from reachlab.watch.plots import plot as draw
 
     out = arguments.resume or arguments.out or Path("runs") / f"{time.strftime('%Y%m%d-%H%M%S')}-{config.task}"
@@ -78,7 +79,7 @@ def _learn(arguments: Train | Distil, config: RunConfig, verb: str) -> None:
             result = run_distillation(config, out, display, **settings)
         else:
             result = run_training(config, out, display, **settings)
-    draw([out], out / "curve.png")
+    draw([out], RunDirectory(out).curve_file)
     if arguments.json:
         print(jsonlib.dumps(result.to_json()))
     else:

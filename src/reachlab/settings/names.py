@@ -13,7 +13,6 @@ SUITES = (
     "simulators",
     "precise",
     "soak",
-    "trust",
     "camera",
     "pixels",
     "viewer",

@@ -1,4 +1,4 @@
-"""Faults of files, made on purpose: saves cut off at every step, damaged and hostile files, disks without room.
+"""Faults of files, made on purpose: saves cut off at every step, damaged files, disks without room.
 
 Each measurement gives how often the fault was tried and what went wrong, one line each; nothing should.
 """
@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from reachlab.runs.checkpoint import clean
 from reachlab.runs.directory import RunDirectory
 from reachlab.settings.config import RunConfig, configure
 from reachlab.settings.validation import InputError
@@ -149,7 +150,7 @@ def _after_crash(folder: Path) -> str | None:
 
 def corruptions(count: int, seed: int = 0) -> Trial:
     """Random damage of a run's files: refused in one sentence, or the run reads as one of its own states."""
-    draw, wrong = random.Random(seed), []  # noqa: S311 (no secret)
+    draw, wrong = random.Random(seed), []
     with tempfile.TemporaryDirectory() as folder:
         run = make_run(Path(folder) / "run")
         files = [run.config_file, *sorted(run.checkpoints.glob("*/*"))]
@@ -266,7 +267,7 @@ def failing_saves(count: int) -> Trial:
                 wrong.append(f"{name}: it was written")
             except OSError as error:
                 # On a disk that cannot be written to nothing can be cleared away either.
-                run.clean()
+                clean(run.checkpoints)
                 if _contents(run.path) != before or not error.strerror:
                     wrong.append(f"{name}: something changed, or {error!r} does not say why")
             run.write_checkpoint(4, state_of(4))

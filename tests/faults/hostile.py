@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from reachlab.bench.faults import SIZE, Trial, make_run, problem_of, read_run
+from faults.saves import SIZE, Trial, make_run, problem_of, read_run
+from reachlab.runs.checkpoint import ARRAYS, MANIFEST, seal
 from reachlab.runs.files import read_json
-from reachlab.runs.manifest import ARRAYS, MANIFEST, seal
 from reachlab.settings.validation import InputError
 
 SLOWEST = 1.0
