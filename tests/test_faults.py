@@ -67,7 +67,7 @@ def after(iteration: int, act: Callable[[], object]) -> Callable[[Progress], Non
 # --- in bulk --------------------------------------------------------------------------------------
 
 
-def test_a_killed_run_goes_on_to_the_same_weights() -> None:
+def test_a_killed_run_resumes_to_the_same_weights() -> None:
     assert trainings.killed_runs(8).wrong == []
 
 
@@ -81,7 +81,7 @@ def test_damage_is_noticed() -> None:
     assert saves.corruptions(1000).wrong == []
 
 
-def test_damage_would_be_seen_if_checksums_were_not_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_damage_would_be_read_if_checksums_were_not_compared(monkeypatch: pytest.MonkeyPatch) -> None:
     real = arrays.digest
 
     def as_promised(file: Path, size: int) -> str:
@@ -178,7 +178,7 @@ def test_a_failed_save_is_told_and_tried_again(tmp_path: Path, caplog: pytest.Lo
     assert rows == [n * EACH for n in range(1, 7)]
 
 
-def test_a_training_that_cannot_save_its_end_fails_and_goes_on_later(tmp_path: Path) -> None:
+def test_a_training_that_cannot_save_its_end_fails_and_resumes_later(tmp_path: Path) -> None:
     out, disk = tmp_path / "run", contextlib.ExitStack()
     with disk, pytest.raises(InputError, match=r"the last checkpoint cannot be written .*No space.* go on with"):
         train(configure(**TINY), out, after(5, lambda: disk.enter_context(no_space(0))))

@@ -1,4 +1,4 @@
-"""A training that was interrupted goes on as if it had never been."""
+"""A training that was interrupted resumes as if it had never been."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ RUNS["precise"] = {"task": "precise", "sim": "mujoco"}
 
 
 def at(iteration: int, act: Callable[[], object]) -> Callable[[Progress], None]:
-    """A watch that acts after the n-th iteration it sees."""
+    """A watch that acts after the n-th iteration it is called for."""
     seen: list[int] = []
 
     def watch(progress: Progress) -> None:
@@ -110,7 +110,7 @@ def test_a_run_stopped_twice_ends_with_the_weights_of_one_never_stopped(tmp_path
     assert parts.report.final_error_mm == whole.report.final_error_mm
 
 
-def test_validations_in_a_row_go_on_counting(tmp_path: Path) -> None:
+def test_validations_in_a_row_are_counted_across_an_interruption(tmp_path: Path) -> None:
     config = configure(**{**TINY, "total_steps": 100_000}, success_distance=2.0, stop_success=0.5, stop_streak=3)
     whole = train(config, tmp_path / "whole")
     assert whole.validated
@@ -129,7 +129,7 @@ def test_rows_after_the_checkpoint_are_written_once(tmp_path: Path, config: RunC
     assert rows(tmp_path / "run") == rows(unbroken)
 
 
-def test_time_goes_on(tmp_path: Path, config: RunConfig) -> None:
+def test_time_is_counted_across_an_interruption(tmp_path: Path, config: RunConfig) -> None:
     interrupted(config, tmp_path / "run", 3)
     before = [json.loads(line)["wall_s"] for line in (tmp_path / "run/metrics.jsonl").read_text().splitlines()]
     result = train(config, tmp_path / "run", resume=True)
@@ -301,6 +301,16 @@ def test_a_second_trainer_is_refused_and_a_dead_ones_lock_taken_over(
     assert (run / NAME).read_text() == f"{holder.pid}\n"
     with locked(run):
         assert (run / NAME).read_text() == f"{os.getpid()}\n"
+
+
+def test_a_lock_that_is_a_link_is_not_followed(tmp_path: Path, config: RunConfig) -> None:
+    run, other = RunDirectory(tmp_path / "run"), tmp_path / "other"
+    run.create(config)
+    other.write_text("kept")
+    (run.path / NAME).symlink_to(other)
+    with pytest.raises(InputError, match="cannot be locked: "), locked(run.path):
+        pass
+    assert other.read_text() == "kept"
 
 
 # --- threads --------------------------------------------------------------------------------------

@@ -73,7 +73,12 @@ def _cost(sim: str) -> Iterator[Row]:
     yield row(f"trust/saving_share/{sim}", took / interval, "of training time", interval=interval, slowest=max(times))
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """Print the table."""
     use_compilation_cache()
     cells = [(one["name"], f"{one['value']:.4g}", one["unit"], str(one["config"])) for one in trust()]
     print_table("trust", ("measurement", "value", "unit", "configuration"), cells)
+
+
+if __name__ == "__main__":
+    main()

@@ -193,7 +193,7 @@ def problem_of(folder: Path, good: RunConfig) -> str | None:
         config, step = read_run(folder)
     except InputError as error:
         return None if _is_sentence(str(error)) else f"no sentence: {error}"
-    except Exception as error:  # whatever else comes out is what is looked for
+    except Exception as error:  # whatever else comes out is the problem
         return f"{type(error).__name__}: {error}"
     return None if config == good and step in (1, 2) else f"another configuration, or step {step}"
 

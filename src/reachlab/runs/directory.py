@@ -128,16 +128,7 @@ class RunDirectory:
         return self.report_file.is_file()
 
     def read_metrics(self) -> list[dict[str, Any]]:
-        """Rows of the metrics, one an iteration.
-
-        Raises:
-            InputError: there are no metrics, or they cannot be read.
-        """
-        if not self.metrics_file.is_file():
-            raise InputError(
-                f"run directory '{self.path}' holds no {self.metrics_file.name}: train one with"
-                f" `reachlab train --out {self.path}`."
-            )
+        """Rows of the metrics, one an iteration; see `metrics.read_metrics`."""
         return read_metrics(self.metrics_file)
 
     def write_report(self, name: str, report: Mapping[str, Any], episodes: Mapping[str, Any]) -> None:

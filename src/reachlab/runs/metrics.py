@@ -94,11 +94,14 @@ def read_metrics(path: Path) -> list[dict[str, Any]]:
     """Rows of a metrics file, without a last line that was cut off.
 
     Raises:
-        InputError: it is not a plain file, or cannot be read.
+        InputError: there is no such file, it is not a plain one, or it cannot be read.
     """
     try:
         with os.fdopen(open_plain(path, os.O_RDONLY), "rb") as file:
             return list(_rows(file))
+    except FileNotFoundError:
+        why = f"holds no {path.name}: train one with `reachlab train --out {path.parent}`"
+        raise InputError(f"run directory '{path.parent}' {why}.") from None
     except (OSError, InputError) as error:
         raise InputError(f"'{path}' cannot be read: {_reason(error)}.") from None
 
