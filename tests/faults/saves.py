@@ -23,7 +23,7 @@ from reachlab.runs.directory import RunDirectory
 from reachlab.settings.config import RunConfig, configure
 from reachlab.settings.validation import InputError
 
-CALLS = ("open", "write", "fsync", "close", "mkdir", "rename", "unlink", "rmdir")
+CALLS = ("open", "write", "fsync", "close", "mkdir", "rename", "replace", "unlink", "rmdir")
 """Calls of the operating system that a save consists of."""
 
 SIZE = 64
@@ -226,7 +226,7 @@ def read_only() -> Iterator[None]:
     """A disk that cannot be written to."""
 
     def around(name: str, call: Callable[..., Any], arguments: tuple[Any, ...], named: dict[str, Any]) -> Any:
-        if name in ("mkdir", "rename", "unlink", "rmdir", "write"):
+        if name in ("mkdir", "rename", "replace", "unlink", "rmdir", "write"):
             raise OSError(30, "Read-only file system")
         return call(*arguments, **named)
 

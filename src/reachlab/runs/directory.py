@@ -50,17 +50,15 @@ class RunDirectory:
             InputError: it exists, or cannot be made.
         """
         self.refuse_existing()
-        temporary = None
+        temporary = self.path.parent / f".{self.path.name}.{os.getpid()}.tmp"
         try:
-            temporary = self.path.with_name(f".{self.path.name}.{os.getpid()}.tmp")
             temporary.mkdir(parents=True)
             write_json(temporary / self.config_file.name, to_json(config))
             temporary.rename(self.path)
             sync(self.path.parent)
-        except (OSError, ValueError) as error:  # a ValueError where the path has no name, as '.' in a removed folder
-            if temporary:
-                with contextlib.suppress(OSError):
-                    remove(temporary)
+        except (OSError, ValueError) as error:  # a ValueError where the path cannot be one, as with a zero in it
+            with contextlib.suppress(OSError, ValueError):
+                remove(temporary)
             why = error.strerror if isinstance(error, OSError) else error
             raise InputError(f"run directory '{self.path}' cannot be made: {why}.") from None
 

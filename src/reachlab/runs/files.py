@@ -21,8 +21,8 @@ JSON_LIMIT = 2**20
 MODE = 0o666
 """Permissions of a new file, before the user's mask."""
 
-CAREFULLY = os.O_NOFOLLOW | os.O_NONBLOCK
-"""Flags with which a file is opened: no link is followed, and no pipe is waited for."""
+CAREFULLY = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+"""Flags with which a file is opened, of those that the system has: follow no link, wait for no pipe, keep bytes."""
 
 UNREADABLE = (OSError, SafetensorError, LookupError, TypeError, ValueError, AttributeError, RecursionError)
 """What reading a damaged file raises; `InputError` is one of them."""
@@ -46,7 +46,7 @@ def write_whole(path: Path, data: bytes) -> None:
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
     try:
         write_synced(temporary, data)
-        temporary.rename(path)
+        temporary.replace(path)
     except BaseException:
         with contextlib.suppress(OSError):
             temporary.unlink()
@@ -72,6 +72,8 @@ def write_synced(path: Path, data: bytes) -> None:
 
 def sync(folder: Path) -> None:
     """Wait until a folder's entries are on the disk."""
+    if os.name == "nt":  # a folder cannot be opened there
+        return
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)

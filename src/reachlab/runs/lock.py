@@ -70,7 +70,7 @@ def _acquire(folder: Path, on_acquired: Callable[[int], None] | None = None) -> 
 def _write_holder(descriptor: int) -> None:
     os.ftruncate(descriptor, 0)  # fails if it is not a plain file
     with contextlib.suppress(OSError):  # a full disk: the lock holds all the same, without a name
-        os.pwrite(descriptor, f"{os.getpid()}\n".encode(), 0)
+        os.write(descriptor, f"{os.getpid()}\n".encode())
 
 
 def _holder(file: Path) -> str:
