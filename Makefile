@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 RUN := runs/demo-$(shell date +%Y%m%d-%H%M%S)
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 
-.PHONY: demo test lint types unit bench fuzz clean
+.PHONY: demo test lint types unit bench fuzz trust clean
 
 demo: $(VENV)/installed
 	@$(BIN)/reachlab train --out $(RUN)
@@ -26,6 +26,9 @@ unit: $(VENV)/installed-dev
 
 fuzz: $(VENV)/installed-dev
 	$(BIN)/python tests/fuzz_commands.py 500
+
+trust: $(VENV)/installed-dev
+	PYTHONPATH=tests $(BIN)/python -m faults
 
 bench: $(VENV)/installed
 	for suite in start speed kinematics learning; do $(BIN)/reachlab bench --suite $$suite; done

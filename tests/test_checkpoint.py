@@ -25,9 +25,9 @@ from reachlab.cli import main as cli
 from reachlab.envs.core import Env
 from reachlab.learn.ppo_method import TrainState, initial_state
 from reachlab.learn.saved import load_policy
+from reachlab.runs.checkpoint import seal
 from reachlab.runs.directory import RunDirectory
 from reachlab.runs.files import write_json
-from reachlab.runs.manifest import seal
 from reachlab.settings.config import RunConfig
 from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError

@@ -86,7 +86,7 @@ def test_a_distillation_stopped_ends_with_the_weights_of_one_never_stopped(
     )
     for words in different:
         assert cli.main(["distil", "--resume", str(out), *words]) == cli.WRONG_INPUT
-        assert "and cannot go on with" in capsys.readouterr().err
+        assert "and cannot be resumed with" in capsys.readouterr().err
     distil(config, out, resume=True)
     assert weights(out) == weights(whole)
     assert rows(out) == rows(whole)

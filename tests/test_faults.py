@@ -18,30 +18,29 @@ import numpy as np
 import pytest
 import safetensors.numpy
 
-from reachlab.bench import faults as bench_faults
-from reachlab.bench import trust as bench_trust
-from reachlab.bench.faults import file_limit, make_run, no_space, state_of
-from reachlab.bench.hostile import HOSTILE, hostile_files
+from faults import saves, trainings
+from faults.hostile import HOSTILE, hostile_files
+from faults.saves import file_limit, make_run, no_space, state_of
 from reachlab.cli import main as cli
 from reachlab.learn.interrupts import Interrupted
 from reachlab.learn.loop import NotFiniteError, Progress
 from reachlab.learn.train import train
 from reachlab.runs import arrays
+from reachlab.runs.checkpoint import MANIFEST, seal
 from reachlab.runs.directory import RunDirectory
 from reachlab.runs.files import read_json, write_json
-from reachlab.runs.manifest import MANIFEST, seal
 from reachlab.runs.metrics import Metrics
 from reachlab.settings.plain import to_json
 from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError
 from reachlab.sims.mujoco import MujocoSimulator
-from reachlab.tasks import reach as task
+from reachlab.tasks import rewards
 from reachlab.tasks.task import Outcome
 
 EACH = 64
 """Environment steps of an iteration."""
 
-TINY: dict[str, Any] = {**bench_trust.TINY, "num_envs": 8, "rollout_steps": 8, "total_steps": 6 * EACH}
+TINY: dict[str, Any] = {**trainings.TINY, "num_envs": 8, "rollout_steps": 8, "total_steps": 6 * EACH}
 """Six iterations, each saved."""
 
 
@@ -69,21 +68,21 @@ def after(iteration: int, act: Callable[[], object]) -> Callable[[Progress], Non
 # --- in bulk --------------------------------------------------------------------------------------
 
 
-def test_a_killed_run_goes_on_to_the_same_weights() -> None:
-    assert bench_trust.killed_runs(8).wrong == []
+def test_a_killed_run_resumes_to_the_same_weights() -> None:
+    assert trainings.killed_runs(8).wrong == []
 
 
 def test_a_save_cut_off_at_any_step_leaves_a_whole_checkpoint() -> None:
-    trial = bench_faults.cut_saves()
+    trial = saves.cut_saves()
     assert trial.wrong == []
     assert trial.tried > 50
 
 
 def test_damage_is_noticed() -> None:
-    assert bench_faults.corruptions(1000).wrong == []
+    assert saves.corruptions(1000).wrong == []
 
 
-def test_damage_would_be_seen_if_checksums_were_not_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_damage_would_be_read_if_checksums_were_not_compared(monkeypatch: pytest.MonkeyPatch) -> None:
     real = arrays.digest
 
     def as_promised(file: Path, size: int) -> str:
@@ -91,15 +90,15 @@ def test_damage_would_be_seen_if_checksums_were_not_looked_at(monkeypatch: pytes
         return read_json(file.with_name(MANIFEST))["sha256"][file.name]
 
     monkeypatch.setattr(arrays, "digest", as_promised)
-    assert any("a damaged state was read" in line for line in bench_faults.corruptions(300).wrong)
+    assert any("a damaged state was read" in line for line in saves.corruptions(300).wrong)
 
 
 def test_a_disk_without_room_leaves_earlier_checkpoints_as_they_were() -> None:
-    assert bench_faults.failing_saves(20).wrong == []
+    assert saves.failing_saves(20).wrong == []
 
 
 def test_a_number_that_is_not_finite_is_noticed_wherever_it_is_and_changes_nothing() -> None:
-    trial = bench_trust.not_finite()
+    trial = trainings.not_finite()
     assert trial.wrong == []
     assert trial.tried >= 40
 
@@ -180,7 +179,7 @@ def test_a_failed_save_is_told_and_tried_again(tmp_path: Path, caplog: pytest.Lo
     assert rows == [n * EACH for n in range(1, 7)]
 
 
-def test_a_training_that_cannot_save_its_end_fails_and_goes_on_later(tmp_path: Path) -> None:
+def test_a_training_that_cannot_save_its_end_fails_and_resumes_later(tmp_path: Path) -> None:
     out, disk = tmp_path / "run", contextlib.ExitStack()
     with disk, pytest.raises(InputError, match=r"the last checkpoint cannot be written .*No space.* go on with"):
         train(configure(**TINY), out, after(5, lambda: disk.enter_context(no_space(0))))
@@ -249,17 +248,17 @@ def test_rows_that_find_no_room_wait(tmp_path: Path) -> None:
 @contextlib.contextmanager
 def reward_that_breaks() -> Iterator[None]:
     """Pays nothing finite from an episode's 20th step on."""
-    real = task.REWARDS["dense"]
+    real = rewards.REWARDS["dense"]
 
     def broken(rules: Any, outcome: Outcome) -> dict[str, jnp.ndarray]:
         terms = real(rules, outcome)
         return terms | {"broken": jnp.where(outcome.timeout, jnp.nan, 0.0)}
 
-    task.REWARDS["dense"] = broken  # type: ignore[assignment]
+    rewards.REWARDS["dense"] = broken  # type: ignore[assignment]
     try:
         yield
     finally:
-        task.REWARDS["dense"] = real
+        rewards.REWARDS["dense"] = real
 
 
 def test_a_reward_that_is_not_finite_stops_training_with_the_last_good_state_saved(
@@ -313,5 +312,5 @@ def test_a_state_that_is_not_finite_is_not_loaded(tmp_path: Path) -> None:
 def test_a_state_too_large_to_be_read_is_not_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run = make_run(tmp_path / "run", ())
     monkeypatch.setattr(arrays, "SIZE_LIMIT", arrays.HEADER_LIMIT)
-    with pytest.raises(InputError, match="choose fewer lanes or less width"):
+    with pytest.raises(InputError, match="choose fewer environments or narrower layers"):
         run.write_checkpoint(1, state_of(1))

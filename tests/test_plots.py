@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -150,6 +152,34 @@ def test_metrics_that_are_none_are_refused(tmp_path: Path) -> None:
     strange = make_run(tmp_path / "strange", [{"colour": 1.0}])
     with pytest.raises(InputError):
         plot([strange], tmp_path / "curve.png")
+
+
+@pytest.mark.parametrize("name", ["config.json", "metrics.jsonl", "reports/a.safetensors"])
+@pytest.mark.parametrize("make", [os.mkfifo, lambda path: path.symlink_to("/dev/zero"), lambda path: path.mkdir()])
+def test_what_is_not_a_plain_file_is_refused_and_not_waited_for(
+    run: Path, tmp_path: Path, name: str, make: Callable[[Path], object]
+) -> None:
+    (run / "reports").mkdir()
+    (run / name).unlink(missing_ok=True)
+    make(run / name)
+    with pytest.raises(InputError) as refused:
+        plot([run], tmp_path / "curve.png")
+    assert str(run) in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("text", ["[]", "3", "[" * 100_000, '"ppo"'])
+def test_a_configuration_without_settings_is_refused(run: Path, tmp_path: Path, text: str) -> None:
+    (run / "config.json").write_text(text)
+    with pytest.raises(InputError, match=r"config.json' is not"):
+        plot([run], tmp_path / "curve.png")
+
+
+def test_a_row_of_words_is_refused(run: Path, tmp_path: Path) -> None:
+    with (run / "metrics.jsonl").open("a") as file:
+        file.write(json.dumps(row(13) | {"episodes": "many"}) + "\n")
+    with pytest.raises(InputError, match=r"has no number 'episodes'"):
+        plot([run], tmp_path / "curve.png")
 
 
 # --- seeds and groups -----------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""A training that was interrupted goes on as if it had never been."""
+"""A training that was interrupted resumes as if it had never been."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from reachlab.jax_setup import threads
 from reachlab.learn.interrupts import Interrupted
 from reachlab.learn.loop import Progress
 from reachlab.learn.train import train
+from reachlab.runs.checkpoint import Counters, seal
 from reachlab.runs.directory import RunDirectory
 from reachlab.runs.files import read_json, write_json
 from reachlab.runs.lock import NAME, locked
-from reachlab.runs.manifest import Counters, seal
 from reachlab.runs.metrics import cut_metrics
 from reachlab.settings.config import RunConfig
 from reachlab.settings.presets import configure
@@ -51,7 +51,7 @@ RUNS["precise"] = {"task": "precise", "sim": "mujoco"}
 
 
 def at(iteration: int, act: Callable[[], object]) -> Callable[[Progress], None]:
-    """A watch that acts after the n-th iteration it sees."""
+    """A watch that acts after the n-th iteration it is called for."""
     seen: list[int] = []
 
     def watch(progress: Progress) -> None:
@@ -111,7 +111,7 @@ def test_a_run_stopped_twice_ends_with_the_weights_of_one_never_stopped(tmp_path
     assert parts.report.final_error_mm == whole.report.final_error_mm
 
 
-def test_validations_in_a_row_go_on_counting(tmp_path: Path) -> None:
+def test_validations_in_a_row_are_counted_across_an_interruption(tmp_path: Path) -> None:
     config = configure(**{**TINY, "total_steps": 100_000}, success_distance=2.0, stop_success=0.5, stop_streak=3)
     whole = train(config, tmp_path / "whole")
     assert whole.validated
@@ -130,7 +130,7 @@ def test_rows_after_the_checkpoint_are_written_once(tmp_path: Path, config: RunC
     assert rows(tmp_path / "run") == rows(unbroken)
 
 
-def test_time_goes_on(tmp_path: Path, config: RunConfig) -> None:
+def test_time_is_counted_across_an_interruption(tmp_path: Path, config: RunConfig) -> None:
     interrupted(config, tmp_path / "run", 3)
     before = [json.loads(line)["wall_s"] for line in (tmp_path / "run/metrics.jsonl").read_text().splitlines()]
     result = train(config, tmp_path / "run", resume=True)
@@ -247,9 +247,9 @@ def test_a_finished_run_says_so(unbroken: Path, capsys: pytest.CaptureFixture[st
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        (["--num-envs", "32"], "was begun with num_envs 16 and cannot go on with 32: leave the setting out"),
-        (["--sim", "mujoco"], "was begun with sim 'kinematic' and cannot go on with 'mujoco'"),
-        (["--deterministic"], "was begun with deterministic False and cannot go on with True"),
+        (["--num-envs", "32"], "was begun with num_envs 16 and cannot be resumed with 32: leave the setting out"),
+        (["--sim", "mujoco"], "was begun with sim 'kinematic' and cannot be resumed with 'mujoco'"),
+        (["--deterministic"], "was begun with deterministic False and cannot be resumed with True"),
         (["--out", "elsewhere"], "leave --out out"),
     ],
 )
@@ -302,6 +302,16 @@ def test_a_second_trainer_is_refused_and_a_dead_ones_lock_taken_over(
     assert (run / NAME).read_text() == f"{holder.pid}\n"
     with locked(run):
         assert (run / NAME).read_text() == f"{os.getpid()}\n"
+
+
+def test_a_lock_that_is_a_link_is_not_followed(tmp_path: Path, config: RunConfig) -> None:
+    run, other = RunDirectory(tmp_path / "run"), tmp_path / "other"
+    run.create(config)
+    other.write_text("kept")
+    (run.path / NAME).symlink_to(other)
+    with pytest.raises(InputError, match="cannot be locked: "), locked(run.path):
+        pass
+    assert other.read_text() == "kept"
 
 
 # --- threads --------------------------------------------------------------------------------------

@@ -308,7 +308,7 @@ def test_wrong_words_are_refused_in_a_sentence(
 
 def test_every_checkpoint_can_be_chosen(run: RunDirectory, config: RunConfig) -> None:
     env = Env(config, 1)
-    first, last = (load_policy(run, env, step) for step in run.checkpoint_steps())
+    first, last = (load_policy(run, step) for step in run.checkpoint_steps())
     newest = load_policy(run, env)
     weights = [np.asarray(policy.parameters.actor[0][0]) for policy in (first, last, newest)]
     assert not np.array_equal(weights[0], weights[1])

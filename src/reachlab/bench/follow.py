@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from reachlab.bench.chromium import ChromiumError, drawn, wait_until
-from reachlab.bench.simulators import Row, row
+from reachlab.bench.table import Row, row
 from reachlab.watch import stage
 from reachlab.watch.viewer import Viewer
 

@@ -23,7 +23,7 @@ from reachlab.learn.train import train
 from reachlab.robots.catalogue import ROBOTS
 from reachlab.robots.kinematics import forward_kinematics
 from reachlab.robots.loading import load_robot
-from reachlab.robots.robot import Robot
+from reachlab.robots.robot import PybulletModel, Robot
 from reachlab.settings.presets import configure, in_simulator
 from reachlab.sims import make_simulator
 from reachlab.sims.mujoco import physics_model

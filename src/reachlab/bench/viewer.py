@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from reachlab.bench.simulators import Row, row
+from reachlab.bench.table import Row, row
 from reachlab.envs.core import Env
 from reachlab.learn.ppo_method import initial_state
 from reachlab.learn.saved import load_policy

@@ -22,9 +22,9 @@ from reachlab.learn.interrupts import Interrupted, Interrupts
 from reachlab.learn.method import Method
 from reachlab.learn.rollout import EngineError
 from reachlab.runs import arrays
+from reachlab.runs.checkpoint import Counters
 from reachlab.runs.directory import RunDirectory
 from reachlab.runs.files import write_synced
-from reachlab.runs.manifest import Counters
 from reachlab.runs.metrics import Metrics
 from reachlab.settings.config import RunConfig
 from reachlab.settings.validation import InputError

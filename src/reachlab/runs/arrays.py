@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import jax
 import numpy as np
 import safetensors.numpy
-from safetensors import SafetensorError, safe_open
+from safetensors import safe_open
 
 from reachlab.runs.files import open_plain
 from reachlab.settings.validation import InputError
@@ -24,12 +24,6 @@ HEADER_LIMIT = 2**20
 LENGTH_BYTES = 8
 """A file begins with the length of its header, little-endian (safetensors' format)."""
 
-UNBOUNDED = "env/recent"
-"""The array that may hold infinities: errors of arms that moved, see `EnvState`."""
-
-UNREADABLE = (OSError, SafetensorError, KeyError, TypeError, ValueError, AttributeError)
-"""What reading a file that is none raises."""
-
 Tree = TypeVar("Tree")
 
 
@@ -41,7 +35,9 @@ def to_bytes(tree: object, metadata: dict[str, str] | None = None) -> bytes:
     """
     arrays = {name: _plain(leaf) for name, leaf in _named_leaves(tree)}
     if (size := sum(array.nbytes for array in arrays.values())) > SIZE_LIMIT - HEADER_LIMIT:
-        raise InputError(f"a state of {size:,} bytes is larger than {SIZE_LIMIT:,}: choose fewer lanes or less width.")
+        raise InputError(
+            f"a state of {size:,} bytes is larger than {SIZE_LIMIT:,}: choose fewer environments or narrower layers."
+        )
     return safetensors.numpy.save(arrays, metadata)
 
 
@@ -49,12 +45,11 @@ def digest(file: Path, size: int) -> str:
     """Checksum of a plain file of `size` bytes.
 
     Raises:
-        InputError: it has another size, is too large or no such file.
+        InputError: it has another size, is too large or not a plain file.
         OSError: it cannot be read.
     """
-    descriptor = open_plain(file, os.O_RDONLY)
-    with os.fdopen(descriptor, "rb") as opened:
-        if not LENGTH_BYTES <= os.fstat(descriptor).st_size == size <= SIZE_LIMIT:
+    with os.fdopen(open_plain(file, os.O_RDONLY), "rb") as opened:
+        if not LENGTH_BYTES <= os.fstat(opened.fileno()).st_size == size <= SIZE_LIMIT:
             raise InputError("its size does not fit")
         if int.from_bytes(opened.read(LENGTH_BYTES), "little") > HEADER_LIMIT:
             raise InputError("its header is too large")
@@ -62,29 +57,29 @@ def digest(file: Path, size: int) -> str:
         return hashlib.file_digest(opened, "sha256").hexdigest()
 
 
-def load(file: Path, part: str, template: Tree) -> Tree:
-    """The part of a file with that name, in the shape of `template`; nothing else of it is loaded.
+def load(file: Path, template: Tree) -> Tree:
+    """The arrays that `template` names, in its shape; other arrays of the file are not loaded.
 
     Raises:
         InputError: an array is missing, of another shape or type, or not finite; the sentence's end says which.
-        SafetensorError, OSError, KeyError, TypeError, ValueError, AttributeError: it is no such file.
+        UNREADABLE: it is not such a file.
     """
     leaves = []
     with safe_open(file, framework="numpy") as opened:
         names = set(opened.keys())
-        for name, like in _named_leaves({part: template}):
+        for name, like in _named_leaves(template):
             wanted = jax.eval_shape(jax.random.key_data, like) if _is_key(like) else like
             if name not in names or tuple(opened.get_slice(name).get_shape()) != wanted.shape:
-                raise InputError(f"does not fit the run's configuration at {name!r}")
+                raise InputError(f"it does not fit the run's configuration at {name!r}")
             leaves.append(_leaf(name, opened.get_tensor(name), wanted, key=_is_key(like)))
     return jax.tree.unflatten(jax.tree.structure(template), leaves)
 
 
 def _leaf(name: str, array: np.ndarray, wanted: Any, *, key: bool) -> jax.Array:
     if array.dtype != wanted.dtype:
-        raise InputError(f"does not fit the run's configuration at {name!r}")
-    if array.dtype.kind == "f" and (np.isnan(array) | (np.isinf(array) & (name != UNBOUNDED))).any():
-        raise InputError(f"holds numbers at {name!r} that are not finite")
+        raise InputError(f"it does not fit the run's configuration at {name!r}")
+    if array.dtype.kind == "f" and not np.isfinite(array).all():
+        raise InputError(f"it holds numbers at {name!r} that are not finite")
     # A copy: training reuses the memory of its state.
     return jax.random.wrap_key_data(jax.numpy.array(array)) if key else jax.numpy.array(array)
 

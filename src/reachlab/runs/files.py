@@ -6,9 +6,12 @@ import contextlib
 import json
 import os
 import secrets
+import shutil
 import stat
 from pathlib import Path
 from typing import Any, NoReturn
+
+from safetensors import SafetensorError
 
 from reachlab.settings.validation import InputError
 
@@ -17,6 +20,12 @@ JSON_LIMIT = 2**20
 
 MODE = 0o666
 """Permissions of a new file, before the user's mask."""
+
+CAREFULLY = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+"""Flags with which a file is opened, of those that the system has: follow no link, wait for no pipe, keep bytes."""
+
+UNREADABLE = (OSError, SafetensorError, LookupError, TypeError, ValueError, AttributeError, RecursionError)
+"""What reading a damaged file raises; `InputError` is one of them."""
 
 
 def write_json(path: Path, data: object) -> None:
@@ -37,19 +46,54 @@ def write_whole(path: Path, data: bytes) -> None:
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
     try:
         write_synced(temporary, data)
-        os.rename(temporary, path)  # noqa: PTH104 (every step of a save is a call of `os`, which tests interrupt)
+        temporary.replace(path)
     except BaseException:
         with contextlib.suppress(OSError):
-            os.unlink(temporary)  # noqa: PTH108
+            temporary.unlink()
         raise
     sync(path.parent)
+
+
+def write_synced(path: Path, data: bytes) -> None:
+    """Write a file and wait until it is on the disk.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | CAREFULLY, MODE)
+    try:
+        left = memoryview(data)
+        while left:  # a single `write` may stop short
+            left = left[os.write(descriptor, left) :]
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def sync(folder: Path) -> None:
+    """Wait until a folder's entries are on the disk."""
+    if os.name == "nt":  # a folder cannot be opened there
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def remove(path: Path) -> None:
+    """Remove a file, or a folder and what is in it, if it is there."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
 
 
 def read_json(path: Path) -> Any:
     """What a JSON file holds.
 
     Raises:
-        InputError: there is none, it is too large, or no JSON.
+        InputError: it is missing, too large, or not JSON.
     """
     try:
         return json.loads(read_bytes(path, JSON_LIMIT), parse_constant=_refuse)
@@ -64,33 +108,15 @@ def _refuse(constant: str) -> NoReturn:
     raise InputError(f"it holds {constant}")
 
 
-def write_synced(path: Path, data: bytes) -> None:
-    """Write a file and wait until it is on the disk."""
-    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_NOFOLLOW, MODE)
-    try:
-        write_all(descriptor, data)
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
-
-
-def write_all(descriptor: int, data: bytes) -> None:
-    """Write every byte: a single `write` may stop short."""
-    left = memoryview(data)
-    while left:
-        left = left[os.write(descriptor, left) :]
-
-
 def read_bytes(path: Path, limit: int) -> bytes:
     """A file's content.
 
     Raises:
-        InputError: it is larger than `limit` [bytes], or no plain file.
+        InputError: it is larger than `limit` [bytes], or not a plain file.
         OSError: it cannot be read.
     """
-    descriptor = open_plain(path, os.O_RDONLY)
-    with os.fdopen(descriptor, "rb") as file:
-        if (size := os.fstat(descriptor).st_size) > limit:
+    with os.fdopen(open_plain(path, os.O_RDONLY), "rb") as file:
+        if (size := os.fstat(file.fileno()).st_size) > limit:
             raise InputError(f"it has {size:,} bytes, at most {limit:,} are read")
         return file.read(limit)
 
@@ -99,35 +125,14 @@ def open_plain(path: Path, flags: int) -> int:
     """Descriptor of a plain file; links, pipes, devices and directories are refused without waiting for them.
 
     Raises:
-        InputError: it is none.
+        InputError: it is not a plain file.
         OSError: it cannot be opened.
     """
-    try:
-        descriptor = os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, MODE)
-    except OSError:
-        if path.is_symlink():
-            raise InputError("it is a link, not a plain file") from None
-        raise
+    if path.is_symlink():
+        raise InputError("it is a link, not a plain file")
+    # A link that is put there in between is not followed either.
+    descriptor = os.open(path, flags | CAREFULLY, MODE)
     if stat.S_ISREG(os.fstat(descriptor).st_mode):
         return descriptor
     os.close(descriptor)
     raise InputError("it is not a plain file")
-
-
-def sync(folder: Path) -> None:
-    """Wait until a folder's entries are on the disk."""
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
-
-
-def remove(folder: Path) -> None:
-    """Remove a folder of plain files, if it is there."""
-    if folder.is_symlink() or folder.is_file():
-        os.unlink(folder)  # noqa: PTH108
-    elif folder.is_dir():
-        for entry in folder.iterdir():
-            remove(entry)
-        os.rmdir(folder)  # noqa: PTH106

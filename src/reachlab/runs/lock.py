@@ -1,21 +1,26 @@
-"""One trainer for a run directory: a lock that the kernel gives back when its holder dies."""
+"""One trainer for a run directory, one writer at a time for its reports: the kernel frees what a dead process held."""
 
 from __future__ import annotations
 
-import fcntl
+import contextlib
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
-from reachlab.runs.files import MODE, open_plain
+from filelock import FileLock, Timeout
+
+from reachlab.runs.files import read_bytes
 from reachlab.settings.validation import InputError
 
 NAME = ".lock"
-"""File in the run directory that is locked; it holds the process of whoever locked it last."""
+"""File that is locked; in a run directory it holds the number of the process that locked it last."""
 
 DIGITS = 32
-"""At most so much of the file is read [bytes]."""
+"""Largest such file that is read [bytes]."""
+
+POLL_S = 0.01
+"""Time between two attempts to lock a folder that another holds [s]."""
 
 
 @contextmanager
@@ -25,15 +30,8 @@ def locked(folder: Path) -> Iterator[None]:
     Raises:
         InputError: another process holds it, or it cannot be locked.
     """
-    try:
-        descriptor = open_plain(folder / NAME, os.O_RDWR | os.O_CREAT)
-    except (OSError, InputError) as error:
-        raise InputError(f"run directory '{folder}' cannot be locked: {_reason(error)}.") from None
-    try:
-        _acquire(descriptor, folder)
+    with _acquire(folder, _write_holder):
         yield
-    finally:
-        os.close(descriptor)
 
 
 @contextmanager
@@ -43,12 +41,8 @@ def in_turn(folder: Path) -> Iterator[None]:
     Raises:
         OSError: it cannot be locked.
     """
-    descriptor = os.open(folder / NAME, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, MODE)
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX)
+    with FileLock(folder / NAME, poll_interval=POLL_S, preserve_lock_file=True):
         yield
-    finally:
-        os.close(descriptor)
 
 
 def refuse_if_held(folder: Path) -> None:
@@ -57,35 +51,32 @@ def refuse_if_held(folder: Path) -> None:
     Raises:
         InputError: one does.
     """
-    try:
-        descriptor = open_plain(folder / NAME, os.O_RDWR)
-    except (OSError, InputError):
-        return
-    try:
-        _flock(descriptor, folder)
-    finally:
-        os.close(descriptor)
+    if (folder / NAME).is_file():
+        with _acquire(folder):
+            pass
 
 
-def _acquire(descriptor: int, folder: Path) -> None:
-    _flock(descriptor, folder)
+def _acquire(folder: Path, on_acquired: Callable[[int], None] | None = None) -> AbstractContextManager[object]:
+    """The lock of a run directory, held until the context ends."""
     try:
-        os.ftruncate(descriptor, 0)
-        os.pwrite(descriptor, f"{os.getpid()}\n".encode(), 0)
-    except OSError:
-        return  # a full disk: the lock holds all the same, only nameless
-
-
-def _flock(descriptor: int, folder: Path) -> None:
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        holder = os.pread(descriptor, DIGITS, 0).decode("ascii", "replace").strip()
-        who = f"process {holder}" if holder.isdigit() else "another process"
-        raise InputError(f"run directory '{folder}' is being trained by {who}: wait for it, or stop it.") from None
+        return FileLock(folder / NAME, blocking=False, preserve_lock_file=True, on_acquired=on_acquired).acquire()
+    except Timeout:
+        why = f"is being trained by {_holder(folder / NAME)}: wait for it, or stop it"
     except OSError as error:
-        raise InputError(f"run directory '{folder}' cannot be locked: {_reason(error)}.") from None
+        why = f"cannot be locked: {error.strerror}"
+    raise InputError(f"run directory '{folder}' {why}.")
 
 
-def _reason(error: Exception) -> str:
-    return (error.strerror or str(error)) if isinstance(error, OSError) else str(error)
+def _write_holder(descriptor: int) -> None:
+    os.ftruncate(descriptor, 0)  # fails if it is not a plain file
+    with contextlib.suppress(OSError):  # a full disk: the lock holds all the same, without a name
+        os.write(descriptor, f"{os.getpid()}\n".encode())
+
+
+def _holder(file: Path) -> str:
+    """The process that a lock file names."""
+    with contextlib.suppress(OSError, InputError):
+        holder = read_bytes(file, DIGITS).decode("ascii", "replace").strip()
+        if holder.isdigit():
+            return f"process {holder}"
+    return "another process"

@@ -5,10 +5,10 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, BinaryIO, Self
 
 from reachlab.runs.files import open_plain
 from reachlab.settings.validation import InputError
@@ -23,7 +23,7 @@ LINE_LIMIT = 2**16
 class Metrics:
     """Appends rows to `metrics.jsonl`, and the same numbers to an event file beside it.
 
-    A row that finds no room waits for the next one.
+    A row for which the disk has no room is written with the next one.
     """
 
     def __init__(self, path: Path, *, tensorboard: bool = False) -> None:
@@ -37,12 +37,12 @@ class Metrics:
         try:
             self._descriptor = open_plain(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
         except (OSError, InputError) as error:
-            raise InputError(f"'{path}' cannot be written: {getattr(error, 'strerror', None) or error}.") from None
+            raise InputError(f"'{path}' cannot be written: {_reason(error)}.") from None
 
     def write(self, row: Mapping[str, Any]) -> None:
         """Append a row; its `steps` are the axis of TensorBoard's charts.
 
-        It is on disk's way when `write` returns, unless the disk has no room for it.
+        The system has it when `write` returns, unless the disk has no room for it.
         """
         self._waiting += (json.dumps(dict(row)) + "\n").encode()
         with contextlib.suppress(OSError):
@@ -77,36 +77,6 @@ class Metrics:
             self._events.close()
 
 
-def cut_metrics(path: Path, steps: int) -> None:
-    """Keep the rows of a metrics file up to a number of steps: training goes on from there and writes the rest anew.
-
-    Raises:
-        InputError: it is no plain file, or cannot be written.
-    """
-    try:
-        with os.fdopen(open_plain(path, os.O_RDWR), "r+b") as file:
-            kept = 0
-            while _is_row_up_to(steps, file.readline(LINE_LIMIT)):
-                kept = file.tell()
-            file.truncate(kept)
-    except FileNotFoundError:
-        return
-    except (OSError, InputError) as error:
-        raise InputError(f"'{path}' cannot be cut: {getattr(error, 'strerror', None) or error}.") from None
-
-
-def _is_row_up_to(steps: int, line: bytes) -> bool:
-    try:
-        row = json.loads(line)
-    except (ValueError, RecursionError):
-        return False
-    return line.endswith(b"\n") and isinstance(row, dict) and _number(row.get("steps")) <= steps
-
-
-def _number(value: object) -> float:
-    return value if isinstance(value, int | float) else float("inf")
-
-
 def event_writer() -> type[SummaryWriter]:
     """The class that writes TensorBoard's event files.
 
@@ -121,11 +91,53 @@ def event_writer() -> type[SummaryWriter]:
 
 
 def read_metrics(path: Path) -> list[dict[str, Any]]:
-    """Rows of a metrics file, without a last line that was cut off."""
-    rows = []
-    for line in path.read_text(encoding="utf-8").splitlines():
+    """Rows of a metrics file, without a last line that was cut off.
+
+    Raises:
+        InputError: there is no such file, it is not a plain one, or it cannot be read.
+    """
+    try:
+        with os.fdopen(open_plain(path, os.O_RDONLY), "rb") as file:
+            return list(_rows(file))
+    except FileNotFoundError:
+        why = f"holds no {path.name}: train one with `reachlab train --out {path.parent}`"
+        raise InputError(f"run directory '{path.parent}' {why}.") from None
+    except (OSError, InputError) as error:
+        raise InputError(f"'{path}' cannot be read: {_reason(error)}.") from None
+
+
+def cut_metrics(path: Path, steps: int) -> None:
+    """Keep the rows of a metrics file up to a number of steps: training resumes there and writes the rest anew.
+
+    Raises:
+        InputError: it is not a plain file, or cannot be written.
+    """
+    try:
+        with os.fdopen(open_plain(path, os.O_RDWR), "r+b") as file:
+            kept = 0
+            for row in _rows(file):
+                at = row.get("steps")
+                if not isinstance(at, int | float) or not at <= steps:
+                    break
+                kept = file.tell()
+            file.truncate(kept)
+    except FileNotFoundError:
+        return
+    except (OSError, InputError) as error:
+        raise InputError(f"'{path}' cannot be cut: {_reason(error)}.") from None
+
+
+def _rows(file: BinaryIO) -> Iterator[dict[str, Any]]:
+    """Rows up to the first line that is not a whole one."""
+    while (line := file.readline(LINE_LIMIT)).endswith(b"\n"):
         try:
-            rows.append(json.loads(line))
-        except json.JSONDecodeError:
-            break
-    return rows
+            row = json.loads(line)
+        except (ValueError, RecursionError):
+            return
+        if not isinstance(row, dict):
+            return
+        yield row
+
+
+def _reason(error: Exception) -> str:
+    return (error.strerror or str(error)) if isinstance(error, OSError) else str(error)

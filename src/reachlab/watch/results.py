@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from reachlab.runs.metrics import read_metrics
+from reachlab.runs.directory import RunDirectory
 from reachlab.settings import presets
 from reachlab.settings.plain import flatten, to_json
 from reachlab.settings.presets import preset
@@ -49,6 +49,10 @@ class Band:
     mean: np.ndarray
     low: np.ndarray | None
     high: np.ndarray | None
+
+
+FIELDS = ("goal", "distance", "success")
+"""Arrays that an evaluation keeps of its episodes."""
 
 
 @dataclass(frozen=True)
@@ -114,9 +118,12 @@ def _usual(settings: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def read_settings(run: Path) -> dict[str, Any]:
-    """Every setting of a run but its seed, by name; empty without a configuration."""
-    file = run / "config.json"
-    flat = flatten(_read_json(file)) if file.exists() else {}
+    """Every setting of a run but its seed, by name; empty without a configuration.
+
+    Raises:
+        InputError: the configuration cannot be read.
+    """
+    flat = flatten(RunDirectory(run).read_settings())
     flat.pop("seed", None)
     return flat
 
@@ -130,13 +137,14 @@ def read_rows(run: Path) -> list[dict[str, Any]]:
     Raises:
         InputError: there are none, or they are not those of a training.
     """
-    file = run / "metrics.jsonl"
-    if not file.is_file():
-        raise InputError(f"run directory '{run}' holds no metrics.jsonl: train one with `reachlab train --out {run}`.")
-    rows = read_metrics(file)
+    directory = RunDirectory(run)
+    rows = directory.read_metrics()
     for row in rows:
-        if missing := {"steps", "wall_s", "episodes", *POOLED} - row.keys():
-            raise InputError(f"a row of '{file}' lacks {min(missing)!r}: it is not one of a training.")
+        for name in ("steps", "wall_s", "episodes", *POOLED):
+            if not isinstance(row.get(name), int | float):
+                raise InputError(
+                    f"a row of '{directory.metrics_file}' has no number {name!r}: it is not one of a training."
+                )
     return rows
 
 
@@ -177,52 +185,26 @@ def band(curves: Sequence[Sequence[Mapping[str, float]]], x: str, y: str, most: 
 
 
 def read_evaluations(group: Group) -> list[Evaluation]:
-    """Evaluations of a group's runs whose episodes were kept; the trained agent in the runs' own simulator first."""
+    """Evaluations of a group's runs whose episodes were kept; the trained agent in the runs' own simulator first.
+
+    Raises:
+        InputError: a report is damaged.
+    """
     own = read_settings(group.runs[0]).get("sim")
     parts: dict[tuple[str, str, str], list[dict[str, np.ndarray]]] = {}
     for run in group.runs:
-        for file in sorted((run / "reports").glob("*.safetensors")):
-            report = _read_report(file) or _read_json(file.with_suffix(".json"))
+        for report, episodes in RunDirectory(run).read_reports():
+            if not ({"sim", "agent"} <= report.keys() and {*FIELDS} <= episodes.keys()):
+                raise InputError(
+                    f"a report in '{RunDirectory(run).reports}' is damaged: evaluate again with `reachlab eval`."
+                )
             varied = report.get("randomised") or []
             condition = f" ({' and '.join(varied)} randomised)" if varied else ""
-            parts.setdefault((report["sim"], report["agent"], condition), []).append(_read_episodes(file))
+            parts.setdefault((report["sim"], report["agent"], condition), []).append(episodes)
     order = sorted(parts, key=lambda names: (names[1] != "trained", names[2], names[0] != own, names))
     return [_join(*names, parts[names]) for names in order]
-
-
-def _read_json(file: Path) -> dict[str, Any]:
-    try:
-        return dict(json.loads(file.read_text(encoding="utf-8")))
-    except (OSError, ValueError, TypeError):
-        raise InputError(f"'{file}' is missing or is not JSON that can be read.") from None
 
 
 def _join(sim: str, agent: str, condition: str, parts: Sequence[dict[str, np.ndarray]]) -> Evaluation:
     goal, distance, success = (np.concatenate([part[name] for part in parts]) for name in FIELDS)
     return Evaluation(sim, agent, condition, goal, 1000 * distance, success)
-
-
-FIELDS = ("goal", "distance", "success")
-"""Arrays that an evaluation keeps of its episodes."""
-
-
-def _read_report(file: Path) -> dict[str, Any] | None:
-    """The report that a file of episodes holds itself: of the same evaluation, whoever writes meanwhile."""
-    from safetensors import SafetensorError, safe_open
-
-    try:
-        with safe_open(file, framework="numpy") as opened:
-            return dict(json.loads((opened.metadata() or {})["report"]))
-    except (OSError, SafetensorError, KeyError, ValueError, TypeError):
-        return None
-
-
-def _read_episodes(file: Path) -> dict[str, np.ndarray]:
-    from safetensors import SafetensorError
-    from safetensors.numpy import load_file
-
-    try:
-        arrays = load_file(file)
-        return {name: arrays[name] for name in FIELDS}
-    except (OSError, SafetensorError, KeyError):
-        raise InputError(f"'{file}' is damaged: evaluate again with `reachlab eval`.") from None

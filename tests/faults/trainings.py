@@ -1,17 +1,14 @@
-"""Trust, measured: runs that are killed, files that are damaged, numbers that are not finite, and what saving costs."""
+"""Faults of trainings, made on purpose: processes that are killed, and numbers that are not finite."""
 
 from __future__ import annotations
 
 import hashlib
-import logging
-import os
 import random
-import statistics
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,21 +19,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from reachlab.bench.faults import Trial, corruptions, cut_saves, failing_saves
-from reachlab.bench.hostile import hostile_files
-from reachlab.bench.simulators import Row, row
+from faults.saves import Trial
 from reachlab.envs.core import Env
 from reachlab.jax_setup import jit
-from reachlab.learn import method as iteration
-from reachlab.learn import ppo
+from reachlab.learn import ppo, ppo_method
 from reachlab.learn.ppo_method import TrainState, compile_iteration, initial_state
 from reachlab.learn.train import train
 from reachlab.runs.directory import RunDirectory
-from reachlab.settings.config import RunConfig
-from reachlab.settings.presets import configure, in_simulator
+from reachlab.settings.presets import configure
 
-KILLS, KILLS_IN_A_RUN, CORRUPTIONS, FAILING_SAVES = 50, 10, 10_000, 20
-"""How often each fault is tried."""
+KILLS_IN_A_RUN = 10
+"""Kills after which a run is trained to its end."""
 
 TINY: dict[str, Any] = {
     "num_envs": 16,
@@ -60,31 +53,7 @@ SHARE_INSIDE = 5
 """At least one in so many is killed inside a save."""
 
 POLL = 0.0003
-"""Time between two looks for a save under way [s]."""
-
-SAVES = 20
-"""Saves that are timed; the median counts."""
-
-
-def trust() -> Iterator[Row]:
-    """What goes wrong when processes, files, disks and numbers fail: nothing should."""
-    trials: dict[str, Callable[[], Trial]] = {
-        "killed_runs": lambda: killed_runs(KILLS),
-        "cut_saves": cut_saves,
-        "corruptions": lambda: corruptions(CORRUPTIONS),
-        "failing_saves": lambda: failing_saves(FAILING_SAVES),
-        "not_finite": not_finite,
-        "hostile_files": hostile_files,
-    }
-    for name, try_out in trials.items():
-        logging.disable(logging.WARNING)  # thousands of damaged checkpoints are warned of
-        try:
-            trial = try_out()
-        finally:
-            logging.disable(logging.NOTSET)
-        yield row(f"trust/{name}_gone_wrong", len(trial.wrong), f"of {trial.tried}", wrong=trial.wrong[:3])
-    for sim in ("kinematic", "mujoco"):
-        yield from _cost(sim)
+"""Time between two checks for a save under way [s]."""
 
 
 # --- killed runs ----------------------------------------------------------------------------------
@@ -92,7 +61,7 @@ def trust() -> Iterator[Row]:
 
 def killed_runs(count: int, seed: int = 0) -> Trial:
     """Runs killed again and again, every second time inside a save, and resumed: the weights of an unbroken one."""
-    draw, wrong, inside, killed = random.Random(seed), [], 0, 0  # noqa: S311 (no secret)
+    draw, wrong, inside, killed = random.Random(seed), [], 0, 0
     with tempfile.TemporaryDirectory() as folder:
         whole = Path(folder) / "whole"
         train(configure(**TINY), whole)
@@ -116,7 +85,7 @@ def _kill(run: Path, draw: random.Random, *, inside_a_save: bool) -> bool:
     """Whether a trainer of the run, started here, was killed before its end."""
     words = ["--resume", str(run)] if run.exists() else ["--out", str(run), *_flags()]
     command = [sys.executable, "-m", "reachlab", "train", *words]
-    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:  # noqa: S603
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
         if inside_a_save:
             _wait_for_a_save(run, process, after=draw.randrange(1, SAVES_SEEN))
         else:
@@ -209,7 +178,7 @@ def not_finite() -> Trial:
 def _poisoned(poison: Poison) -> Iterator[list[int]]:
     """Let what is collected and learnt be poisoned; the list is filled with the numbers of leaves."""
     sizes: list[int] = []
-    collect, update = iteration.collect, ppo.update
+    collect, update = ppo_method.collect, ppo.update
 
     def collect_poisoned(*arguments: Any) -> Any:
         gathered = collect(*arguments)
@@ -221,32 +190,10 @@ def _poisoned(poison: Poison) -> Iterator[list[int]]:
         sizes.append(len(_floats(learnt)))
         return poison(learnt, sizes[0])
 
-    with mock.patch.object(iteration, "collect", collect_poisoned), mock.patch.object(ppo, "update", update_poisoned):
+    with mock.patch.object(ppo_method, "collect", collect_poisoned), mock.patch.object(ppo, "update", update_poisoned):
         yield sizes
 
 
 def _bytes(state: TrainState) -> list[bytes]:
     plain = jax.tree.map(lambda x: jax.random.key_data(x) if jnp.issubdtype(x.dtype, jax.dtypes.prng_key) else x, state)
     return [np.asarray(leaf).tobytes() for leaf in jax.tree.leaves(plain)]
-
-
-# --- cost -----------------------------------------------------------------------------------------
-
-
-def _cost(sim: str) -> Iterator[Row]:
-    """Time of a save, and its share of training at the default interval."""
-    config: RunConfig = in_simulator(configure(), sim)
-    env = Env(config, config.loop.num_envs)
-    state = env.compile_whole(lambda seed: initial_state(env, config, seed))(np.uint32(0))
-    with tempfile.TemporaryDirectory(dir=os.environ.get("TMPDIR")) as folder:
-        run = RunDirectory(Path(folder) / "run")
-        run.create(config)
-        times = []
-        for step in range(SAVES):
-            start = time.perf_counter()
-            run.write_checkpoint(step, state)
-            times.append(time.perf_counter() - start)
-    env.close()
-    took, interval = statistics.median(times), config.loop.checkpoint_interval
-    yield row(f"trust/save/{sim}", 1000 * took, "ms", num_envs=config.loop.num_envs)
-    yield row(f"trust/saving_share/{sim}", took / interval, "of training time", interval=interval, slowest=max(times))

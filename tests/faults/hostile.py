@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from reachlab.bench.faults import SIZE, Trial, make_run, problem_of, read_run
+from faults.saves import SIZE, Trial, make_run, problem_of, read_run
+from reachlab.runs.checkpoint import ARRAYS, MANIFEST, seal
 from reachlab.runs.files import read_json
-from reachlab.runs.manifest import ARRAYS, MANIFEST, seal
 from reachlab.settings.validation import InputError
 
 SLOWEST = 1.0
@@ -135,7 +135,7 @@ HOSTILE: dict[str, Damage] = {
     "the manifest's size is text": _edit(f"{NEWEST}/{MANIFEST}", lambda m: m.update(sizes={ARRAYS: "1"})),
     "the manifest names other files": _edit(f"{NEWEST}/{MANIFEST}", lambda m: m.update(sizes={"../x": 1})),
     "the manifest's configuration is another": _edit(f"{NEWEST}/{MANIFEST}", lambda m: m["config"].update(seed=9)),
-    "the manifest's configuration is none": _edit(f"{NEWEST}/{MANIFEST}", lambda m: m.update(config={})),
+    "the manifest's configuration is empty": _edit(f"{NEWEST}/{MANIFEST}", lambda m: m.update(config={})),
     "the manifest says more": _edit(f"{NEWEST}/{MANIFEST}", lambda m: m.update(more=1)),
     "the arrays are pickled": _arrays(b"\x80\x04\x95\x10\x00\x00\x00\x00\x00\x00\x00\x8c\x05posix\x94."),
     "the arrays are empty": _arrays(b""),

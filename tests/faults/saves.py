@@ -1,4 +1,4 @@
-"""Faults of files, made on purpose: saves cut off at every step, damaged and hostile files, disks without room.
+"""Faults of files, made on purpose: saves cut off at every step, damaged files, disks without room.
 
 Each measurement gives how often the fault was tried and what went wrong, one line each; nothing should.
 """
@@ -18,12 +18,13 @@ from typing import Any
 
 import numpy as np
 
+from reachlab.runs.checkpoint import clean
 from reachlab.runs.directory import RunDirectory
 from reachlab.settings.config import RunConfig
 from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError
 
-CALLS = ("open", "write", "fsync", "close", "mkdir", "rename", "unlink", "rmdir")
+CALLS = ("open", "write", "fsync", "close", "mkdir", "rename", "replace", "unlink", "rmdir")
 """Calls of the operating system that a save consists of."""
 
 SIZE = 64
@@ -150,7 +151,7 @@ def _after_crash(folder: Path) -> str | None:
 
 def corruptions(count: int, seed: int = 0) -> Trial:
     """Random damage of a run's files: refused in one sentence, or the run reads as one of its own states."""
-    draw, wrong = random.Random(seed), []  # noqa: S311 (no secret)
+    draw, wrong = random.Random(seed), []
     with tempfile.TemporaryDirectory() as folder:
         run = make_run(Path(folder) / "run")
         files = [run.config_file, *sorted(run.checkpoints.glob("*/*"))]
@@ -193,7 +194,7 @@ def problem_of(folder: Path, good: RunConfig) -> str | None:
         config, step = read_run(folder)
     except InputError as error:
         return None if _is_sentence(str(error)) else f"no sentence: {error}"
-    except Exception as error:  # whatever else comes out is what is looked for
+    except Exception as error:  # whatever else comes out is the problem
         return f"{type(error).__name__}: {error}"
     return None if config == good and step in (1, 2) else f"another configuration, or step {step}"
 
@@ -226,7 +227,7 @@ def read_only() -> Iterator[None]:
     """A disk that cannot be written to."""
 
     def around(name: str, call: Callable[..., Any], arguments: tuple[Any, ...], named: dict[str, Any]) -> Any:
-        if name in ("mkdir", "rename", "unlink", "rmdir", "write"):
+        if name in ("mkdir", "rename", "replace", "unlink", "rmdir", "write"):
             raise OSError(30, "Read-only file system")
         return call(*arguments, **named)
 
@@ -267,7 +268,7 @@ def failing_saves(count: int) -> Trial:
                 wrong.append(f"{name}: it was written")
             except OSError as error:
                 # On a disk that cannot be written to nothing can be cleared away either.
-                run.clean()
+                clean(run.checkpoints)
                 if _contents(run.path) != before or not error.strerror:
                     wrong.append(f"{name}: something changed, or {error!r} does not say why")
             run.write_checkpoint(4, state_of(4))

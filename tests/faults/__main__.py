@@ -1,0 +1,85 @@
+"""What goes wrong when processes, files, disks and numbers fail, and what saving costs: `make trust` prints it."""
+
+from __future__ import annotations
+
+import logging
+import os
+import statistics
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+
+import numpy as np
+
+from faults.hostile import hostile_files
+from faults.saves import Trial, corruptions, cut_saves, failing_saves
+from faults.trainings import killed_runs, not_finite
+from reachlab.bench.table import Row, row
+from reachlab.cli.console import print_table
+from reachlab.envs.core import Env
+from reachlab.jax_setup import use_compilation_cache
+from reachlab.learn.ppo_method import initial_state
+from reachlab.runs.directory import RunDirectory
+from reachlab.settings.config import RunConfig
+from reachlab.settings.presets import configure, in_simulator
+
+KILLS, CORRUPTIONS, FAILING_SAVES = 50, 10_000, 20
+"""How often each fault is tried."""
+
+SAVES = 20
+"""Saves that are timed; the median counts."""
+
+TRIALS: dict[str, Callable[[], Trial]] = {
+    "killed_runs": lambda: killed_runs(KILLS),
+    "cut_saves": cut_saves,
+    "corruptions": lambda: corruptions(CORRUPTIONS),
+    "failing_saves": lambda: failing_saves(FAILING_SAVES),
+    "not_finite": not_finite,
+    "hostile_files": hostile_files,
+}
+
+
+def trust() -> Iterator[Row]:
+    """How often each fault went wrong, which is never, and the cost of a save."""
+    for name, try_out in TRIALS.items():
+        logging.disable(logging.WARNING)  # thousands of damaged checkpoints are warned of
+        try:
+            trial = try_out()
+        finally:
+            logging.disable(logging.NOTSET)
+        yield row(f"trust/{name}_gone_wrong", len(trial.wrong), f"of {trial.tried}", wrong=trial.wrong[:3])
+    for sim in ("kinematic", "mujoco"):
+        yield from _cost(sim)
+
+
+def _cost(sim: str) -> Iterator[Row]:
+    """Time of a save, and its share of training at the default interval."""
+    config: RunConfig = in_simulator(configure(), sim)
+    env = Env(config, config.loop.num_envs)
+    state = env.compile_whole(lambda seed: initial_state(env, config, seed))(np.uint32(0))
+    with tempfile.TemporaryDirectory(dir=os.environ.get("TMPDIR")) as folder:
+        run = RunDirectory(Path(folder) / "run")
+        run.create(config)
+        times = []
+        for step in range(SAVES):
+            start = time.perf_counter()
+            run.write_checkpoint(step, state)
+            times.append(time.perf_counter() - start)
+    env.close()
+    took, interval = statistics.median(times), config.loop.checkpoint_interval
+    yield row(f"trust/save/{sim}", 1000 * took, "ms", num_envs=config.loop.num_envs)
+    yield row(f"trust/saving_share/{sim}", took / interval, "of training time", interval=interval, slowest=max(times))
+
+
+def main() -> None:
+    """Print the table."""
+    use_compilation_cache()
+    cells = [(one["name"], f"{one['value']:.4g}", one["unit"], str(one["config"])) for one in trust()]
+    print_table("trust", ("measurement", "value", "unit", "configuration"), cells)
+
+
+if __name__ == "__main__":
+    main()
