@@ -34,10 +34,13 @@ os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 
 from reachlab.agents import AGENTS
 from reachlab.cli import main as cli
-from reachlab.settings.config import TASKS
+from reachlab.cli.verbs import VERBS
+from reachlab.settings.consistency import RANDOMISED
 from reachlab.settings.plain import flatten, to_json
+from reachlab.settings.presets import preset
 from reachlab.settings.validation import Range, hints
 from reachlab.sims import SIMULATORS
+from reachlab.tasks import TASKS
 from reachlab.tasks.actions import ACTIONS
 from reachlab.tasks.observations import OBSERVATIONS
 from reachlab.tasks.reach import TARGETS
@@ -53,7 +56,7 @@ WHOLE = 8
 LIMIT = 120
 """A command may take this long [s]: on a busy machine most of it is compilation."""
 
-USUAL = ("train",) * 6 + ("distil",) * 2 + ("eval",) * 4 + tuple(cli.VERBS)
+USUAL = ("train",) * 6 + ("distil",) * 2 + ("eval",) * 4 + tuple(VERBS)
 """Verbs, as often as they are tried."""
 
 NAMES: dict[str, Sequence[str]] = {
@@ -66,6 +69,7 @@ NAMES: dict[str, Sequence[str]] = {
     "reward": [*REWARDS, "spars"],
     "targets": [*TARGETS, "floor"],
     "agent": [*AGENTS, "tained"],
+    "randomise": [*RANDOMISED, "colours"],
     "suite": ["sped", "speed"],
     "host": ["127.0.0.1"],
 }
@@ -162,7 +166,7 @@ def _allowed(word: str, base: Any, bounds: Sequence[Range]) -> bool:
 def command(chance: random.Random, verbs: Sequence[str]) -> list[str]:
     """A random command, of one of those verbs."""
     verb = chance.choice(verbs)
-    kinds = flags_of(cli.VERBS[verb].flags)
+    kinds = flags_of(VERBS[verb].flags)
     words, sound = [verb], chance.random() < SOUND
     runs = RUNS[:2] if sound else RUNS
     if verb in ("eval", "video", "view"):
@@ -229,7 +233,7 @@ def _flags(words: Sequence[str]) -> dict[str, list[str]]:
 def senseless(words: Sequence[str]) -> str | None:
     """Why a training of these flags makes no sense; written down once more, apart from what is tested."""
     said = _flags(words)
-    usual = flatten(to_json(TASKS[said.get("task", ["tutorial"])[0]]))
+    usual = flatten(to_json(preset(said.get("task", ["tutorial"])[0])))
 
     def now(name: str) -> Any:
         given = said.get(name)
@@ -294,7 +298,6 @@ def run(words: list[str], *, whole: bool) -> Outcome:
             stack.enter_context(mock.patch("reachlab.learn.train._train", built))
         stack.enter_context(mock.patch.object(viewer.Viewer, "run"))
         stack.enter_context(mock.patch("reachlab.cli.verbs.run_suite", return_value=[]))
-        stack.enter_context(mock.patch("reachlab.cli.evaluation.EVALUATION_NUM_ENVS", {"pybullet": 1}))
         stack.enter_context(mock.patch.object(logging.getLogger("reachlab"), "handlers", [handler]))
         stack.enter_context(contextlib.redirect_stdout(out))
         stack.enter_context(contextlib.redirect_stderr(err))

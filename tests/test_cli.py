@@ -21,15 +21,18 @@ from reachlab import sims
 from reachlab.agents import AGENTS
 from reachlab.bench import SUITES
 from reachlab.cli import main as cli
+from reachlab.cli.flags import Train
+from reachlab.cli.verbs import VERBS
 from reachlab.envs.core import Env
 from reachlab.learn.ppo_method import initial_state
 from reachlab.robots.catalogue import ROBOTS
 from reachlab.runs.directory import RunDirectory
-from reachlab.settings.config import TASKS, RunConfig
+from reachlab.settings.config import RunConfig
 from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError
 from reachlab.sims import SIMULATORS
 from reachlab.sims.mujoco import MujocoSimulator
+from reachlab.tasks import TASKS
 from reachlab.tasks.actions import ACTIONS
 from reachlab.tasks.observations import OBSERVATIONS
 from reachlab.tasks.rewards import REWARDS
@@ -113,13 +116,13 @@ def in_a_process(*words: str) -> Said:
 def test_the_overview_names_every_command(reachlab: Shell, words: list[str]) -> None:
     said = reachlab(*words)
     assert (said.status, said.err) == (0, "")
-    for name, verb in cli.VERBS.items():
+    for name, verb in VERBS.items():
         assert f"  {name} " in said.out
         assert verb.flags.__doc__
         assert verb.flags.__doc__ in said.out
 
 
-@pytest.mark.parametrize("verb", cli.VERBS)
+@pytest.mark.parametrize("verb", VERBS)
 def test_every_command_has_help(reachlab: Shell, verb: str) -> None:
     said = reachlab(verb, "--help")
     assert (said.status, said.err) == (0, "")
@@ -273,7 +276,7 @@ class Short:
 
 
 def test_a_refusal_is_told_whole_however_long_it_is(reachlab: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(cli.VERBS, "list", replace(cli.VERBS["list"], flags=Short))
+    monkeypatch.setitem(VERBS, "list", replace(VERBS["list"], flags=Short))
     name = "x" * 200
     said = reachlab("list", "--name", name)
     assert said == Said(2, "", f"reachlab: name must be short, got '{name}'. See `reachlab list --help`.\n")
@@ -297,7 +300,7 @@ def test_an_interruption_is_told_by_its_status(reachlab: Shell, monkeypatch: pyt
     def interrupted(_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setitem(cli.VERBS, "list", replace(cli.VERBS["list"], run=interrupted))
+    monkeypatch.setitem(VERBS, "list", replace(VERBS["list"], run=interrupted))
     assert reachlab("list") == Said(130, "", "reachlab: interrupted.\n")
 
 
@@ -352,13 +355,13 @@ def test_flags_reach_the_configuration(trained: tuple[Path, Said]) -> None:
 
 
 def test_without_flags_the_tutorials_task_is_trained() -> None:
-    assert cli._parse("train", cli.Train, []).run == configure()
+    assert cli._parse("train", Train, []).run == configure()
 
 
 @pytest.mark.parametrize("reward", ["sparse", "dense"])
 def test_of_a_flag_given_twice_the_last_one_counts(reward: str) -> None:
     other = {"sparse": "dense", "dense": "sparse"}[reward]
-    chosen = cli._parse("train", cli.Train, ["--reward", other, f"--reward={reward}"])
+    chosen = cli._parse("train", Train, ["--reward", other, f"--reward={reward}"])
     assert chosen.run == configure(reward=reward)
 
 

@@ -13,15 +13,17 @@ import pytest
 from reachlab.cli import main as cli
 from reachlab.envs.core import Env
 from reachlab.envs.gymnasium_single import ReachEnv
-from reachlab.envs.settle import NEEDS, check, check_reach, in_evaluation, make_setup
+from reachlab.envs.settle import check, check_reach, in_evaluation, make_setup
 from reachlab.envs.streams import env_keys
 from reachlab.learn import train as training
 from reachlab.robots.loading import load_robot
 from reachlab.runs.directory import RunDirectory
-from reachlab.settings.config import TASKS, RunConfig
+from reachlab.settings.config import RunConfig
+from reachlab.settings.consistency import NEEDS
 from reachlab.settings.presets import configure, in_simulator
 from reachlab.settings.validation import InputError
 from reachlab.sims import SIMULATORS
+from reachlab.tasks import TASKS
 from reachlab.tasks.observations import OBSERVATIONS
 from reachlab.tasks.reachability import survey
 from reachlab.tasks.rewards import REWARDS
@@ -51,8 +53,11 @@ URDF = """
 </robot>"""
 
 
+LOGGERS = ("reachlab.envs.settle", "reachlab.settings.consistency")
+
+
 def said(caplog: pytest.LogCaptureFixture) -> list[str]:
-    return [record.getMessage() for record in caplog.records if record.name == "reachlab.envs.settle"]
+    return [record.getMessage() for record in caplog.records if record.name in LOGGERS]
 
 
 # --- settings -------------------------------------------------------------------------------------
@@ -85,15 +90,19 @@ WITHOUT_EFFECT: list[tuple[dict[str, Any], str]] = [
     ({"gravity_compensation": True, "sim": "pybullet"}, "gravity_compensation has an effect only with sim mujoco"),
     ({"gui": True}, "gui has an effect only with sim pybullet"),
     ({"slow": True, "sim": "mujoco"}, "slow has an effect only with sim pybullet"),
-    ({"randomise_view": True}, "randomise_view has an effect only with an observation with a picture"),
-    ({"randomise": True, "perturb": True, "sim": "mujoco"}, "randomise has an effect only with arms that are not"),
 ]
 
 CONTRADICTIONS: list[tuple[dict[str, Any], str]] = [
     ({"hold_steps": 200, "max_steps": 100}, "cannot be held for hold_steps 200 in an episode of max_steps 100"),
-    ({"targets": "box", "target_low": (0.3, 0.5, 0.1)}, "target_low is above target_high in y, 0.5 against 0.4 m"),
+    ({"targets": "box", "target_low": (0.3, 0.5, 0.1), "target_high": (0.7, 0.4, 0.6)}, "in y, 0.5 against 0.4 m"),
     ({"num_envs": 10, "minibatches": 4}, "num_envs 10 cannot be divided among 4 minibatches"),
     ({"action_repeat": 11, "max_steps": 10}, "an action cannot be held for action_repeat 11"),
+    ({"randomise": ("view",)}, "randomise view has an effect only with an observation with a picture"),
+    ({"randomise": ("colour",)}, "randomise 'colour' is not one of: dynamics, view"),
+    ({"at_goal": "hold", "hold_steps": 5}, "at_goal 'hold' holds the arm at the target, and hold_steps 5 asks"),
+    ({"at_goal": "stay"}, "at_goal 'stay' is not one of: continue, end, hold"),
+    ({"targets": "floor"}, "targets 'floor' is not one of: box, table"),
+    ({"task": "tutorail"}, "task 'tutorail' is not one of: precise, tutorial. Did you mean 'tutorial'?"),
 ]
 
 
@@ -104,6 +113,11 @@ def test_what_makes_no_sense_is_refused_in_one_sentence(settings: dict[str, Any]
             make()
         assert sentence in str(refused.value)
         assert "\n" not in str(refused.value)
+
+
+def test_a_corner_that_crosses_that_of_the_robots_own_box_is_refused() -> None:
+    with pytest.raises(InputError, match=r"target_low is above target_high in y, 0.5 against 0.4 m"):
+        make_setup(configure(targets="box", target_low=(0.3, 0.5, 0.1)))
 
 
 def test_every_setting_with_a_need_is_tried() -> None:
@@ -118,8 +132,8 @@ def test_training_refuses_before_anything_is_written(tmp_path: Path) -> None:
 
 
 CONSEQUENCES: list[tuple[dict[str, Any], str]] = [
-    ({"perturb": True}, "perturb adds noise to what is measured and nothing else in simulator 'kinematic'"),
-    ({"randomise": True, "sim": "pybullet"}, "randomise adds noise to what is measured and nothing else"),
+    ({"randomise": ("dynamics",)}, "randomise dynamics adds noise to what is measured and nothing else in simulator"),
+    ({"randomise": ("dynamics",), "sim": "pybullet"}, "nothing else in simulator 'pybullet'"),
     ({"total_steps": 1000, "anneal_steps": 2000}, "before the learning rate has fallen to its end after anneal_steps"),
     ({"stop_early": False, "stop_success": 0.5}, "stop_success has an effect only with stop_early"),
 ]
@@ -137,11 +151,11 @@ def test_what_follows_is_said_once(settings: dict[str, Any], sentence: str, capl
     [
         ("kinematic", {"gui": True}, "gui has an effect only with sim pybullet"),
         ("mujoco", {"slow": True}, "slow has an effect only with sim pybullet"),
-        ("mujoco", {"randomise_view": True}, "perturb_view has an effect only on a policy that sees pictures"),
+        ("mujoco", {"randomise": ("view",)}, "randomise view has an effect only with an observation with a picture"),
         ("mujocco", {}, "Did you mean 'mujoco'"),
     ],
 )
-def test_flags_of_an_evaluation_are_checked_too(sim: str, flags: dict[str, bool], sentence: str) -> None:
+def test_flags_of_an_evaluation_are_checked_too(sim: str, flags: dict[str, Any], sentence: str) -> None:
     with pytest.raises(InputError, match=sentence):
         in_evaluation(configure(), sim, **flags)
 
@@ -149,12 +163,12 @@ def test_flags_of_an_evaluation_are_checked_too(sim: str, flags: dict[str, bool]
 def test_what_a_run_was_trained_with_does_not_hinder_its_evaluation_elsewhere(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    trained = configure("precise", collisions=True, perturb=True, physics_steps=3)
+    trained = configure("precise", collisions=True, physics_steps=3)
     for sim in SIMULATORS:
         config = in_evaluation(trained, sim)
-        assert (config.sim, config.physics.perturb) == (sim, False)
+        assert (config.sim, config.randomise) == (sim, ())
     assert said(caplog) == []
-    assert in_evaluation(trained, "kinematic", perturb=True).physics.perturb
+    assert in_evaluation(trained, "kinematic", randomise=("dynamics",)).randomise == ("dynamics",)
     assert len(said(caplog)) == 1
 
 
@@ -180,8 +194,7 @@ def test_settings_of_an_older_run_are_not_asked_about_when_it_goes_on(tmp_path: 
 
 
 def reached(config: RunConfig) -> float:
-    robot = load_robot(config.robot, config.rules.tool)
-    return survey(make_setup(config.rules, robot, config.physics.control_period, (0.0,) * robot.chain.n)).reached
+    return survey(make_setup(config)).reached
 
 
 @pytest.mark.parametrize(
@@ -222,8 +235,8 @@ def test_a_box_out_of_reach_is_refused_and_a_share_is_said(caplog: pytest.LogCap
     check_reach(configure("precise", target_high=(1.2, 0.4, 0.6)))
     check_reach(configure("precise", target_high=(0.6, 0.4, 0.6)))
     partly, wholly = said(caplog)
-    assert "% of the targets (256 drawn); the others fail whatever is learnt." in partly
-    assert wholly.endswith("the arm can reach 100 % of the targets (256 drawn).")
+    assert "% of 256 random targets; the others fail whatever is learnt." in partly
+    assert wholly.endswith("the arm can reach 100 % of 256 random targets.")
 
 
 def test_a_home_outside_the_workspace_is_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -259,7 +272,7 @@ def test_meshes_named_as_packages_are_told(tmp_path: Path) -> None:
 def test_an_own_arm_is_perturbed_with_a_payload(tmp_path: Path, name: str, text: str) -> None:
     (tmp_path / name).write_text(text)
     tool = "hand" if name == "arm.xml" else "fore"
-    env = Env(configure("precise", robot=str(tmp_path / name), tool=tool, perturb=True), 2)
+    env = Env(configure("precise", robot=str(tmp_path / name), tool=tool), 2)
     state = env.init(env_keys(0, 2))
     for _ in range(20):
         state, _ = env.step(state, np.zeros((2, 2), np.float32))

@@ -1,6 +1,7 @@
 """Robot arms that learn to reach, in seconds, with proof.
 
-Importing this package registers its Gymnasium environments and loads neither JAX nor a simulator.
+Importing this package registers its Gymnasium environments and loads neither JAX nor a simulator: every name below is
+loaded when it is asked for.
 """
 
 from __future__ import annotations
@@ -11,37 +12,54 @@ from typing import TYPE_CHECKING, Any
 from gymnasium.envs.registration import register
 
 if TYPE_CHECKING:
+    from reachlab.agents.policy import Policy
     from reachlab.envs.core import Env
     from reachlab.envs.gymnasium_single import ReachEnv
     from reachlab.envs.gymnasium_vector import ReachVectorEnv
     from reachlab.evaluation.report import Report, evaluate
-    from reachlab.learn.train import TrainResult, train
+    from reachlab.learn.saved import LoadedRun, load
+    from reachlab.learn.train import TrainResult, distil, train
+    from reachlab.robots.inverse_kinematics import inverse_kinematics
+    from reachlab.robots.kinematics import forward_kinematics
     from reachlab.robots.loading import load_robot
     from reachlab.robots.robot import Robot
     from reachlab.settings.config import RunConfig
-    from reachlab.settings.presets import configure
+    from reachlab.settings.presets import configure, distillation
     from reachlab.settings.validation import InputError
+    from reachlab.watch.plots import plot
+    from reachlab.watch.video import write_video
 
 __version__ = "0.1.0"
 
 _HOMES = {
     "Env": "envs.core",
     "InputError": "settings.validation",
-    "ReachEnv": "envs.gymnasium_faces",
-    "ReachVectorEnv": "envs.gymnasium_faces",
+    "LoadedRun": "learn.saved",
+    "Policy": "agents.policy",
+    "ReachEnv": "envs.gymnasium_single",
+    "ReachVectorEnv": "envs.gymnasium_vector",
     "Report": "evaluation.report",
-    "Robot": "robots.loading",
+    "Robot": "robots.robot",
     "RunConfig": "settings.config",
     "TrainResult": "learn.train",
-    "configure": "settings.config",
+    "configure": "settings.presets",
+    "distil": "learn.train",
+    "distillation": "settings.presets",
     "evaluate": "evaluation.report",
+    "forward_kinematics": "robots.kinematics",
+    "inverse_kinematics": "robots.inverse_kinematics",
+    "load": "learn.saved",
     "load_robot": "robots.loading",
+    "plot": "watch.plots",
     "train": "learn.train",
+    "write_video": "watch.video",
 }
 
 __all__ = [
     "Env",
     "InputError",
+    "LoadedRun",
+    "Policy",
     "ReachEnv",
     "ReachVectorEnv",
     "Report",
@@ -49,9 +67,16 @@ __all__ = [
     "RunConfig",
     "TrainResult",
     "configure",
+    "distil",
+    "distillation",
     "evaluate",
+    "forward_kinematics",
+    "inverse_kinematics",
+    "load",
     "load_robot",
+    "plot",
     "train",
+    "write_video",
 ]
 
 
@@ -65,11 +90,11 @@ def __dir__() -> list[str]:
     return __all__
 
 
-_FACE, _VECTOR_FACE = "reachlab.envs.gymnasium_faces:ReachEnv", "reachlab.envs.gymnasium_faces:ReachVectorEnv"
-register("reachlab/Reach-v0", entry_point=_FACE, vector_entry_point=_VECTOR_FACE)
+_SINGLE, _VECTOR = "reachlab.envs.gymnasium_single:ReachEnv", "reachlab.envs.gymnasium_vector:ReachVectorEnv"
+register("reachlab/Reach-v0", entry_point=_SINGLE, vector_entry_point=_VECTOR)
 register(
     "reachlab/KukaReach-v0",
-    entry_point=_FACE,
-    vector_entry_point=_VECTOR_FACE,
+    entry_point=_SINGLE,
+    vector_entry_point=_VECTOR,
     kwargs={"task": "tutorial", "observation": "target", "reward": "sparse"},
 )

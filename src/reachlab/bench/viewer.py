@@ -22,8 +22,9 @@ from reachlab.learn.ppo_method import initial_state
 from reachlab.learn.saved import load_policy
 from reachlab.learn.train import train
 from reachlab.runs.directory import RunDirectory
-from reachlab.settings.config import TASKS, RunConfig
+from reachlab.settings.config import RunConfig
 from reachlab.settings.validation import InputError
+from reachlab.tasks import TASKS
 from reachlab.watch.stage import LOCAL
 from reachlab.watch.viewer import Viewer
 

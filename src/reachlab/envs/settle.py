@@ -16,6 +16,7 @@ from reachlab.sims import SIMULATORS
 from reachlab.tasks import TASKS
 from reachlab.tasks.actions import ACTIONS
 from reachlab.tasks.observations import OBSERVATIONS
+from reachlab.tasks.reach import AT_GOAL, TARGETS
 from reachlab.tasks.reachability import SAMPLES, survey
 from reachlab.tasks.rewards import REWARDS
 from reachlab.tasks.task import Task, TaskSetup
@@ -26,6 +27,8 @@ NAMES: dict[str, tuple[str, Mapping[str, object]]] = {
     "observation": ("observation", OBSERVATIONS),
     "action": ("action", ACTIONS),
     "reward": ("reward", REWARDS),
+    "targets": ("targets", TARGETS),
+    "at_goal": ("at_goal", AT_GOAL),
 }
 """Settings that are names of tables, and what they are called."""
 

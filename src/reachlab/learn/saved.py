@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import jax
 
 from reachlab.agents.policy import Policy
 from reachlab.envs.core import Env
+from reachlab.envs.settle import in_evaluation
 from reachlab.learn.learner import make_initial_policy
 from reachlab.runs.directory import RunDirectory
+from reachlab.settings.config import RunConfig
 
 POLICY = "learner/policy"
 """Name of the policy in a checkpoint."""
@@ -41,3 +44,33 @@ def load_saved(run: RunDirectory, env: Env) -> Saved:
 
 def _template(env: Env) -> Policy:
     return jax.eval_shape(lambda key: make_initial_policy(env.config, env, key), jax.random.key(0))
+
+
+@dataclass(frozen=True)
+class LoadedRun:
+    """A finished run: its policy, its settings, and an environment in which the policy acts."""
+
+    policy: Policy
+    config: RunConfig
+    env: Env
+
+
+def load(run: str | Path, *, sim: str | None = None, num_envs: int = 1) -> LoadedRun:
+    """Policy, settings and environment of a run directory.
+
+    The environment is without what varied in training. To evaluate: `evaluate(loaded.env, "trained", loaded.policy,
+    seed=1, episodes=100)`.
+
+    Args:
+        run: the run directory, as `train` makes it.
+        sim: simulator; by default the run's own.
+        num_envs: environments in the batch.
+
+    Raises:
+        InputError: no such run, or one without a checkpoint that can be used, or no such simulator.
+    """
+    directory = RunDirectory(Path(run))
+    trained = directory.read_config()
+    config = in_evaluation(trained, sim or trained.sim)
+    env = Env(config, num_envs)
+    return LoadedRun(load_policy(directory, env), config, env)

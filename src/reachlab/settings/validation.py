@@ -70,6 +70,9 @@ class Length:
         return f"a list of at most {self.most}"
 
 
+UNIONS = (typing.Union, types.UnionType)
+"""Origins of annotations with several kinds of values."""
+
 Count = Annotated[int, Range(1, 2**31 - 1)]
 Steps = Annotated[int, Range(1, 10**12 - 1)]
 """Environment steps of a whole training; a checkpoint's name has twelve digits."""
@@ -108,12 +111,14 @@ def _check(name: str, value: Any, hint: Any) -> None:
         if isinstance(limit, Range | Length) and value not in limit:
             raise InputError(f"{name} must be {limit}, got {reprlib.repr(value)}.")
     if isinstance(value, tuple):
+        kinds = typing.get_args(base) if typing.get_origin(base) in UNIONS else (base,)
+        entry = next(typing.get_args(kind)[0] for kind in kinds if typing.get_origin(kind) is tuple)
         for item in value:
-            _check(f"each entry of {name}", item, typing.get_args(base)[0])
+            _check(f"each entry of {name}", item, entry)
 
 
 def _type_name(hint: Any) -> str:
     names = {int: "a whole number", float: "a number", str: "a name", bool: "true or false"}
-    if typing.get_origin(hint) in (typing.Union, types.UnionType):
+    if typing.get_origin(hint) in UNIONS:
         return " or ".join(_type_name(arg) for arg in typing.get_args(hint) if arg is not type(None))
     return names.get(hint, str(hint))

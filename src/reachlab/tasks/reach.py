@@ -10,7 +10,7 @@ import numpy as np
 from jax import Array
 
 from reachlab.settings.config import TaskConfig
-from reachlab.settings.validation import InputError, choose
+from reachlab.settings.validation import InputError
 from reachlab.tasks.task import Bounds, Goal, Outcome, Progress, Situation, Task, TaskSetup, outside_workspace
 
 AT_GOAL = {
@@ -124,9 +124,6 @@ def _rests(setup: TaskSetup, progress: Progress) -> Array | None:
 
 
 def _check(setup: TaskSetup) -> None:
-    rules = setup.rules
-    choose("targets", rules.targets, TARGETS)
-    choose("at_goal", rules.at_goal, AT_GOAL)
     for axis, low, high in zip("xyz", *_goal_box(setup), strict=True):
         if low > high:
             raise InputError(f"target_low is above target_high in {axis}, {low:g} against {high:g} m: exchange them.")
