@@ -24,7 +24,6 @@ from reachlab.bench.precise import precise
 from reachlab.bench.simulators import Row, row, simulators
 from reachlab.bench.soak import soak
 from reachlab.bench.trust import trust
-from reachlab.bench.viewer import viewer
 from reachlab.envs.core import Env, EnvState
 from reachlab.envs.streams import lane_keys
 from reachlab.evaluation.report import FRESH_SEED
@@ -282,7 +281,7 @@ def _processor() -> str:
 SUITES: dict[str, Callable[[], Iterator[Row]]] = dict(
     zip(
         names.SUITES,
-        (speed, kinematics, learning, start, simulators, precise, soak, trust, camera, pixels, viewer),
+        (speed, kinematics, learning, start, simulators, precise, soak, trust, camera, pixels),
         strict=True,
     )
 )

@@ -16,6 +16,5 @@ SUITES = (
     "trust",
     "camera",
     "pixels",
-    "viewer",
 )
 """Suites of measurements, in the order of `bench.SUITES`."""

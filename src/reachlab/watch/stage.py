@@ -2,35 +2,28 @@
 
 from __future__ import annotations
 
-import ipaddress
-import socket
-import sys
 from collections.abc import Sequence
-from types import ModuleType
 from typing import TYPE_CHECKING
-from unittest import mock
 
 import mujoco
 import numpy as np
-import rich
 from scipy.spatial.transform import Rotation
 
 from reachlab.render import view_randomisation as views
 from reachlab.render.marks import PATH, Colour, Marks
 from reachlab.render.scene import TABLE_CENTRE, TABLE_SIZE, scene_spec
 from reachlab.robots.loading import Robot
-from reachlab.settings.validation import InputError
 from reachlab.watch.player import Moment
 from reachlab.watch.solids import Solid, solids
 
 if TYPE_CHECKING:
     import viser
 
-LOCAL = "127.0.0.1"
-"""Address of this machine that no other reaches."""
+FRAME_RATE = 50.0
+"""Pictures in a second [1/s]; viser sends at most 60."""
 
-TITLE = "reachlab"
-"""Title of the panel and the page."""
+PAUSE = 0.8
+"""Time for which the end of an episode stays in view, and in a recording its begin [s]."""
 
 EDGES, EDGE_WIDTH = (150, 155, 166), 0.002
 """Colour of the workspace's edges, and their width [m]."""
@@ -58,7 +51,6 @@ VIEW_FROM, VIEW_TO = (1.5, -1.1, 0.95), (0.3, -0.02, 0.26)
 
 FIELD_OF_VIEW = 0.8
 """Vertical field of view of the first camera [rad]."""
-
 
 EYE_LENGTH, EYE_WIDTH, EYE = 0.07, 0.002, (90, 95, 106)
 """The drawn camera: its length, the width of its edges [m], and their colour."""
@@ -197,45 +189,11 @@ class Stage:
             self.path.points = points
 
 
-def start_server(host: str, port: int) -> viser.ViserServer:
-    """Viser's server, without its banner and without its way to share a scene through a server of its makers.
-
-    Raises:
-        InputError: viser is not installed, or the address is not this machine's.
-    """
-    try:
-        import viser
-    except ImportError:
-        raise InputError("viewing needs viser: pip install 'reachlab[viewer]'.") from None
-    try:
-        # Viser tries a thousand ports and waits forever on an address that has none.
-        socket.create_server((host, 0)).close()
-    except OSError as error:
-        why = str(error.strerror).partition(" (")[0]
-        raise InputError(f"host {host!r} is no address of this machine ({why}): leave it out.") from None
-    # Its threads talk on standard output, and say goodbye there long after it has stopped.
-    silent = ModuleType("rich")
-    vars(silent).update(vars(rich), print=_say_nothing)
-    with mock.patch.dict(sys.modules, rich=silent):
-        server = viser.ViserServer(host=host, port=port, label=TITLE, verbose=False)
-    # Any page open in the browser could ask for it: a websocket does not heed where a page is from.
-    server.request_share_url = _share_nothing
-    return server
+def in_millimetres(distance: float) -> str:
+    """A distance [m] as the label and the panel show it."""
+    return f"{1000 * distance:.1f} mm"
 
 
 def _bytes(colour: Colour) -> tuple[int, int, int]:
     red, green, blue = (round(255 * part) for part in colour)
     return red, green, blue
-
-
-def is_local(host: str) -> bool:
-    """Whether no other machine reaches an address."""
-    return ipaddress.ip_address(socket.gethostbyname(host)).is_loopback
-
-
-def _share_nothing(verbose: bool = True) -> None:
-    del verbose
-
-
-def _say_nothing(*words: object) -> None:
-    del words

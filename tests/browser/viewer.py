@@ -1,4 +1,7 @@
-"""The viewer as a headless Chromium meets it: its first picture, its updates, and whether it keeps real time."""
+"""The viewer in a headless Chromium: its first picture, its updates, and whether it keeps real time.
+
+`make bench-viewer` prints the table.
+"""
 
 from __future__ import annotations
 
@@ -12,22 +15,21 @@ import time
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from playwright.sync_api import Page
 
+from browser.driver import chromium, executable, open_scene, opened, traffic
+from browser.follow import follow
 from reachlab.bench.simulators import Row, row
+from reachlab.cli.console import print_table
 from reachlab.envs.core import Env
 from reachlab.learn.method import initial_state
 from reachlab.learn.train import load_policy, train
 from reachlab.runs.directory import RunDirectory
 from reachlab.settings.config import TASKS, RunConfig
-from reachlab.settings.validation import InputError
-from reachlab.watch.stage import LOCAL
+from reachlab.watch.server import LOCAL
 from reachlab.watch.viewer import Viewer
-
-if TYPE_CHECKING:
-    from reachlab.bench.chromium import Page
 
 STARTS = 5
 """Starts that are timed, after one that fills the compilation cache; the median counts."""
@@ -39,11 +41,10 @@ SETTLING = 2.0
 """Time before that, in which the browser comes to rest [s]."""
 
 SIZE = (1280, 720)
-"""The browser's window [pixels]."""
+"""The page [pixels]."""
 
 COUNT_PICTURES = "pictures = 0; (function next() { pictures += 1; requestAnimationFrame(next) })()"
 """Script that counts how often the page is drawn."""
-
 
 DRAGS, FOLLOWED = 20, 300.0
 """Drags of which each is held until the arm rests, and the time in which more are let go [s]."""
@@ -53,36 +54,26 @@ def viewer() -> Iterator[Row]:
     """Time to the first picture, updates in a second, and the policy's time against the clock's.
 
     And how the presets' default runs, which are trained here, follow a target that is dragged.
-
-    Raises:
-        InputError: viser or Chromium is not there.
     """
-    try:
-        from reachlab.bench.chromium import browser, executable
-    except ImportError:
-        raise InputError("suite 'viewer' needs viser: pip install 'reachlab[viewer]'.") from None
-    if executable() is None:
-        raise InputError("suite 'viewer' needs Chromium: apt install chromium.")
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder, chromium() as browser:
         for task, config in TASKS.items():
             run = _untrained(config, Path(folder) / task)
-            with browser(Path(folder) / f"browser-{task}", *SIZE) as page:
+            with opened(browser, *SIZE) as page:
                 yield from _starts(page, run, task)
+            with opened(browser, *SIZE) as page:
                 yield from _live(page, run, config)
+            with opened(browser, *SIZE) as page:
                 yield from _followed(page, config, Path(folder) / f"trained-{task}")
 
 
 def _followed(page: Page, config: RunConfig, path: Path) -> Iterator[Row]:
     """Figures of a trained policy whose target is dragged."""
-    from reachlab.bench.follow import follow
-
     train(config, path)
     run, env = RunDirectory(path), Env(config, 1)
     load = partial(load_policy, run, config, env)
     with Viewer(env, run.checkpoint_steps(), load, "trained", LOCAL, free_port()) as shown:
         shown.prepare(seed=1)
         yield from follow(shown, page, config.task, DRAGS, FOLLOWED)
-        page.open("about:blank")
     env.close()
 
 
@@ -103,47 +94,41 @@ def _starts(page: Page, run: RunDirectory, task: str) -> Iterator[Row]:
 
 def _start(page: Page, run: RunDirectory) -> tuple[float, float]:
     """Times from the process's start until it tells its address and until the page shows the arm [s]."""
-    from reachlab.bench.chromium import drawn, wait_until
-
     words = [sys.executable, "-m", "reachlab", "view", str(run.path), "--port", str(free_port())]
     started = time.perf_counter()
-    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:  # noqa: S603 (our own program)
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
         try:
             said = process.stdout.readline() if process.stdout else ""
             served = time.perf_counter() - started
             if not said.startswith("Viewer: "):
-                raise InputError(f"the viewer does not start: {said.strip()}")
-            page.open(said.split()[1])
-            wait_until(lambda: drawn(page.picture()), "a picture")
+                raise RuntimeError(f"the viewer does not start: {said.strip()}")
+            open_scene(page, said.split()[1])
             return served, time.perf_counter() - started
         finally:
-            page.open("about:blank")
+            page.goto("about:blank")
             process.send_signal(signal.SIGINT)
             process.communicate()
 
 
 def _live(page: Page, run: RunDirectory, config: RunConfig) -> Iterator[Row]:
     """Figures of a policy that plays, following one target, while the page is open."""
-    from reachlab.bench.chromium import drawn, wait_until
-
     env = Env(config, 1)
     load = partial(load_policy, run, config, env)
+    messages = traffic(page).messages
     with Viewer(env, run.checkpoint_steps(), load, "trained", LOCAL, free_port()) as shown:
         shown.prepare(seed=1)
         shown.panel.endless = True
-        page.open(shown.url)
-        wait_until(lambda: drawn(page.picture()), "a picture")
+        open_scene(page, shown.url)
         page.evaluate(COUNT_PICTURES)
         shown.run(_after(SETTLING))
         pictures, steps = page.evaluate("pictures"), shown.player.steps
-        page.arrivals.clear()
+        messages.clear()
         started, used = time.perf_counter(), time.process_time()
         shown.run(_after(SECONDS))
         elapsed, used = time.perf_counter() - started, time.process_time() - used
         steps, pictures = shown.player.steps - steps, page.evaluate("pictures") - pictures
-        page.open("about:blank")
     env.close()
-    yield row(f"viewer_updates_per_second/{config.task}", len(page.arrivals) / elapsed, "1/s", seconds=SECONDS)
+    yield row(f"viewer_updates_per_second/{config.task}", len(messages) / elapsed, "1/s", seconds=SECONDS)
     yield row(f"viewer_pictures_per_second/{config.task}", pictures / elapsed, "1/s", window=SIZE, drawn_by="software")
     speed = steps * config.physics.control_period / elapsed
     yield row(f"viewer_policy_time/{config.task}", speed, "of real time", steps=steps, seconds=SECONDS)
@@ -160,3 +145,10 @@ def _after(seconds: float) -> Callable[[], bool]:
     """Whether so much time has passed since now [s]."""
     end = time.perf_counter() + seconds
     return lambda: time.perf_counter() >= end
+
+
+if __name__ == "__main__":
+    if executable() is None:
+        sys.exit("make bench-viewer needs Chromium: apt install chromium.")
+    cells = [(row["name"], f"{row['value']:.4g}", row["unit"], str(row["config"])) for row in viewer()]
+    print_table("viewer", ("measurement", "value", "unit", "configuration"), cells)
