@@ -40,7 +40,8 @@ CHECKPOINTS = (0, 128)
 
 REACHED_BYTES = tuple(round(255 * part) for part in REACHED)
 
-WIDTH, HEIGHT = 800, 480
+WIDTH, HEIGHT = 1100, 480
+"""Size of the page [pixels]: wide enough that the panel covers no place of the target."""
 
 FRAME = 0.02
 """Time between two pictures [s]."""
