@@ -162,7 +162,7 @@ def test_a_saved_page_plays_from_its_file_alone(page: Page, config: RunConfig, t
     assert {urlsplit(url).scheme for url in requests} <= HERE_SCHEMES
 
 
-def test_what_the_policy_sees_is_in_the_panel_and_before_its_camera(page: Page, tmp_path: Path) -> None:
+def test_what_the_policy_observes_is_in_the_panel_and_before_its_camera(page: Page, tmp_path: Path) -> None:
     config = configure(observation="image", num_envs=8, hidden=(8,))
     with view(config, untrained(config, tmp_path / "run"), "trained") as viewer:
         open_scene(page, viewer.url)
@@ -175,14 +175,14 @@ def test_what_the_policy_sees_is_in_the_panel_and_before_its_camera(page: Page, 
         assert not np.array_equal(first, seen)
         enlarged = seen[..., 0].repeat(panel.ENLARGED, 0).repeat(panel.ENLARGED, 1)
         wait_until(lambda: page.evaluate(SHOWN) == enlarged.ravel().tolist(), "the picture of now in the panel")
-        assert viewer.stage.eye
-        np.testing.assert_array_equal(np.asarray(viewer.stage.eye.image), seen)
+        assert viewer.stage.camera
+        np.testing.assert_array_equal(np.asarray(viewer.stage.camera.image), seen)
 
 
 def test_a_policy_that_sees_no_picture_has_no_place_for_one(viewer: Viewer) -> None:
     viewer.step()
     assert viewer.player.see() is None
-    assert viewer.stage.eye is None
+    assert viewer.stage.camera is None
 
 
 # --- without ---------------------------------------------------------------------------------------
@@ -265,6 +265,11 @@ def test_a_handle_outside_comes_back_to_where_targets_lie(viewer: Viewer) -> Non
     viewer.frame(0.0)
     viewer.frame(0.0)
     np.testing.assert_allclose(viewer.handle.position, [0.7, -0.3, -0.0083], atol=1e-3)
+
+
+def test_the_server_prints_nothing_when_it_starts_and_stops(capfd: pytest.CaptureFixture[str]) -> None:
+    start_server(LOCAL, free_port()).stop()
+    assert capfd.readouterr() == ("", "")
 
 
 def test_the_scene_is_never_shared_through_the_makers_server() -> None:

@@ -12,7 +12,7 @@ from matplotlib.figure import SubFigure
 from matplotlib.ticker import EngFormatter, MaxNLocator
 
 from reachlab.watch.results import Band, Group, band, pooled, read_rows
-from reachlab.watch.style import FINE, group_look, show_plain_numbers
+from reachlab.watch.style import FINE, group_style, show_plain_numbers
 
 
 class Panel(NamedTuple):
@@ -52,7 +52,7 @@ STEEP = 20
 def draw_learning(row: SubFigure, groups: Sequence[Group], columns: int) -> None:
     """Draw the curves of groups into a row of panels, with a legend of so many columns."""
     places: list[Axes] = list(row.subplots(1, len(PANELS)))
-    validated = [_draw_group(places, group, *group_look(number)) for number, group in enumerate(groups)]
+    validated = [_draw_group(places, group, *group_style(number)) for number, group in enumerate(groups)]
     for axes, panel in zip(places, PANELS, strict=True):
         _set_axes(axes, panel)
     if any(validated):

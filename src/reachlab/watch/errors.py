@@ -11,7 +11,7 @@ from matplotlib.ticker import PercentFormatter
 
 from reachlab.settings.names import AGENTS
 from reachlab.watch.results import Evaluation, Group
-from reachlab.watch.style import COARSE, FINE, LINES, PALETTE, group_look, show_plain_numbers
+from reachlab.watch.style import COARSE, FINE, LINES, PALETTE, group_style, show_plain_numbers
 
 WIDTHS = (1.6, 0.8)
 """Widths of a line, and of one whose arms or views varied."""
@@ -41,7 +41,7 @@ def error_lines(found: Sequence[Evaluated]) -> list[Line]:
     if len(found) == 1:
         return _agents_lines(found[0][1])
     return [
-        Line(f"{group.label}: {evaluation.label}", evaluation, *group_look(number), WIDTHS[0])
+        Line(f"{group.label}: {evaluation.label}", evaluation, *group_style(number), WIDTHS[0])
         for number, (group, evaluations) in enumerate(found)
         for evaluation in evaluations[:1]
     ]

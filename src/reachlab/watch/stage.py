@@ -44,15 +44,15 @@ HEADING_AT = (0.3, 0.0, 0.8)
 """Where a recording tells what it shows [m]."""
 
 GRID_CELL, GRID_FADE = 0.1, 6.0
-"""The ground's cells, and how far it is seen [m]."""
+"""The ground's cells, and where it has faded away [m]."""
 
 VIEW_FROM, VIEW_TO = (1.5, -1.1, 0.95), (0.3, -0.02, 0.26)
-"""Where the first camera stands, and where it looks [m]."""
+"""Where the first camera stands, and which point it faces [m]."""
 
 FIELD_OF_VIEW = 0.8
 """Vertical field of view of the first camera [rad]."""
 
-EYE_LENGTH, EYE_WIDTH, EYE = 0.07, 0.002, (90, 95, 106)
+CAMERA_LENGTH, CAMERA_WIDTH, CAMERA = 0.07, 0.002, (90, 95, 106)
 """The drawn camera: its length, the width of its edges [m], and their colour."""
 
 SKY, GROUND, SKY_INTENSITY = (255, 255, 255), (150, 155, 165), 2.2
@@ -64,10 +64,10 @@ class Stage:
 
     Attributes:
         workspace: the edges of the robot's workspace.
-        path: the tool's way in this episode, once it has moved.
+        path: the tool's path in this episode, once it has moved.
         label: the text below the target.
         balls: the target, and around it the ball in which the tool is near enough.
-        eye: the observation camera with what it sees, once there is a picture.
+        camera: the observation camera with its picture, once there is one.
     """
 
     def __init__(self, server: viser.ViserServer, robot: Robot, success_distance: float) -> None:
@@ -78,7 +78,7 @@ class Stage:
         self._joints = self._model.jnt_qposadr[list(robot.chain.joints)]
         self._drawn_path = np.empty(0)
         self.path: viser.LineSegmentsHandle | None = None
-        self.eye: viser.CameraFrustumHandle | None = None
+        self.camera: viser.CameraFrustumHandle | None = None
         self._set_view(server)
         self._frames = [self._scene.add_frame(self._name(body), show_axes=False) for body in range(self._model.nbody)]
         parts = [(solid.body, self._add(number, solid)) for number, solid in enumerate(solids(self._model))]
@@ -100,8 +100,8 @@ class Stage:
             "/handle", scale=HANDLE_SIZE, active_axes=(x, y, z), disable_rotations=True, depth_test=False
         )
 
-    def show(self, moment: Moment, *, axes: bool = False, seen: np.ndarray | None = None) -> None:
-        """Show a moment, and in front of the camera what the policy has `seen`, `[height, width, 3]` uint8."""
+    def show(self, moment: Moment, *, axes: bool = False, observation: np.ndarray | None = None) -> None:
+        """Show a moment, and in front of the observation camera its picture, `[height, width, 3]` uint8."""
         self._place(moment.q, moment.target)
         self._target.visible, self.label.visible, self._axes.visible = True, True, axes
         self.label.position = moment.target + np.array(LABEL_BELOW)
@@ -109,8 +109,8 @@ class Stage:
         for ball in self.balls:
             ball.color = _bytes(Marks(reached=moment.reached).colour)
         self._show_path(moment.path)
-        if seen is not None:
-            self._show_seen(seen)
+        if observation is not None:
+            self._show_observation(observation)
 
     def head(self, text: str) -> None:
         """Write a text above the scene."""
@@ -157,17 +157,17 @@ class Stage:
         for frame, position, quaternion in zip(self._frames, self._data.xpos, self._data.xquat, strict=True):
             frame.position, frame.wxyz = position, quaternion
 
-    def _show_seen(self, picture: np.ndarray) -> None:
-        if self.eye is None:
+    def _show_observation(self, picture: np.ndarray) -> None:
+        if self.camera is None:
             position, rotation = views.tutorial_pose()
             down_and_ahead = rotation * (1, -1, -1)
-            self.eye = self._scene.add_camera_frustum(
-                "/eye",
+            self.camera = self._scene.add_camera_frustum(
+                "/camera",
                 fov=np.radians(views.FIELD_OF_VIEW),
                 aspect=1.0,
-                scale=EYE_LENGTH,
-                thickness=EYE_WIDTH,
-                color=EYE,
+                scale=CAMERA_LENGTH,
+                thickness=CAMERA_WIDTH,
+                color=CAMERA,
                 image=picture,
                 format="png",
                 position=position,
@@ -175,7 +175,7 @@ class Stage:
                 cast_shadow=False,
             )
         else:
-            self.eye.image = picture
+            self.camera.image = picture
 
     def _show_path(self, path: np.ndarray) -> None:
         if path is self._drawn_path:

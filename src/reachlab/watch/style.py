@@ -33,7 +33,7 @@ FINE, COARSE = (1.0, 2.0, 5.0), (1.0,)
 """Numbers that a logarithmic axis shows in each decade."""
 
 
-def group_look(number: int) -> tuple[str, str]:
+def group_style(number: int) -> tuple[str, str]:
     """Colour and line of a group, by its place among those that were given."""
     return PALETTE[number % len(PALETTE)], LINES[number // len(PALETTE) % len(LINES)]
 

@@ -204,11 +204,11 @@ class Viewer:
         self._hand = np.array(self.handle.position)
 
     def _show(self) -> None:
-        seen = self.player.see()
+        observation = self.player.see()
         with self._server.atomic():
-            self.stage.show(self.player.moment, axes=self.panel.axes, seen=seen)
-            if seen is not None:
-                self.panel.show_seen(seen)
+            self.stage.show(self.player.moment, axes=self.panel.axes, observation=observation)
+            if observation is not None:
+                self.panel.show_observation(observation)
             if (
                 self._pace.due(self.player.steps)
                 or self.player.over
