@@ -31,7 +31,7 @@ bench: $(VENV)/installed
 	for suite in start speed kinematics learning; do $(BIN)/reachlab bench --suite $$suite; done
 
 bench-viewer: $(VENV)/installed-dev
-	PYTHONPATH=tests $(BIN)/python -m browser.viewer
+	TF_CPP_MIN_LOG_LEVEL=3 PYTHONPATH=tests $(BIN)/python -m browser.viewer
 
 $(VENV)/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "reachlab needs Python 3.11 or newer; this is " + sys.version.split()[0] + ". Name another: make PYTHON=python3.12")'

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import signal
 import socket
 import statistics
@@ -16,7 +17,6 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 
-import numpy as np
 from playwright.sync_api import Page
 
 from browser.driver import chromium, executable, open_scene, opened, traffic
@@ -24,7 +24,7 @@ from browser.follow import follow
 from reachlab.bench.simulators import Row, row
 from reachlab.cli.console import print_table
 from reachlab.envs.core import Env
-from reachlab.learn.method import initial_state
+from reachlab.jax_setup import use_compilation_cache
 from reachlab.learn.train import load_policy, train
 from reachlab.runs.directory import RunDirectory
 from reachlab.settings.config import TASKS, RunConfig
@@ -57,36 +57,33 @@ def viewer() -> Iterator[Row]:
     """
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder, chromium() as browser:
         for task, config in TASKS.items():
-            run = _untrained(config, Path(folder) / task)
-            with opened(browser, *SIZE) as page:
-                yield from _starts(page, run, task)
-            with opened(browser, *SIZE) as page:
-                yield from _live(page, run, config)
-            with opened(browser, *SIZE) as page:
-                yield from _followed(page, config, Path(folder) / f"trained-{task}")
+            run = RunDirectory(Path(folder) / task)
+            train(config, run.path)
+            for measure in (_starts, _live, _followed):
+                with opened(browser, *SIZE) as page:
+                    yield from measure(page, run, config)
 
 
-def _followed(page: Page, config: RunConfig, path: Path) -> Iterator[Row]:
-    """Figures of a trained policy whose target is dragged."""
-    train(config, path)
-    run, env = RunDirectory(path), Env(config, 1)
+@contextlib.contextmanager
+def _shown(run: RunDirectory, config: RunConfig) -> Iterator[Viewer]:
+    """A run's trained policy in a viewer that is prepared."""
+    env = Env(config, 1)
     load = partial(load_policy, run, config, env)
     with Viewer(env, run.checkpoint_steps(), load, "trained", LOCAL, free_port()) as shown:
         shown.prepare(seed=1)
+        yield shown
+    env.close()
+
+
+def _followed(page: Page, run: RunDirectory, config: RunConfig) -> Iterator[Row]:
+    """Figures of a policy whose target is dragged."""
+    with _shown(run, config) as shown:
         yield from follow(shown, page, config.task, DRAGS, FOLLOWED)
-    env.close()
 
 
-def _untrained(config: RunConfig, path: Path) -> RunDirectory:
-    """A run whose policy has learnt nothing, which takes as long to compute as any other."""
-    env, run = Env(config, config.ppo.num_envs), RunDirectory(path)
-    run.create(config)
-    run.write_checkpoint(0, env.compile(partial(initial_state, env, config))(np.uint32(config.seed)))
-    env.close()
-    return run
-
-
-def _starts(page: Page, run: RunDirectory, task: str) -> Iterator[Row]:
+def _starts(page: Page, run: RunDirectory, config: RunConfig) -> Iterator[Row]:
+    """Times of `reachlab view` until the browser can open it, and until it has drawn the arm."""
+    task = config.task
     served, seen = zip(*[_start(page, run) for _ in range(STARTS + 1)][1:], strict=True)
     yield row(f"viewer_served/{task}", statistics.median(served), "s", starts=STARTS, worst=max(served))
     yield row(f"viewer_first_picture/{task}", statistics.median(seen), "s", starts=STARTS, worst=max(seen), window=SIZE)
@@ -111,23 +108,19 @@ def _start(page: Page, run: RunDirectory) -> tuple[float, float]:
 
 
 def _live(page: Page, run: RunDirectory, config: RunConfig) -> Iterator[Row]:
-    """Figures of a policy that plays, following one target, while the page is open."""
-    env = Env(config, 1)
-    load = partial(load_policy, run, config, env)
+    """Figures of a policy that moves the arm from one target to the next, while the page is open."""
     messages = traffic(page).messages
-    with Viewer(env, run.checkpoint_steps(), load, "trained", LOCAL, free_port()) as shown:
-        shown.prepare(seed=1)
+    with _shown(run, config) as shown:
         shown.panel.endless = True
         open_scene(page, shown.url)
         page.evaluate(COUNT_PICTURES)
-        shown.run(_after(SETTLING))
+        shown.run(_after(SETTLING, shown))
         pictures, steps = page.evaluate("pictures"), shown.player.steps
         messages.clear()
         started, used = time.perf_counter(), time.process_time()
-        shown.run(_after(SECONDS))
+        shown.run(_after(SECONDS, shown))
         elapsed, used = time.perf_counter() - started, time.process_time() - used
         steps, pictures = shown.player.steps - steps, page.evaluate("pictures") - pictures
-    env.close()
     yield row(f"viewer_updates_per_second/{config.task}", len(messages) / elapsed, "1/s", seconds=SECONDS)
     yield row(f"viewer_pictures_per_second/{config.task}", pictures / elapsed, "1/s", window=SIZE, drawn_by="software")
     speed = steps * config.physics.control_period / elapsed
@@ -141,14 +134,21 @@ def free_port() -> int:
         return int(listening.getsockname()[1])
 
 
-def _after(seconds: float) -> Callable[[], bool]:
-    """Whether so much time has passed since now [s]."""
+def _after(seconds: float, shown: Viewer) -> Callable[[], bool]:
+    """Whether so much time has passed since now [s]; until then there is a new target as soon as one is reached."""
     end = time.perf_counter() + seconds
-    return lambda: time.perf_counter() >= end
+
+    def ended() -> bool:
+        if shown.player.moment.reached:
+            shown.reset()
+        return time.perf_counter() >= end
+
+    return ended
 
 
 if __name__ == "__main__":
     if executable() is None:
         sys.exit("make bench-viewer needs Chromium: apt install chromium.")
+    use_compilation_cache()
     cells = [(row["name"], f"{row['value']:.4g}", row["unit"], str(row["config"])) for row in viewer()]
     print_table("viewer", ("measurement", "value", "unit", "configuration"), cells)

@@ -74,7 +74,7 @@ def captioned(picture: np.ndarray, caption: Caption) -> Image.Image:
 
 
 def inset(picture: np.ndarray, observation: np.ndarray) -> np.ndarray:
-    """A picture `[height, width, 3]` with the one that the policy observes, `[SIZE, SIZE, 3]`, enlarged in its upper corner."""
+    """A picture `[height, width, 3]`, enlarged in its corner the one that the policy observes, `[SIZE, SIZE, 3]`."""
     image, side = Image.fromarray(picture), INSET_SCALE * len(observation)
     small = Image.fromarray(observation).resize((side, side), Image.Resampling.NEAREST)
     corner = (image.width - side - MARGIN, MARGIN)
