@@ -9,8 +9,8 @@ import pytest
 
 from reachlab.agents import AGENTS
 from reachlab.envs.core import Env
+from reachlab.envs.streams import REPORT_STREAM
 from reachlab.evaluation.episodes import BATCH, make_runner, run_episodes
-from reachlab.evaluation.report import REPORT_STREAM
 from reachlab.learn.learner import make_initial_policy
 from reachlab.settings.presets import configure
 from reachlab.watch.player import LATE, LEFT, Player, target_box
@@ -44,7 +44,7 @@ def test_a_new_episode_has_a_new_target_and_begins_at_home(player: Player) -> No
     before = player.moment
     play(player)
     player.go_on()
-    assert not np.allclose(before.goal.position, player.moment.target)
+    assert not np.allclose(before.target, player.moment.target)
     np.testing.assert_allclose(player.moment.q, before.q)
     assert (player.over, player.moment.reached) == (False, False)
 
@@ -66,11 +66,11 @@ def test_the_arm_rests_where_it_came_within_the_success_distance_until_the_targe
     before = player.moment
     play(player, 100)
     np.testing.assert_array_equal(player.moment.q, before.q)
-    player.move_target(before.goal.position + 0.02 * (before.tool - before.goal.position) / before.distance)
+    player.move_target(before.target + 0.02 * (before.tool - before.target) / before.distance)
     assert player.moment.reached, "it is near enough still"
     play(player, 1)
     np.testing.assert_array_equal(player.moment.q, before.q)
-    player.move_target(FAR if before.goal.position[1] < 0 else NEAR)
+    player.move_target(FAR if before.target[1] < 0 else NEAR)
     assert not player.moment.reached, "reached means now"
     play(player, 1)
     assert not np.array_equal(player.moment.q, before.q)
@@ -121,7 +121,7 @@ def test_the_episodes_are_those_of_the_evaluation() -> None:
     player = player_in("kinematic")
     evaluated = run_episodes(make_runner(Env(configure(), BATCH), "ik"), None, 0, REPORT_STREAM, 3)
     for number in range(3):
-        np.testing.assert_allclose(player.moment.target, evaluated.target[number], atol=1e-6)
+        np.testing.assert_allclose(player.moment.target, evaluated.goal[number], atol=1e-6)
         play(player)
         assert player.clock == evaluated.steps[number]
         player.go_on()
@@ -188,10 +188,10 @@ def test_every_agent_plays(agent: str) -> None:
 
 
 def test_the_box_of_targets_is_flat_in_the_tutorial() -> None:
-    reach = Env(configure(), 1).reach
-    low, high = target_box(reach)
-    np.testing.assert_allclose([low[:2], high[:2]], np.array(reach.robot.workspace)[:, :2], atol=0.02)
-    assert low[2] == high[2] == np.float32(reach.config.target_height)
+    setup = Env(configure(), 1).setup
+    low, high = target_box(setup)
+    np.testing.assert_allclose([low[:2], high[:2]], np.array(setup.robot.workspace)[:, :2], atol=0.02)
+    assert low[2] == high[2] == np.float32(setup.rules.target_height)
 
 
 def test_a_policy_that_knows_home_alone_goes_back_there_on_its_way_before_it_follows() -> None:

@@ -16,10 +16,11 @@ from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
+from playwright.sync_api import Browser, Page
 
-from reachlab.bench.chromium import Page, browser, drawn, executable, wait_until
-from reachlab.bench.follow import follow
-from reachlab.bench.viewer import free_port
+from browser.driver import chromium, executable, open_scene, opened, picture, traffic, wait_until
+from browser.follow import follow
+from browser.viewer import free_port
 from reachlab.cli import main as cli
 from reachlab.envs.core import Env
 from reachlab.learn.ppo_method import initial_state
@@ -27,19 +28,22 @@ from reachlab.learn.saved import load_policy
 from reachlab.render.marks import REACHED, TARGET_RADIUS
 from reachlab.robots.loading import load_robot
 from reachlab.runs.directory import RunDirectory
-from reachlab.settings.config import TASKS, RunConfig
+from reachlab.settings.config import RunConfig
 from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError
+from reachlab.tasks import TASKS
 from reachlab.watch import panel
+from reachlab.watch.page import save_page
 from reachlab.watch.player import PATH_STEP
-from reachlab.watch.stage import LOCAL, start_server
-from reachlab.watch.viewer import COMMANDS, Viewer, save_page
+from reachlab.watch.server import LOCAL, start_server
+from reachlab.watch.viewer import COMMANDS, Viewer
 
 CHECKPOINTS = (0, 128)
 
 REACHED_BYTES = tuple(round(255 * part) for part in REACHED)
 
-WIDTH, HEIGHT = 800, 480
+WIDTH, HEIGHT = 1100, 480
+"""Size of the page [pixels]: wide enough that the panel covers no place of the target."""
 
 FRAME = 0.02
 """Time between two pictures [s]."""
@@ -84,21 +88,19 @@ def untrained(config: RunConfig, path: Path) -> RunDirectory:
 
 
 @pytest.fixture(scope="module")
-def chromium(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
+def browser() -> Iterator[Browser]:
     if executable() is None:
         if "CI" in os.environ:
             pytest.fail("there is no Chromium here; CI needs one")
         pytest.skip("needs Chromium: apt install chromium")
-    with browser(tmp_path_factory.mktemp("profile"), WIDTH, HEIGHT) as page:
-        yield page
+    with chromium() as browser:
+        yield browser
 
 
 @pytest.fixture
-def page(chromium: Page) -> Iterator[Page]:
-    """An empty page, emptied again at the end: drawing without a graphics card takes the time of all others."""
-    chromium.requests.clear()
-    yield chromium
-    chromium.open("about:blank")
+def page(browser: Browser) -> Iterator[Page]:
+    with opened(browser, WIDTH, HEIGHT) as page:
+        yield page
 
 
 @contextlib.contextmanager
@@ -139,33 +141,33 @@ def test_the_arm_follows_a_target_that_is_dragged_in_the_page_and_rests_there(
     page: Page, task: str, tmp_path: Path
 ) -> None:
     config = configure(task, num_envs=8, hidden=(8,))
+    requests = traffic(page).requests
     with view(config, untrained(config, tmp_path / "run")) as viewer:
         rows = {row["name"].partition("/")[0]: row for row in follow(viewer, page, task, drags=2, seconds=1.0)}
-        assert "to the target" in page.text()
+        assert "to the target" in page.inner_text("body")
     followed = rows["viewer_drags_followed"]
     assert followed["value"] == followed["config"]["drags"] == 3
     assert rows["viewer_worst_at_rest"]["value"] < 1000 * config.rules.success_distance
     assert rows["viewer_new_starts"]["value"] == 0
-    assert stays_here(page.requests)
-    assert any(url.startswith("http") for url in page.requests), "requests are seen"
+    assert stays_here(requests)
+    assert {urlsplit(url).scheme for url in requests} >= {"http", "ws"}, "requests and web sockets are recorded"
 
 
 def test_a_saved_page_plays_from_its_file_alone(page: Page, config: RunConfig, tmp_path: Path) -> None:
     out = tmp_path / "page.html"
     save_page(Env(config, 1), "ik", None, seed=1, episodes=EPISODES, out=out)
     assert "<title>reachlab · tutorial task · ik</title>" in out.read_text(encoding="utf-8")
-    page.open(out.as_uri())
-    wait_until(lambda: drawn(page.picture()), "a picture")
-    first = page.picture()
-    wait_until(lambda: not np.array_equal(page.picture(), first), "a movement")
-    assert {urlsplit(url).scheme for url in page.requests} <= HERE_SCHEMES
+    requests = traffic(page).requests
+    open_scene(page, out.as_uri())
+    first = picture(page)
+    wait_until(lambda: not np.array_equal(picture(page), first), "a movement")
+    assert {urlsplit(url).scheme for url in requests} <= HERE_SCHEMES
 
 
-def test_what_the_policy_sees_is_in_the_panel_and_before_its_camera(page: Page, tmp_path: Path) -> None:
+def test_what_the_policy_observes_is_in_the_panel_and_before_its_camera(page: Page, tmp_path: Path) -> None:
     config = configure(observation="image", num_envs=8, hidden=(8,))
     with view(config, untrained(config, tmp_path / "run"), "trained") as viewer:
-        page.open(viewer.url)
-        wait_until(lambda: drawn(page.picture()), "a picture")
+        open_scene(page, viewer.url)
         first = viewer.player.see()
         for _ in range(30):
             viewer.step()
@@ -175,14 +177,14 @@ def test_what_the_policy_sees_is_in_the_panel_and_before_its_camera(page: Page, 
         assert not np.array_equal(first, seen)
         enlarged = seen[..., 0].repeat(panel.ENLARGED, 0).repeat(panel.ENLARGED, 1)
         wait_until(lambda: page.evaluate(SHOWN) == enlarged.ravel().tolist(), "the picture of now in the panel")
-        assert viewer.stage.eye
-        np.testing.assert_array_equal(np.asarray(viewer.stage.eye.image), seen)
+        assert viewer.stage.camera
+        np.testing.assert_array_equal(np.asarray(viewer.stage.camera.image), seen)
 
 
 def test_a_policy_that_sees_no_picture_has_no_place_for_one(viewer: Viewer) -> None:
     viewer.step()
     assert viewer.player.see() is None
-    assert viewer.stage.eye is None
+    assert viewer.stage.camera is None
 
 
 # --- without ---------------------------------------------------------------------------------------
@@ -267,6 +269,11 @@ def test_a_handle_outside_comes_back_to_where_targets_lie(viewer: Viewer) -> Non
     np.testing.assert_allclose(viewer.handle.position, [0.7, -0.3, -0.0083], atol=1e-3)
 
 
+def test_the_server_prints_nothing_when_it_starts_and_stops(capfd: pytest.CaptureFixture[str]) -> None:
+    start_server(LOCAL, free_port()).stop()
+    assert capfd.readouterr() == ("", "")
+
+
 def test_the_scene_is_never_shared_through_the_makers_server() -> None:
     server = start_server(LOCAL, free_port())
     try:
@@ -308,7 +315,7 @@ def test_wrong_words_are_refused_in_a_sentence(
 
 def test_every_checkpoint_can_be_chosen(run: RunDirectory, config: RunConfig) -> None:
     env = Env(config, 1)
-    first, last = (load_policy(run, step) for step in run.checkpoint_steps())
+    first, last = (load_policy(run, env, step) for step in run.checkpoint_steps())
     newest = load_policy(run, env)
     weights = [np.asarray(policy.parameters.actor[0][0]) for policy in (first, last, newest)]
     assert not np.array_equal(weights[0], weights[1])

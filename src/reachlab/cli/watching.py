@@ -63,8 +63,9 @@ def view(arguments: View) -> None:
     from reachlab.learn.interrupts import Interrupts
     from reachlab.learn.saved import load_policy
     from reachlab.runs.directory import RunDirectory
-    from reachlab.watch.stage import is_local
-    from reachlab.watch.viewer import Viewer, save_page
+    from reachlab.watch.page import save_page
+    from reachlab.watch.server import is_local
+    from reachlab.watch.viewer import Viewer
 
     run = RunDirectory(arguments.run)
     config = _as_it_is(run.read_config(), arguments.sim)

@@ -17,7 +17,7 @@ MARGIN, INNER, LINE = 16, 10, 24
 """Distance of text from the strip's sides, of the verdict's text from its frame, and of two lines [pixels]."""
 
 INSET_SCALE, FRAME = 2, 2
-"""What the policy sees is drawn so many times as large, in a frame so wide [pixels]."""
+"""The policy's picture is drawn so many times as large, in a frame so wide [pixels]."""
 
 FIGURES = 110
 """Width of the figures on the right, which the verdict leaves free [pixels]."""
@@ -73,10 +73,10 @@ def captioned(picture: np.ndarray, caption: Caption) -> Image.Image:
     return image
 
 
-def inset(picture: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """A picture `[height, width, 3]` with what the policy sees, `[SIZE, SIZE, 3]`, enlarged in its upper corner."""
-    image, side = Image.fromarray(picture), INSET_SCALE * len(seen)
-    small = Image.fromarray(seen).resize((side, side), Image.Resampling.NEAREST)
+def inset(picture: np.ndarray, observation: np.ndarray) -> np.ndarray:
+    """A picture `[height, width, 3]`, enlarged in its corner the one that the policy observes, `[SIZE, SIZE, 3]`."""
+    image, side = Image.fromarray(picture), INSET_SCALE * len(observation)
+    small = Image.fromarray(observation).resize((side, side), Image.Resampling.NEAREST)
     corner = (image.width - side - MARGIN, MARGIN)
     frame = Image.new("RGB", (side + 2 * FRAME, side + 2 * FRAME), INK)
     image.paste(frame, (corner[0] - FRAME, corner[1] - FRAME))

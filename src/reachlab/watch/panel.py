@@ -17,9 +17,9 @@ SLOWEST, FASTEST, SPEED_STEP = 0.1, 4.0, 0.1
 """The speed slider's range and step, in multiples of real time."""
 
 ENLARGED = 3
-"""What the policy sees is shown so many times as large."""
+"""The policy's picture is shown so many times as large."""
 
-NOTHING = np.zeros((1, 1, 3), np.uint8)
+NO_PICTURE = np.zeros((1, 1, 3), np.uint8)
 """Stands for the picture until there is one."""
 
 
@@ -37,14 +37,16 @@ class Panel:
     ) -> None:
         """Panel for the agents of `AGENTS`, the run's checkpoints, oldest first, and buttons of these names.
 
-        Where the policy sees a picture (`pictured`) there is a place for it.
+        Where the policy observes a picture (`pictured`) there is a place for it.
         """
         self._steps = {_label(steps): steps for steps in checkpoints}
         self.pressed: SimpleQueue[str] = SimpleQueue()
         gui.configure_theme(show_logo=False, show_share_button=False)
         self._text = gui.add_markdown("Compiling …")
         self._refusal = gui.add_markdown("", visible=False)
-        self._seen = gui.add_image(NOTHING, label="The policy sees", format="png", visible=False) if pictured else None
+        self._picture = (
+            gui.add_image(NO_PICTURE, label="Observation", format="png", visible=False) if pictured else None
+        )
         self._agent = gui.add_dropdown("Agent", tuple(AGENTS), initial_value=agent)
         self._checkpoint = gui.add_dropdown("Checkpoint", tuple(self._steps), initial_value=[*self._steps][-1])
         self._speed = gui.add_slider("Speed", SLOWEST, FASTEST, SPEED_STEP, 1.0, hint="Multiples of real time")
@@ -102,11 +104,11 @@ class Panel:
         """Show a text, in Markdown, above the controls."""
         self._text.content = text
 
-    def show_seen(self, picture: np.ndarray) -> None:
-        """Show what the policy sees `[height, width, 3]` uint8, where there is a place for it."""
-        if self._seen is not None:
-            self._seen.image = picture.repeat(ENLARGED, 0).repeat(ENLARGED, 1)
-            self._seen.visible = True
+    def show_observation(self, picture: np.ndarray) -> None:
+        """Show the picture that the policy observes, `[height, width, 3]` uint8, where there is a place for it."""
+        if self._picture is not None:
+            self._picture.image = picture.repeat(ENLARGED, 0).repeat(ENLARGED, 1)
+            self._picture.visible = True
 
     @property
     def refusal(self) -> str:

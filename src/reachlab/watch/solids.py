@@ -1,4 +1,7 @@
-"""Triangle meshes of a compiled MuJoCo model, for viewers that know nothing of MuJoCo."""
+"""Triangle meshes of a compiled MuJoCo model, for viewers that know nothing of MuJoCo.
+
+Importing trimesh, which could make the primitives, takes longer than all the rest of drawing the arm (0.2 s).
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,7 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 SEGMENTS = 32
 """Sides of a round shape; its profile has half as many."""
@@ -50,9 +54,7 @@ def _colour(model: mujoco.MjModel, geom: int) -> Colour:
 
 
 def _moved(mesh: Mesh, position: np.ndarray, quaternion: np.ndarray) -> Mesh:
-    rotation = np.empty(9)
-    mujoco.mju_quat2Mat(rotation, quaternion)
-    return mesh[0] @ rotation.reshape(3, 3).T + position, mesh[1]
+    return Rotation.from_quat(quaternion, scalar_first=True).apply(mesh[0]) + position, mesh[1]
 
 
 def _joined(meshes: list[Mesh]) -> Mesh:
@@ -61,37 +63,31 @@ def _joined(meshes: list[Mesh]) -> Mesh:
     return np.concatenate([vertices for vertices, _ in meshes]), np.concatenate(faces)
 
 
+def _split(quads: np.ndarray) -> np.ndarray:
+    """Two triangles of each quadrilateral `[f, 4]`."""
+    return np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+
+
 def _revolved(radii: np.ndarray, heights: np.ndarray) -> Mesh:
-    """Surface of a profile `[p]`, bottom to top, turned about z; a point said twice makes an edge."""
+    """Surface of a profile `[p]`, bottom to top, turned about z; a point that is given twice makes a sharp edge."""
     angles = np.linspace(0, 2 * np.pi, SEGMENTS, endpoint=False)
     x, y = radii[:, None] * np.cos(angles), radii[:, None] * np.sin(angles)
-    vertices = np.stack([x, y, np.broadcast_to(heights[:, None], x.shape)], axis=-1).reshape(-1, 3)
-    ring, side = np.meshgrid(np.arange(len(radii) - 1), np.arange(SEGMENTS), indexing="ij")
-    a, b = ring * SEGMENTS + side, ring * SEGMENTS + (side + 1) % SEGMENTS
-    quads = np.stack([a, b, b + SEGMENTS, a + SEGMENTS], axis=-1).reshape(-1, 4)
-    return vertices, np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    vertices = np.stack(np.broadcast_arrays(x, y, heights[:, None]), axis=-1).reshape(-1, 3)
+    rings = np.arange(len(vertices)).reshape(x.shape)
+    lower, upper = rings[:-1], rings[1:]
+    quads = np.stack([lower, np.roll(lower, -1, axis=1), np.roll(upper, -1, axis=1), upper], axis=-1)
+    return vertices, _split(quads.reshape(-1, 4))
+
+
+def _ball(radius: float, half: float = 0.0) -> Mesh:
+    """A ball, its halves moved apart by `half` each."""
+    angles = np.linspace(-np.pi / 2, np.pi / 2, SEGMENTS // 2 + 2)  # an even number: no point on the equator
+    return _revolved(radius * np.cos(angles), radius * np.sin(angles) + half * np.sign(angles))
 
 
 def _ellipsoid(model: mujoco.MjModel, geom: int) -> Mesh:
-    vertices, faces = _rounded(np.ones(1), 0.0)
+    vertices, faces = _ball(1.0)
     return vertices * model.geom_size[geom], faces
-
-
-def _sphere(model: mujoco.MjModel, geom: int) -> Mesh:
-    return _rounded(model.geom_size[geom][:1], 0.0)
-
-
-def _capsule(model: mujoco.MjModel, geom: int) -> Mesh:
-    return _rounded(model.geom_size[geom][:1], model.geom_size[geom][1])
-
-
-def _rounded(radius: np.ndarray, half: float) -> Mesh:
-    """A ball cut at its equator, its halves `half` above and below."""
-    angles = np.linspace(-np.pi / 2, 0, SEGMENTS // 4 + 1)
-    radii, heights = radius * np.cos(angles), radius * np.sin(angles) - half
-    if half:
-        return _revolved(np.append(radii, radii[::-1]), np.append(heights, -heights[::-1]))
-    return _revolved(np.append(radii, radii[-2::-1]), np.append(heights, -heights[-2::-1]))
 
 
 def _cylinder(model: mujoco.MjModel, geom: int) -> Mesh:
@@ -105,12 +101,11 @@ def _box(model: mujoco.MjModel, geom: int) -> Mesh:
     turns = [np.roll(square, shift, axis=1) for shift in range(3)]
     # Mirrored at the centre a side would face inwards; in reverse order it faces outwards again.
     corners = np.concatenate([*turns, *(-turn[::-1] for turn in turns)])
-    quads = np.arange(len(corners)).reshape(-1, 4)
-    return corners * model.geom_size[geom], np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    return corners * model.geom_size[geom], _split(np.arange(len(corners)).reshape(-1, 4))
 
 
 def _mesh(model: mujoco.MjModel, geom: int) -> Mesh:
-    """A mesh of the file; vertices are parted where its normals are, so that the edges stay sharp."""
+    """A mesh of the file; vertices are split where its normals are, so that the edges stay sharp."""
     mesh = model.geom_dataid[geom]
     rows = slice(model.mesh_faceadr[mesh], model.mesh_faceadr[mesh] + model.mesh_facenum[mesh])
     pairs = np.stack([model.mesh_face[rows].ravel(), model.mesh_facenormal[rows].ravel()], axis=-1)
@@ -119,8 +114,8 @@ def _mesh(model: mujoco.MjModel, geom: int) -> Mesh:
 
 
 SHAPES: dict[mujoco.mjtGeom, Callable[[mujoco.MjModel, int], Mesh]] = {
-    mujoco.mjtGeom.mjGEOM_SPHERE: _sphere,
-    mujoco.mjtGeom.mjGEOM_CAPSULE: _capsule,
+    mujoco.mjtGeom.mjGEOM_SPHERE: lambda model, geom: _ball(model.geom_size[geom, 0]),
+    mujoco.mjtGeom.mjGEOM_CAPSULE: lambda model, geom: _ball(*model.geom_size[geom, :2]),
     mujoco.mjtGeom.mjGEOM_ELLIPSOID: _ellipsoid,
     mujoco.mjtGeom.mjGEOM_CYLINDER: _cylinder,
     mujoco.mjtGeom.mjGEOM_BOX: _box,

@@ -2,35 +2,28 @@
 
 from __future__ import annotations
 
-import ipaddress
-import socket
-import sys
 from collections.abc import Sequence
-from types import ModuleType
 from typing import TYPE_CHECKING
-from unittest import mock
 
 import mujoco
 import numpy as np
-import rich
 from scipy.spatial.transform import Rotation
 
 from reachlab.render import view_randomisation as views
 from reachlab.render.marks import PATH, Colour, Marks
 from reachlab.render.scene import TABLE_CENTRE, TABLE_SIZE, scene_spec
 from reachlab.robots.robot import Robot
-from reachlab.settings.validation import InputError
 from reachlab.watch.player import Moment
 from reachlab.watch.solids import Solid, solids
 
 if TYPE_CHECKING:
     import viser
 
-LOCAL = "127.0.0.1"
-"""Address of this machine that no other reaches."""
+FRAME_RATE = 50.0
+"""Pictures in a second [1/s]; viser sends at most 60."""
 
-TITLE = "reachlab"
-"""Title of the panel and the page."""
+PAUSE = 0.8
+"""Time for which the end of an episode stays in view, and in a recording its begin [s]."""
 
 EDGES, EDGE_WIDTH = (150, 155, 166), 0.002
 """Colour of the workspace's edges, and their width [m]."""
@@ -51,16 +44,15 @@ HEADING_AT = (0.3, 0.0, 0.8)
 """Where a recording tells what it shows [m]."""
 
 GRID_CELL, GRID_FADE = 0.1, 6.0
-"""The ground's cells, and how far it is seen [m]."""
+"""The ground's cells, and where it has faded away [m]."""
 
 VIEW_FROM, VIEW_TO = (1.5, -1.1, 0.95), (0.3, -0.02, 0.26)
-"""Where the first camera stands, and where it looks [m]."""
+"""Where the first camera stands, and which point it faces [m]."""
 
 FIELD_OF_VIEW = 0.8
 """Vertical field of view of the first camera [rad]."""
 
-
-EYE_LENGTH, EYE_WIDTH, EYE = 0.07, 0.002, (90, 95, 106)
+CAMERA_LENGTH, CAMERA_WIDTH, CAMERA = 0.07, 0.002, (90, 95, 106)
 """The drawn camera: its length, the width of its edges [m], and their colour."""
 
 SKY, GROUND, SKY_INTENSITY = (255, 255, 255), (150, 155, 165), 2.2
@@ -72,10 +64,10 @@ class Stage:
 
     Attributes:
         workspace: the edges of the robot's workspace.
-        path: the tool's way in this episode, once it has moved.
+        path: the tool's path in this episode, once it has moved.
         label: the text below the target.
         balls: the target, and around it the ball in which the tool is near enough.
-        eye: the observation camera with what it sees, once there is a picture.
+        camera: the observation camera with its picture, once there is one.
     """
 
     def __init__(self, server: viser.ViserServer, robot: Robot, success_distance: float) -> None:
@@ -86,7 +78,7 @@ class Stage:
         self._joints = self._model.jnt_qposadr[list(robot.chain.joints)]
         self._drawn_path = np.empty(0)
         self.path: viser.LineSegmentsHandle | None = None
-        self.eye: viser.CameraFrustumHandle | None = None
+        self.camera: viser.CameraFrustumHandle | None = None
         self._set_view(server)
         self._frames = [self._scene.add_frame(self._name(body), show_axes=False) for body in range(self._model.nbody)]
         parts = [(solid.body, self._add(number, solid)) for number, solid in enumerate(solids(self._model))]
@@ -108,8 +100,8 @@ class Stage:
             "/handle", scale=HANDLE_SIZE, active_axes=(x, y, z), disable_rotations=True, depth_test=False
         )
 
-    def show(self, moment: Moment, *, axes: bool = False, seen: np.ndarray | None = None) -> None:
-        """Show a moment, and in front of the camera what the policy has `seen`, `[height, width, 3]` uint8."""
+    def show(self, moment: Moment, *, axes: bool = False, observation: np.ndarray | None = None) -> None:
+        """Show a moment, and in front of the observation camera its picture, `[height, width, 3]` uint8."""
         self._place(moment.q, moment.target)
         self._target.visible, self.label.visible, self._axes.visible = True, True, axes
         self.label.position = moment.target + np.array(LABEL_BELOW)
@@ -117,8 +109,8 @@ class Stage:
         for ball in self.balls:
             ball.color = _bytes(Marks(reached=moment.reached).colour)
         self._show_path(moment.path)
-        if seen is not None:
-            self._show_seen(seen)
+        if observation is not None:
+            self._show_observation(observation)
 
     def head(self, text: str) -> None:
         """Write a text above the scene."""
@@ -165,17 +157,17 @@ class Stage:
         for frame, position, quaternion in zip(self._frames, self._data.xpos, self._data.xquat, strict=True):
             frame.position, frame.wxyz = position, quaternion
 
-    def _show_seen(self, picture: np.ndarray) -> None:
-        if self.eye is None:
+    def _show_observation(self, picture: np.ndarray) -> None:
+        if self.camera is None:
             position, rotation = views.tutorial_pose()
             down_and_ahead = rotation * (1, -1, -1)
-            self.eye = self._scene.add_camera_frustum(
-                "/eye",
+            self.camera = self._scene.add_camera_frustum(
+                "/camera",
                 fov=np.radians(views.FIELD_OF_VIEW),
                 aspect=1.0,
-                scale=EYE_LENGTH,
-                thickness=EYE_WIDTH,
-                color=EYE,
+                scale=CAMERA_LENGTH,
+                thickness=CAMERA_WIDTH,
+                color=CAMERA,
                 image=picture,
                 format="png",
                 position=position,
@@ -183,7 +175,7 @@ class Stage:
                 cast_shadow=False,
             )
         else:
-            self.eye.image = picture
+            self.camera.image = picture
 
     def _show_path(self, path: np.ndarray) -> None:
         if path is self._drawn_path:
@@ -197,45 +189,11 @@ class Stage:
             self.path.points = points
 
 
-def start_server(host: str, port: int) -> viser.ViserServer:
-    """Viser's server, without its banner and without its way to share a scene through a server of its makers.
-
-    Raises:
-        InputError: viser is not installed, or the address is not this machine's.
-    """
-    try:
-        import viser
-    except ImportError:
-        raise InputError("viewing needs viser: pip install 'reachlab[viewer]'.") from None
-    try:
-        # Viser tries a thousand ports and waits forever on an address that has none.
-        socket.create_server((host, 0)).close()
-    except OSError as error:
-        why = str(error.strerror).partition(" (")[0]
-        raise InputError(f"host {host!r} is no address of this machine ({why}): leave it out.") from None
-    # Its threads talk on standard output, and say goodbye there long after it has stopped.
-    silent = ModuleType("rich")
-    vars(silent).update(vars(rich), print=_say_nothing)
-    with mock.patch.dict(sys.modules, rich=silent):
-        server = viser.ViserServer(host=host, port=port, label=TITLE, verbose=False)
-    # Any page open in the browser could ask for it: a websocket does not heed where a page is from.
-    server.request_share_url = _share_nothing
-    return server
+def in_millimetres(distance: float) -> str:
+    """A distance [m] as the label and the panel show it."""
+    return f"{1000 * distance:.1f} mm"
 
 
 def _bytes(colour: Colour) -> tuple[int, int, int]:
     red, green, blue = (round(255 * part) for part in colour)
     return red, green, blue
-
-
-def is_local(host: str) -> bool:
-    """Whether no other machine reaches an address."""
-    return ipaddress.ip_address(socket.gethostbyname(host)).is_loopback
-
-
-def _share_nothing(verbose: bool = True) -> None:
-    del verbose
-
-
-def _say_nothing(*words: object) -> None:
-    del words

@@ -26,6 +26,7 @@ BEGIN_PAUSE, END_PAUSE = 0.8, 2.0
 
 LONGEST_PICTURE = 60.0
 """Time for which a picture may stand [s]; the formats hold no more than some hours."""
+
 SPEEDS, LONG_ENOUGH = (1.0, 0.5, 0.25, 0.1), 2.0
 """Speeds of which a film takes the fastest at which its longest episode moves for so long [s], or the slowest."""
 
@@ -70,7 +71,7 @@ def write_video(
     """Film the first episodes of a seed's evaluation, one after the other; the clip says what was written.
 
     Args:
-        env: the environment, of one lane.
+        env: the environment (`num_envs` 1).
         agent: name in `evaluation.AGENTS`.
         policy: the trained policy, for agent `trained`.
         out: file to write; its ending is one of `ENCODERS`.
@@ -127,9 +128,9 @@ def _slow_enough(player: Player, agent: str, policy: Policy | None, period: floa
 
 
 def _picture(env: Env, player: Player) -> np.ndarray:
-    """Picture of the arm now, and in a corner what the policy sees if that is a picture too."""
-    picture, seen = env.render(player.state, path=player.moment.path), player.see()
-    return picture if seen is None else inset(picture, seen)
+    """Picture of the arm now, and in a corner the one that the policy observes, if it observes one."""
+    picture, observation = env.render(player.state, path=player.moment.path), player.see()
+    return picture if observation is None else inset(picture, observation)
 
 
 def _caption(env: Env, agent: str, player: Player, title: str, speed: float) -> Caption:

@@ -1,10 +1,9 @@
-"""The viewer: an agent at work in the browser, live or recorded in one page."""
+"""The viewer: an agent at work in the browser, with a target that a person moves."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
@@ -15,20 +14,15 @@ from reachlab.agents.policy import Policy
 from reachlab.envs.core import Env
 from reachlab.settings.validation import InputError, choose
 from reachlab.watch.panel import Panel
-from reachlab.watch.player import TRAINED, Player, played, target_box
-from reachlab.watch.stage import LOCAL, TITLE, Stage, start_server
+from reachlab.watch.player import TRAINED, Player, target_box
+from reachlab.watch.server import start_server
+from reachlab.watch.stage import FRAME_RATE, PAUSE, Stage, in_millimetres
 
 if TYPE_CHECKING:
     import viser
 
-FRAME_RATE = 50.0
-"""Pictures in a second [1/s]; viser sends at most 60."""
-
 TEXT_RATE = 5.0
 """Updates of the panel's figures in a second [1/s]."""
-
-PAUSE = 0.8
-"""Time for which the end of an episode stays in view, and in a recording its begin [s]."""
 
 MOST_BEHIND = 0.5
 """Time that is made up for where steps take longer than they should [s]; the rest is dropped."""
@@ -56,7 +50,7 @@ class Viewer:
         """Viewer that shows the arm at home, before anything is compiled.
 
         Args:
-            env: environment of one lane.
+            env: one environment (`num_envs` 1).
             checkpoints: steps of the run's checkpoints, oldest first.
             load: policy of one of them.
             agent: the first one to play, of `AGENTS`.
@@ -123,12 +117,12 @@ class Viewer:
         if self.player.over:
             self._rest -= elapsed
             if self._rest <= 0:
-                self._go_on()
+                self._begin_next()
         else:
             self._play(self._due(elapsed))
 
     def toggle_pause(self) -> None:
-        """Stop or go on."""
+        """Pause or continue."""
         self.paused = not self.paused
         self._tell()
 
@@ -136,7 +130,7 @@ class Viewer:
         """Take one control step and pause."""
         self.paused = True
         if self.player.over:
-            self._go_on()
+            self._begin_next()
         self._play(1)
         self._tell()
 
@@ -145,7 +139,7 @@ class Viewer:
         self.player.begin(self.player.number + 1)
         self._begun()
 
-    def _go_on(self) -> None:
+    def _begin_next(self) -> None:
         """Begin a new episode, or after a failure to follow a new try from home."""
         self.player.go_on()
         self._begun()
@@ -175,7 +169,7 @@ class Viewer:
             self._show()
 
     def _policy(self) -> Policy:
-        """Policy of the chosen checkpoint; the last one goes on where that one cannot be read, and the panel says why.
+        """Policy of the chosen checkpoint; where it cannot be read the last one stays, and the panel says why.
 
         Raises:
             InputError: it cannot be read, and there is no last one.
@@ -210,11 +204,11 @@ class Viewer:
         self._hand = np.array(self.handle.position)
 
     def _show(self) -> None:
-        seen = self.player.see()
+        observation = self.player.see()
         with self._server.atomic():
-            self.stage.show(self.player.moment, axes=self.panel.axes, seen=seen)
-            if seen is not None:
-                self.panel.show_seen(seen)
+            self.stage.show(self.player.moment, axes=self.panel.axes, observation=observation)
+            if observation is not None:
+                self.panel.show_observation(observation)
             if (
                 self._pace.due(self.player.steps)
                 or self.player.over
@@ -226,7 +220,7 @@ class Viewer:
         """Write the figures of one moment into the panel and below the target, both at once."""
         player, moment = self.player, self.player.moment
         rate = "paused" if self.paused else f"{self._pace.rate:.0f} steps/s"
-        distance, self._told_reached = _in_millimetres(moment.distance), moment.reached
+        distance, self._told_reached = in_millimetres(moment.distance), moment.reached
         after = (
             ", **reached**" if moment.reached else f": **{player.failed}**, begins again at home" * bool(player.failed)
         )
@@ -236,10 +230,6 @@ class Viewer:
                 f"**{distance}** to the target{after}\n\n"
                 f"{player.successes} of {player.episodes} episodes reached · {rate}"
             )
-
-
-def _in_millimetres(distance: float) -> str:
-    return f"{1000 * distance:.1f} mm"
 
 
 COMMANDS: dict[str, Callable[[Viewer], None]] = {
@@ -266,37 +256,3 @@ class Pace:
         self.rate = (steps - self._steps) / elapsed
         self._since, self._steps = time.perf_counter(), steps
         return True
-
-
-def save_page(env: Env, agent: str, policy: Policy | None, seed: int, episodes: int, out: Path) -> None:
-    """Write episodes of an agent as one page that needs no server and no network.
-
-    Raises:
-        InputError: viser is not installed, there is no such agent, or the file cannot be written.
-    """
-    choose("agent", agent, AGENTS)
-    if not out.parent.is_dir():
-        raise InputError(f"page '{out}' cannot be written: there is no folder '{out.parent}'.")
-    steps = max(1, round(1 / FRAME_RATE / env.config.physics.control_period))
-    title = f"{TITLE} · {env.config.task} task · {agent}"
-    server = start_server(LOCAL, 0)
-    try:
-        stage, player = Stage(server, env.setup.robot, env.config.rules.success_distance), Player(env, seed)
-        recording = server.get_scene_serializer()
-        for number in range(episodes):
-            player.begin(number)
-            for _ in played(player, agent, policy, steps):
-                with server.atomic():
-                    stage.show(player.moment, seen=player.see())
-                    stage.label.text = _in_millimetres(player.moment.distance)
-                    stage.head(f"{title} · episode {number + 1} of {episodes}")
-                # The page shows texts and colours a little later than poses: an episode's begin stands too.
-                stands = player.over or player.clock == 0
-                recording.insert_sleep(PAUSE if stands else steps * env.config.physics.control_period)
-        page = recording.as_html()
-    finally:
-        server.stop()
-    try:
-        out.write_text(page.replace("<title>Viser</title>", f"<title>{title}</title>", 1), encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"page '{out}' cannot be written: {error.strerror}.") from None

@@ -1,7 +1,11 @@
-"""The viewer as a headless Chromium meets it: its first picture, its updates, and whether it keeps real time."""
+"""The viewer in a headless Chromium: its first picture, its updates, and whether it keeps real time.
+
+`make bench-viewer` prints the table.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import signal
 import socket
 import statistics
@@ -12,24 +16,23 @@ import time
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-import numpy as np
+from playwright.sync_api import Page
 
+from browser.driver import chromium, executable, open_scene, opened, traffic
+from browser.follow import follow
 from reachlab.bench.table import Row, row
+from reachlab.cli.console import print_table
 from reachlab.envs.core import Env
-from reachlab.learn.ppo_method import initial_state
+from reachlab.jax_setup import use_compilation_cache
 from reachlab.learn.saved import load_policy
 from reachlab.learn.train import train
 from reachlab.runs.directory import RunDirectory
 from reachlab.settings.config import RunConfig
-from reachlab.settings.validation import InputError
+from reachlab.settings.presets import configure
 from reachlab.tasks import TASKS
-from reachlab.watch.stage import LOCAL
+from reachlab.watch.server import LOCAL
 from reachlab.watch.viewer import Viewer
-
-if TYPE_CHECKING:
-    from reachlab.bench.chromium import Page
 
 STARTS = 5
 """Starts that are timed, after one that fills the compilation cache; the median counts."""
@@ -41,11 +44,10 @@ SETTLING = 2.0
 """Time before that, in which the browser comes to rest [s]."""
 
 SIZE = (1280, 720)
-"""The browser's window [pixels]."""
+"""The page [pixels]."""
 
 COUNT_PICTURES = "pictures = 0; (function next() { pictures += 1; requestAnimationFrame(next) })()"
 """Script that counts how often the page is drawn."""
-
 
 DRAGS, FOLLOWED = 20, 300.0
 """Drags of which each is held until the arm rests, and the time in which more are let go [s]."""
@@ -55,49 +57,37 @@ def viewer() -> Iterator[Row]:
     """Time to the first picture, updates in a second, and the policy's time against the clock's.
 
     And how the presets' default runs, which are trained here, follow a target that is dragged.
-
-    Raises:
-        InputError: viser or Chromium is not there.
     """
-    try:
-        from reachlab.bench.chromium import browser, executable
-    except ImportError:
-        raise InputError("suite 'viewer' needs viser: pip install 'reachlab[viewer]'.") from None
-    if executable() is None:
-        raise InputError("suite 'viewer' needs Chromium: apt install chromium.")
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
-        for task, config in TASKS.items():
-            run = _untrained(config, Path(folder) / task)
-            with browser(Path(folder) / f"browser-{task}", *SIZE) as page:
-                yield from _starts(page, run, task)
-                yield from _live(page, run, config)
-                yield from _followed(page, config, Path(folder) / f"trained-{task}")
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder, chromium() as browser:
+        for task in TASKS:
+            config = configure(task)
+            run = RunDirectory(Path(folder) / task)
+            train(config, run.path)
+            for measure in (_starts, _live, _followed):
+                with opened(browser, *SIZE) as page:
+                    yield from measure(page, run, config)
 
 
-def _followed(page: Page, config: RunConfig, path: Path) -> Iterator[Row]:
-    """Figures of a trained policy whose target is dragged."""
-    from reachlab.bench.follow import follow
-
-    train(config, path)
-    run, env = RunDirectory(path), Env(config, 1)
+@contextlib.contextmanager
+def _shown(run: RunDirectory, config: RunConfig) -> Iterator[Viewer]:
+    """A run's trained policy in a viewer that is prepared."""
+    env = Env(config, 1)
     load = partial(load_policy, run, env)
     with Viewer(env, run.checkpoint_steps(), load, "trained", LOCAL, free_port()) as shown:
         shown.prepare(seed=1)
+        yield shown
+    env.close()
+
+
+def _followed(page: Page, run: RunDirectory, config: RunConfig) -> Iterator[Row]:
+    """Figures of a policy whose target is dragged."""
+    with _shown(run, config) as shown:
         yield from follow(shown, page, config.task, DRAGS, FOLLOWED)
-        page.open("about:blank")
-    env.close()
 
 
-def _untrained(config: RunConfig, path: Path) -> RunDirectory:
-    """A run whose policy has learnt nothing, which takes as long to compute as any other."""
-    env, run = Env(config, config.loop.num_envs), RunDirectory(path)
-    run.create(config)
-    run.write_checkpoint(0, env.compile_whole(partial(initial_state, env, config))(np.uint32(config.seed)))
-    env.close()
-    return run
-
-
-def _starts(page: Page, run: RunDirectory, task: str) -> Iterator[Row]:
+def _starts(page: Page, run: RunDirectory, config: RunConfig) -> Iterator[Row]:
+    """Times of `reachlab view` until the browser can open it, and until it has drawn the arm."""
+    task = config.task
     served, seen = zip(*[_start(page, run) for _ in range(STARTS + 1)][1:], strict=True)
     yield row(f"viewer_served/{task}", statistics.median(served), "s", starts=STARTS, worst=max(served))
     yield row(f"viewer_first_picture/{task}", statistics.median(seen), "s", starts=STARTS, worst=max(seen), window=SIZE)
@@ -105,47 +95,37 @@ def _starts(page: Page, run: RunDirectory, task: str) -> Iterator[Row]:
 
 def _start(page: Page, run: RunDirectory) -> tuple[float, float]:
     """Times from the process's start until it tells its address and until the page shows the arm [s]."""
-    from reachlab.bench.chromium import drawn, wait_until
-
     words = [sys.executable, "-m", "reachlab", "view", str(run.path), "--port", str(free_port())]
     started = time.perf_counter()
-    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:  # noqa: S603 (our own program)
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
         try:
             said = process.stdout.readline() if process.stdout else ""
             served = time.perf_counter() - started
             if not said.startswith("Viewer: "):
-                raise InputError(f"the viewer does not start: {said.strip()}")
-            page.open(said.split()[1])
-            wait_until(lambda: drawn(page.picture()), "a picture")
+                raise RuntimeError(f"the viewer does not start: {said.strip()}")
+            open_scene(page, said.split()[1])
             return served, time.perf_counter() - started
         finally:
-            page.open("about:blank")
+            page.goto("about:blank")
             process.send_signal(signal.SIGINT)
             process.communicate()
 
 
 def _live(page: Page, run: RunDirectory, config: RunConfig) -> Iterator[Row]:
-    """Figures of a policy that plays, following one target, while the page is open."""
-    from reachlab.bench.chromium import drawn, wait_until
-
-    env = Env(config, 1)
-    load = partial(load_policy, run, env)
-    with Viewer(env, run.checkpoint_steps(), load, "trained", LOCAL, free_port()) as shown:
-        shown.prepare(seed=1)
+    """Figures of a policy that moves the arm from one target to the next, while the page is open."""
+    messages = traffic(page).messages
+    with _shown(run, config) as shown:
         shown.panel.endless = True
-        page.open(shown.url)
-        wait_until(lambda: drawn(page.picture()), "a picture")
+        open_scene(page, shown.url)
         page.evaluate(COUNT_PICTURES)
-        shown.run(_after(SETTLING))
+        shown.run(_after(SETTLING, shown))
         pictures, steps = page.evaluate("pictures"), shown.player.steps
-        page.arrivals.clear()
+        messages.clear()
         started, used = time.perf_counter(), time.process_time()
-        shown.run(_after(SECONDS))
+        shown.run(_after(SECONDS, shown))
         elapsed, used = time.perf_counter() - started, time.process_time() - used
         steps, pictures = shown.player.steps - steps, page.evaluate("pictures") - pictures
-        page.open("about:blank")
-    env.close()
-    yield row(f"viewer_updates_per_second/{config.task}", len(page.arrivals) / elapsed, "1/s", seconds=SECONDS)
+    yield row(f"viewer_updates_per_second/{config.task}", len(messages) / elapsed, "1/s", seconds=SECONDS)
     yield row(f"viewer_pictures_per_second/{config.task}", pictures / elapsed, "1/s", window=SIZE, drawn_by="software")
     speed = steps * config.physics.control_period / elapsed
     yield row(f"viewer_policy_time/{config.task}", speed, "of real time", steps=steps, seconds=SECONDS)
@@ -158,7 +138,21 @@ def free_port() -> int:
         return int(listening.getsockname()[1])
 
 
-def _after(seconds: float) -> Callable[[], bool]:
-    """Whether so much time has passed since now [s]."""
+def _after(seconds: float, shown: Viewer) -> Callable[[], bool]:
+    """Whether so much time has passed since now [s]; until then there is a new target as soon as one is reached."""
     end = time.perf_counter() + seconds
-    return lambda: time.perf_counter() >= end
+
+    def ended() -> bool:
+        if shown.player.moment.reached:
+            shown.reset()
+        return time.perf_counter() >= end
+
+    return ended
+
+
+if __name__ == "__main__":
+    if executable() is None:
+        sys.exit("make bench-viewer needs Chromium: apt install chromium.")
+    use_compilation_cache()
+    cells = [(row["name"], f"{row['value']:.4g}", row["unit"], str(row["config"])) for row in viewer()]
+    print_table("viewer", ("measurement", "value", "unit", "configuration"), cells)
