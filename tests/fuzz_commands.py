@@ -35,6 +35,7 @@ os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 from reachlab.agents import AGENTS
 from reachlab.cli import main as cli
 from reachlab.cli.verbs import VERBS
+from reachlab.robots.catalogue import ROBOTS
 from reachlab.settings.consistency import RANDOMISED
 from reachlab.settings.plain import flatten, to_json
 from reachlab.settings.presets import preset
@@ -194,13 +195,12 @@ def _needs(now: Callable[[str], Any]) -> dict[str, bool]:
     mujoco, pybullet, stops = now("sim") == "mujoco", now("sim") == "pybullet", now("stop-early") not in (False, "no")
     table, precise = now("targets") == "table", now("reward") == "precise"
     return {
-        **dict.fromkeys(("collisions", "gravity-compensation", "physics-steps", "perturb"), mujoco),
+        **dict.fromkeys(("collisions", "gravity-compensation", "physics-steps"), mujoco),
         **dict.fromkeys(("gui", "slow"), pybullet),
         **dict.fromkeys(("closeness-weight", "closeness-scale", "effort-weight"), precise),
         **dict.fromkeys(("target-low", "target-high"), not table),
         **dict.fromkeys(("stop-success", "stop-streak", "validation-interval"), stops),
         "target-height": table,
-        "randomise-view": str(now("observation")).startswith("image"),
         "joint-scale": now("action") != "tool_delta",
         "tool-scale": now("action") == "tool_delta",
         "approach-weight": now("reward") in ("dense", "precise"),
@@ -245,6 +245,8 @@ def senseless(words: Sequence[str]) -> str | None:
             return False
         if isinstance(before, bool):
             return (given != ["no"]) != before
+        if before is None:
+            return True
         numbers = [float(x) for x in given]
         return numbers != [float(x) for x in (before if isinstance(before, tuple | list) else [before])]
 
@@ -252,10 +254,12 @@ def senseless(words: Sequence[str]) -> str | None:
     for name, effective in only.items():
         if changed(name) and not effective:
             return f"--{name} has no effect"
+    if "view" in said.get("randomise", []) and not str(now("observation")).startswith("image"):
+        return "a view of nothing varies"
     if float(now("hold-steps")) > float(now("max-steps")):
         return "a hold longer than the episode"
-    given = {name: said.get(name.replace("_", "-")) or usual[name] for name in ("target_low", "target_high")}
-    low, high = ([float(x) for x in corner] for corner in given.values())
+    own = dict(zip(("target_low", "target_high"), ROBOTS["iiwa14"].goal_box or (), strict=True))
+    low, high = ([float(x) for x in said.get(name.replace("_", "-")) or corner] for name, corner in own.items())
     return _misplaced(now, low, high)
 
 

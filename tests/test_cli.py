@@ -159,7 +159,7 @@ def test_list_shows_a_person_every_name(reachlab: Shell) -> None:
 def test_list_tells_what_a_task_asks_for(reachlab: Shell) -> None:
     tasks = json.loads(reachlab("list", "--json").out)["tasks"]
     assert tasks["tutorial"].startswith("touch a point on the table: the tool comes within 100 mm of it")
-    assert tasks["precise"].startswith("hold a point in the box from")
+    assert tasks["precise"].startswith("hold a point in the arm's box: the tool has been within 10 mm for 10 steps")
     assert "within 10 mm for 10 steps (0.2 s)" in tasks["precise"]
 
 
@@ -219,7 +219,7 @@ WRONG = {
         "10.*4 minibatches",
     ),
     "existing out": ("train --out taken", "'taken' exists and is not overwritten"),
-    "eval without a run": ("eval", "Run directory"),
+    "eval without a run": ("eval", "agent 'trained' needs a run: name its directory, or choose --agent among random"),
     "eval of no run": ("eval nothing", "'nothing' does not exist: train one with"),
     "eval of an empty folder": ("eval taken", "config.json' is missing"),
     "eval of an unknown agent": ("eval taken --agent tained", "Did you mean 'trained'"),

@@ -72,7 +72,7 @@ def test_a_training_explains_what_its_lines_speak_of() -> None:
     assert "at most 20,000,000 steps, until 3 validations in a row reach 100 % success" in tutorial
     assert "Training episodes explore with noise;" in tutorial
     assert f": {configure('precise').loop.total_steps:,} steps." in precise
-    assert "noise and on perturbed arms" in precise
+    assert "noise and vary in dynamics" in precise
 
 
 @pytest.mark.parametrize(("distance", "said"), [(0.05, "within 50 mm"), (0.0125, "within 12.5 mm")])

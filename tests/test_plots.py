@@ -272,7 +272,7 @@ def evaluate(
     x, y = (axis.ravel() for axis in np.meshgrid(np.linspace(0.3, 0.7, SIDE), np.linspace(-0.3, 0.3, SIDE)))
     failed = x > 0.69
     rows = {
-        "target": np.stack([x, y, np.linspace(0, 0.4, SIDE**2) if spread else np.full_like(x, -0.01)], axis=-1),
+        "goal": np.stack([x, y, np.linspace(0, 0.4, SIDE**2) if spread else np.full_like(x, -0.01)], axis=-1),
         "distance": np.where(failed, 0.25, 0.05),
         "success": ~failed,
         **changed,
@@ -291,16 +291,16 @@ def titles(figure: Figure) -> list[str]:
     return [axes.get_title("left") for axes in figure.axes]
 
 
-def test_perturbed_arms_and_random_views_are_evaluations_of_their_own(evaluated: Path) -> None:
-    rows = {"target": np.zeros((1, 3)), "distance": np.zeros(1), "success": np.ones(1, bool)}
-    for name in ("perturb", "perturb_view"):
-        report = {"sim": "kinematic", "agent": "trained", name: True}
+def test_what_varied_makes_an_evaluation_of_its_own(evaluated: Path) -> None:
+    rows = {"goal": np.zeros((1, 3)), "distance": np.zeros(1), "success": np.ones(1, bool)}
+    for name in ("dynamics", "view"):
+        report = {"sim": "kinematic", "agent": "trained", "randomised": [name]}
         RunDirectory(evaluated).write_report(f"kinematic-trained-1-{name}", report, rows)
     found = read_evaluations(group_runs([evaluated])[0])
-    assert {(evaluation.label, len(evaluation.target)) for evaluation in found} == {
+    assert {(evaluation.label, len(evaluation.goal)) for evaluation in found} == {
         ("trained, kinematic", 400),
-        ("trained (perturbed), kinematic", 1),
-        ("trained (random views), kinematic", 1),
+        ("trained (dynamics randomised), kinematic", 1),
+        ("trained (view randomised), kinematic", 1),
     }
 
 
@@ -355,7 +355,7 @@ def test_evaluations_of_a_groups_seeds_are_pooled_and_the_trained_agent_comes_fi
             evaluate(run, agent)
     found = read_evaluations(group_runs(runs)[0])
     assert [evaluation.agent for evaluation in found] == ["trained", "ik"]
-    assert found[0].target.shape == (2 * SIDE**2, 3)
+    assert found[0].goal.shape == (2 * SIDE**2, 3)
     assert found[0].error.max() == pytest.approx(250)
 
 
@@ -427,8 +427,8 @@ def test_the_legend_speaks_of_validations_only_where_there_are_some(tmp_path: Pa
 @pytest.mark.parametrize("episodes", [1, 2])
 def test_an_evaluation_of_few_episodes_can_be_drawn(tmp_path: Path, episodes: int) -> None:
     run = make_run(tmp_path / "few", [row(1)], configure())
-    target = np.array([[0.4, 0.1, 0.0], [0.5, 0.2, 0.0]])[:episodes]
-    evaluate(run, target=target, distance=np.full(episodes, 0.0), success=np.ones(episodes, bool))
+    goal = np.array([[0.4, 0.1, 0.0], [0.5, 0.2, 0.0]])[:episodes]
+    evaluate(run, goal=goal, distance=np.full(episodes, 0.0), success=np.ones(episodes, bool))
     plot([run], tmp_path / "few.png")
     assert (tmp_path / "few.png").stat().st_size > 1000
 

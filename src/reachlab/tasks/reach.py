@@ -134,8 +134,8 @@ def _check(setup: TaskSetup) -> None:
 
 def _asks(rules: TaskConfig, period: float) -> str:
     steps = f"{rules.max_steps:,} steps ({rules.max_steps * period:.2g} s)"
-    box = f"from {rules.target_low} to {rules.target_high} m" if rules.target_low or rules.target_high else "of the arm"
-    where = f"in the box {box}" if rules.targets == "box" else f"on the {rules.targets}"
+    box = f"the box from {rules.target_low} to {rules.target_high} m" if rules.target_low else "the arm's box"
+    where = f"in {box}" if rules.targets == "box" else f"on the {rules.targets}"
     if not rules.hold_steps:
         near = f"{1000 * rules.success_distance:g} mm"
         return f"touch a point {where}: the tool comes within {near} of it, in at most {steps}"

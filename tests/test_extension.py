@@ -1,0 +1,97 @@
+"""An entry of each table is added by one line; everything works on it, and nothing else is touched."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import extension
+import reachlab
+from conformance import CHECKS, Subject
+from reachlab.agents import AGENTS
+from reachlab.cli import main as cli
+from reachlab.robots.catalogue import ROBOTS
+from reachlab.sims import SIMULATORS
+from reachlab.tasks import TASKS
+from reachlab.tasks.actions import ACTIONS
+from reachlab.tasks.observations import OBSERVATIONS
+from reachlab.tasks.rewards import REWARDS
+
+USUAL = {
+    "task": "tutorial",
+    "robot": "iiwa14",
+    "sim": "kinematic",
+    "observation": "target+tool",
+    "action": "joint_delta",
+    "reward": "dense",
+}
+
+ADDED = {
+    "task": "hover",
+    "robot": "three_link",
+    "sim": "sluggish",
+    "observation": "height",
+    "action": "joint_step",
+    "reward": "squared",
+}
+
+TINY = {"num_envs": 8, "rollout_steps": 8, "total_steps": 64, "hidden": (8,), "report_episodes": 4, "max_steps": 20}
+
+
+@pytest.fixture(autouse=True)
+def added(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setitem(TASKS, "hover", extension.TASK)
+    monkeypatch.setitem(ROBOTS, "three_link", extension.robot(tmp_path))
+    monkeypatch.setitem(SIMULATORS, "sluggish", extension.SIMULATOR)
+    monkeypatch.setitem(OBSERVATIONS, "height", extension.OBSERVATION)
+    monkeypatch.setitem(ACTIONS, "joint_step", extension.ACTION)
+    monkeypatch.setitem(REWARDS, "squared", extension.reward)
+    monkeypatch.setitem(AGENTS, "nudge", extension.AGENT)
+
+
+@pytest.mark.parametrize("names", [{}, *({kind: name} for kind, name in ADDED.items()), ADDED], ids=str)
+def test_what_is_added_conforms(names: dict[str, str]) -> None:
+    subject = Subject(**{**USUAL, **names})
+    for check in CHECKS:
+        check(subject)
+    subject.env.close()
+
+
+@pytest.mark.parametrize("sim", ["kinematic", "mujoco", "sluggish"])
+def test_what_is_added_is_trained_on_evaluated_and_loaded(tmp_path: Path, sim: str) -> None:
+    config = reachlab.configure("hover", **{**ADDED, "sim": sim}, **TINY, stop_early=False)
+    result = reachlab.train(config, tmp_path / "run")
+    loaded = reachlab.load(tmp_path / "run")
+    assert result.report.task == loaded.config.task == "hover"
+    again = reachlab.evaluate(loaded.env, "trained", loaded.policy, seed=0, episodes=4)
+    assert again.final_error_mm == result.report.final_error_mm
+    assert reachlab.evaluate(loaded.env, "nudge", seed=0, episodes=4).agent == "nudge"
+    loaded.env.close()
+
+
+def test_what_is_added_is_listed_and_evaluated_by_the_command_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["list", "--json"]) == cli.DONE
+    listed = json.loads(capsys.readouterr().out)
+    assert {"hover", "three_link", "sluggish", "height", "joint_step", "squared", "nudge"} <= {
+        name for names in listed.values() for name in names
+    }
+    words = "eval --task hover --robot three_link --sim sluggish --agent nudge --episodes 5 --json"
+    assert cli.main(words.split()) == cli.DONE
+    report = json.loads(capsys.readouterr().out)
+    assert (report["task"], report["robot"], report["agent"]) == ("hover", "three_link", "nudge")
+
+
+def test_a_figure_of_a_robot_says_where_it_is_from() -> None:
+    ours, added = reachlab.load_robot("iiwa14"), reachlab.load_robot("three_link")
+    assert (ours.sources["home"], ours.sources["speed"], ours.sources["torque"]) == ("model file",) * 3
+    assert ours.sources["workspace"] == ours.sources["goal_box"] == ours.sources["held_quaternion"] == "catalogue"
+    assert (added.sources["home"], added.sources["speed"], added.sources["torque"]) == (
+        "catalogue",
+        "default",
+        "default",
+    )
+    assert (added.sources["goal_box"], added.goal_box) == ("derived", added.workspace)
+    assert np.isinf(added.torque).all()
