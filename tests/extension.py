@@ -58,9 +58,7 @@ def _above(setup: TaskSetup) -> tuple[np.ndarray, np.ndarray]:
 
 def _sample_goal(setup: TaskSetup, key: Array) -> Goal:
     low, high = _above(setup)
-    return Goal(
-        jnp.where(low < high, jax.random.uniform(key, (3,), minval=low, maxval=jnp.maximum(high, low + 1)), low)
-    )
+    return Goal(low + jax.random.uniform(key, (3,)) * (high - low))
 
 
 def _asks(rules: TaskConfig, period: float) -> str:

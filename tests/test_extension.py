@@ -62,7 +62,7 @@ def test_what_is_added_conforms(names: dict[str, str]) -> None:
 
 @pytest.mark.parametrize("sim", ["kinematic", "mujoco", "sluggish"])
 def test_what_is_added_is_trained_on_evaluated_and_loaded(tmp_path: Path, sim: str) -> None:
-    config = reachlab.configure("hover", **{**ADDED, "sim": sim}, **TINY, stop_early=False)
+    config = reachlab.configure(**{**ADDED, "sim": sim}, **TINY, stop_early=False)
     result = reachlab.train(config, tmp_path / "run")
     loaded = reachlab.load(tmp_path / "run")
     assert result.report.task == loaded.config.task == "hover"
