@@ -78,7 +78,7 @@ def test_a_training_explains_what_its_lines_speak_of() -> None:
 @pytest.mark.parametrize(("distance", "said"), [(0.05, "within 50 mm"), (0.0125, "within 12.5 mm")])
 def test_what_a_task_asks_for_follows_from_its_settings(distance: float, said: str) -> None:
     assert said in asked(configure(success_distance=distance))
-    assert re.match("touch a point in the box", asked(configure(targets="box")))
+    assert re.match("touch a point in the arm's box", asked(configure(targets="box")))
 
 
 def test_the_end_of_an_evaluation_is_told_once(capsys: pytest.CaptureFixture[str]) -> None:

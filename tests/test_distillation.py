@@ -74,7 +74,7 @@ def test_a_distillation_stopped_ends_with_the_weights_of_one_never_stopped(
     teacher: Path, whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out, config = tmp_path / "parts", lessons(teacher, randomise_view=True)
-    with pytest.raises(Interrupted, match=r"`reachlab distil --resume .*parts` goes on from there"):
+    with pytest.raises(Interrupted, match=r"`reachlab distil --resume .*parts` continues from there"):
         distil(config, out, at(5, ask(signal.SIGINT)))
     different = (
         ["--seed", "9"],

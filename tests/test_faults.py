@@ -181,7 +181,7 @@ def test_a_failed_save_is_told_and_tried_again(tmp_path: Path, caplog: pytest.Lo
 
 def test_a_training_that_cannot_save_its_end_fails_and_resumes_later(tmp_path: Path) -> None:
     out, disk = tmp_path / "run", contextlib.ExitStack()
-    with disk, pytest.raises(InputError, match=r"the last checkpoint cannot be written .*No space.* go on with"):
+    with disk, pytest.raises(InputError, match=r"the last checkpoint cannot be written .*No space.* resume with"):
         train(configure(**TINY), out, after(5, lambda: disk.enter_context(no_space(0))))
     assert steps_saved(out)[-1] == 4 * EACH
     assert train(configure(**TINY), out, resume=True).steps == 6 * EACH
@@ -270,7 +270,7 @@ def test_a_reward_that_is_not_finite_stops_training_with_the_last_good_state_sav
         assert cli.main(["train", "--out", str(out), *words]) == cli.NOT_FINITE
     said = str(capsys.readouterr().err).splitlines()[-1]
     assert "training stopped after step 128: a number is not finite in: reward, gradient" in said
-    assert f"`reachlab train --resume {out}` goes on from there" in said
+    assert f"`reachlab train --resume {out}` continues from there" in said
     assert steps_saved(out) == [128]
     saved = safetensors.numpy.load((out / "checkpoints/step_000000000128/state.safetensors").read_bytes())
     assert all(np.isfinite(array).all() for array in saved.values() if array.dtype.kind == "f")

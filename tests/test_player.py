@@ -43,7 +43,7 @@ def test_an_episode_is_played_to_its_success(player: Player) -> None:
 def test_a_new_episode_has_a_new_target_and_begins_at_home(player: Player) -> None:
     before = player.moment
     play(player)
-    player.go_on()
+    player.proceed()
     assert not np.allclose(before.target, player.moment.target)
     np.testing.assert_allclose(player.moment.q, before.q)
     assert (player.over, player.moment.reached) == (False, False)
@@ -97,7 +97,7 @@ def test_an_arm_that_leaves_its_workspace_begins_again_at_home_with_the_same_tar
     assert (player.over, player.failed, player.moment.reached) == (True, LEFT, False)
     player.move_target(FAR)
     assert player.over, "it does not go on from outside"
-    player.go_on()
+    player.proceed()
     assert (player.over, player.failed) == (False, "")
     np.testing.assert_allclose(player.moment.q, home)
     np.testing.assert_allclose(player.moment.target, FAR, atol=1e-6)
@@ -113,7 +113,7 @@ def test_an_arm_that_never_arrives_begins_again_once_the_time_of_an_episode_is_o
         for _ in range(1000):
             player.step("zero", None)
         assert (player.over, player.failed) == (True, LATE)
-        player.go_on()
+        player.proceed()
     assert not np.allclose(player.moment.target, FAR, atol=1e-3), "one that nobody holds is tried from home once"
 
 
@@ -124,7 +124,7 @@ def test_the_episodes_are_those_of_the_evaluation() -> None:
         np.testing.assert_allclose(player.moment.target, evaluated.goal[number], atol=1e-6)
         play(player)
         assert player.clock == evaluated.steps[number]
-        player.go_on()
+        player.proceed()
 
 
 def test_no_episode_ends_while_the_target_is_held() -> None:
@@ -153,7 +153,7 @@ def test_an_episode_whose_target_was_moved_does_not_count() -> None:
     play(player)
     assert player.over
     assert (player.episodes, player.successes) == (0, 0)
-    player.go_on()
+    player.proceed()
     play(player)
     assert (player.episodes, player.successes) == (1, 1)
 

@@ -168,10 +168,10 @@ def test_what_the_policy_observes_is_in_the_panel_and_before_its_camera(page: Pa
     config = configure(observation="image", num_envs=8, hidden=(8,))
     with view(config, untrained(config, tmp_path / "run"), "trained") as viewer:
         open_scene(page, viewer.url)
-        first = viewer.player.see()
+        first = viewer.player.observed_picture()
         for _ in range(30):
             viewer.step()
-        seen = viewer.player.see()
+        seen = viewer.player.observed_picture()
         assert first is not None
         assert seen is not None
         assert not np.array_equal(first, seen)
@@ -183,7 +183,7 @@ def test_what_the_policy_observes_is_in_the_panel_and_before_its_camera(page: Pa
 
 def test_a_policy_that_sees_no_picture_has_no_place_for_one(viewer: Viewer) -> None:
     viewer.step()
-    assert viewer.player.see() is None
+    assert viewer.player.observed_picture() is None
     assert viewer.stage.camera is None
 
 

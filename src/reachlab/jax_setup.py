@@ -15,7 +15,7 @@ from jax.stages import Wrapped
 from reachlab.settings.validation import InputError
 
 CPU_OPTIONS = {
-    # Without this XLA's CPU compiler drops optimisation barriers before it fuses (see `lanes.once`).
+    # Without this XLA's CPU compiler drops optimisation barriers before it fuses (see `scalars.once`).
     "xla_disable_hlo_passes": "cse_barrier_expander",
     # The kernels are simple loops: higher levels take a fifth longer to compile and run no faster.
     "xla_backend_optimization_level": 1,
@@ -45,7 +45,7 @@ def dispatch_inline() -> None:
     """Run programs on the thread that calls them; without effect once JAX has started.
 
     Most programs here are short: handing one to a thread that has to wake up first takes longer than the program
-    (one lane of PyBullet: 175 µs a step, and 100 without). `JAX_CPU_ENABLE_ASYNC_DISPATCH` overrides it.
+    (one environment in PyBullet: 175 µs a step, and 100 without). `JAX_CPU_ENABLE_ASYNC_DISPATCH` overrides it.
     """
     if "JAX_CPU_ENABLE_ASYNC_DISPATCH" not in os.environ:
         jax.config.update("jax_cpu_enable_async_dispatch", False)

@@ -27,7 +27,7 @@ from reachlab.robots.robot import PybulletModel, Robot
 from reachlab.settings.presets import configure, in_simulator
 from reachlab.sims import make_simulator
 from reachlab.sims.mujoco import physics_model
-from reachlab.sims.pybullet import GRAVITY, GROUND, TABLE, import_pybullet
+from reachlab.sims.pybullet_world import GRAVITY, GROUND, TABLE, import_pybullet
 from reachlab.tasks.task import Goal
 
 TRANSFER_SEEDS, TRANSFER_EPISODES = range(3), 1000

@@ -33,7 +33,7 @@ VALIDATE_FROM = 0.9
 """Success rate of training episodes from which validations are worth their time, or `stop_success` if it is lower."""
 
 ENOUGH_EPISODES = 20
-"""Training episodes from which on their success rate says something: a single one may succeed by chance."""
+"""Training episodes from which on their success rate says something: a single one may succeed by luck."""
 
 SAVING_SHARE = 0.02
 """Checkpoints take at most this share of the time, on average."""
@@ -56,7 +56,7 @@ class Progress:
 
 
 class Loop:
-    """Iterations until the steps are used up or a validation holds.
+    """Iterations until the steps are used up or enough validations in a row reach `stop_success`.
 
     Attributes:
         now: where training stands.
@@ -84,7 +84,7 @@ class Loop:
 
     @property
     def validated(self) -> bool:
-        """Whether enough validations in a row have held."""
+        """Whether enough validations in a row have reached `stop_success`."""
         return self.now.streak >= self.config.loop.stop_streak
 
     @property
@@ -185,25 +185,25 @@ class Loop:
         return settings.stop_early and count % settings.validation_interval == 0 and near
 
     def _validate(self, state: Any, metrics: Metrics) -> float:
-        """Success rate of the validation so far; it ends as soon as it can no longer hold."""
+        """Success rate of the validation so far; it ends as soon as it can no longer reach `stop_success`."""
         settings, at_once = self.config.loop, self.runner.num_envs
-        failures, seen = 0, 0
-        while seen < settings.validation_episodes and self._can_hold(failures):
-            count = min(at_once, settings.validation_episodes - seen)
+        failures, played = 0, 0
+        while played < settings.validation_episodes and self._can_reach(failures):
+            count = min(at_once, settings.validation_episodes - played)
             try:
                 result = run_episodes(
-                    self.runner, state.learner.policy, self.config.seed, VALIDATION_STREAM, count, first=seen
+                    self.runner, state.learner.policy, self.config.seed, VALIDATION_STREAM, count, first=played
                 )
             except FloatingPointError as error:
                 self._stop(state, metrics, f"in a validation {error}", None)
-            seen, failures = seen + count, failures + int((~result.success).sum())
-        success = 1 - failures / seen
-        streak = self.now.streak + 1 if self._can_hold(failures) else 0
+            played, failures = played + count, failures + int((~result.success).sum())
+        success = 1 - failures / played
+        streak = self.now.streak + 1 if self._can_reach(failures) else 0
         self.now = replace(self.now, streak=streak, success=success, validated=True)
         return success
 
-    def _can_hold(self, failures: int) -> bool:
-        """Whether a validation holds if it has no more than these failures."""
+    def _can_reach(self, failures: int) -> bool:
+        """Whether a validation reaches `stop_success` if it has no more than these failures."""
         settings = self.config.loop
         # As one quotient: 0.9 of 1000 is 900 then, where (1 - 0.9) * 1000 is less than 100.
         return (settings.validation_episodes - failures) / settings.validation_episodes >= settings.stop_success
@@ -223,7 +223,7 @@ class Loop:
             self._save_after = max(interval, (self._clock - begun) / SAVING_SHARE)
 
     def _try_to_save(self, state: Any, metrics: Metrics) -> bool:
-        """Whether the state is saved; if it cannot be, training goes on and tries again after the next interval."""
+        """Whether the state is saved; if it cannot be, training continues and tries again after the next interval."""
         try:
             self._save(state, metrics)
         except (OSError, InputError) as error:
@@ -239,7 +239,7 @@ class Loop:
 
     def _leave(self, state: Any, metrics: Metrics, signal: int) -> NoReturn:
         self._try_to_save(state, metrics)
-        raise Interrupted(signal, f"interrupted at step {self.now.steps:,}; {self._how_to_go_on()}")
+        raise Interrupted(signal, f"interrupted at step {self.now.steps:,}; {self._how_to_resume()}")
 
     def _stop(self, state: Any, metrics: Metrics, why: str, rollout: object) -> NoReturn:
         """End training at numbers that are not finite: the state is the one before them."""
@@ -251,19 +251,19 @@ class Loop:
                 kept = f" The rollout is in '{self.run.offending_file}'."
             except (OSError, InputError) as error:
                 kept = f" The rollout cannot be written ({_reason(error)})."
-        raise NotFiniteError(f"training stopped after step {self.now.steps:,}: {why}.{kept} {self._how_to_go_on()}")
+        raise NotFiniteError(f"training stopped after step {self.now.steps:,}: {why}.{kept} {self._how_to_resume()}")
 
-    def _how_to_go_on(self) -> str:
+    def _how_to_resume(self) -> str:
         if self.saved is None:
             return "nothing is saved."
         command = f"reachlab {self.config.verb} --resume {self.run.path}"
-        return f"step {self.saved.steps:,} is saved: `{command}` goes on from there."
+        return f"step {self.saved.steps:,} is saved: `{command}` continues from there."
 
 
 def unwritable(what: str, run: RunDirectory, error: Exception, verb: str = "train") -> InputError:
     """An error that says what of a run could not be written, and what to do."""
     return InputError(
-        f"the {what} cannot be written to '{run.path}' ({_reason(error)}): make room there, and go on with"
+        f"the {what} cannot be written to '{run.path}' ({_reason(error)}): make room there, and resume with"
         f" `reachlab {verb} --resume {run.path}`."
     )
 

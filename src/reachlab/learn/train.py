@@ -37,7 +37,7 @@ class TrainResult:
         train_wall_s: time of the loop, compilation and validations included [s].
         total_wall_s: time of everything, the report included [s].
         steps_per_second: of collecting and updating, without the first iteration and validations.
-        validated: whether a validation held; None if none was asked for.
+        validated: whether enough validations in a row reached `stop_success`; None if none was asked for.
     """
 
     report: Report

@@ -134,7 +134,7 @@ def gl_context(width: int, height: int) -> Any:
             from mujoco.glfw import GLContext
         context = GLContext(width, height)
         context.make_current()
-        # A context that is none is noticed by what draws in it.
+        # A context that does not work is noticed only by drawing in it.
         mujoco.MjrContext(mujoco.MjSpec().compile(), mujoco.mjtFontScale.mjFONTSCALE_50).free()
     except Exception as error:
         hint = "on Debian or Ubuntu, apt install libegl1 libopengl0 libgl1-mesa-dri"

@@ -1,4 +1,4 @@
-"""How the observation camera sees the scene: the tutorial's way, or light, colours and pose drawn at random."""
+"""Views of the observation camera: the tutorial's, or light, colours and pose at random."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Small vectors, rotations and linear solves written on scalars that are each one array of lanes.
+"""Small vectors, rotations and linear solves written on scalars that are each one array over the batch.
 
 XLA's CPU backend is slow on stacks of 3 x 3 matrices with the batch in front, and fast on long
 one-dimensional arrays. So a vector here is three arrays `[B]`, a rotation three such vectors, and a

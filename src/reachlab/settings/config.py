@@ -56,7 +56,7 @@ class TaskConfig(Checked):
     approach_weight: NonNegative = 5.0
     """Reward of the `dense` reward for each metre that the tool comes closer [1/m]."""
     targets: str = "table"
-    """Where targets are drawn: `table`, or `box`."""
+    """Where targets are sampled: on the `table`, or in a `box`."""
     target_height: Annotated[float, Range(-10.0, 10.0)] = -0.0083
     """Height of the targets on the table [m]; the tutorial's object settles there."""
     target_low: Point | None = None

@@ -42,7 +42,7 @@ def _record(env: Env, agent: str, policy: Policy | None, seed: int, episodes: in
             player.begin(number)
             for _ in played(player, agent, policy, steps):
                 with server.atomic():
-                    stage.show(player.moment, observation=player.see())
+                    stage.show(player.moment, observation=player.observed_picture())
                     stage.label.text = in_millimetres(player.moment.distance)
                     stage.head(f"{title} · episode {number + 1} of {episodes}")
                 # The page shows texts and colours a little later than poses: an episode's begin stands too.

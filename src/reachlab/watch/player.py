@@ -64,7 +64,7 @@ class Player:
         state: of the environment, now.
         number: of the episode, from 0.
         clock: control steps since the episode began or the target was moved.
-        over: the episode has ended; `go_on` begins what comes next.
+        over: the episode has ended; `proceed` begins what comes next.
         success: the last step was one, by the task's rules.
         failed: `LEFT` or `LATE`, where the arm does not follow a target that was moved; else empty.
         steps: control steps taken.
@@ -142,7 +142,7 @@ class Player:
         late = self.clock >= rules.max_steps and self.moment.distance >= rules.success_distance
         return LATE if late else ""
 
-    def go_on(self) -> None:
+    def proceed(self) -> None:
         """Begin the next episode; after a failure to follow, begin anew from home with the target as it is.
 
         A target that nobody holds any more is tried from home only once.
@@ -155,10 +155,10 @@ class Player:
         self.move_target(np.asarray(target[0]))
         self._at_home = True
 
-    def see(self) -> np.ndarray | None:
-        """What the policy sees now, `[SIZE, SIZE, 3]` uint8, if that is a picture."""
-        seen = self._env.render_observation(self.state)
-        return None if seen is None else np.stack([seen[0]] * 3, axis=-1)
+    def observed_picture(self) -> np.ndarray | None:
+        """What the policy observes now, `[SIZE, SIZE, 3]` uint8, if that is a picture."""
+        picture = self._env.render_observation(self.state)
+        return None if picture is None else np.stack([picture[0]] * 3, axis=-1)
 
     def follow(self, following: bool) -> None:
         """Follow the target, or play episodes to their end."""

@@ -129,7 +129,7 @@ def _slow_enough(player: Player, agent: str, policy: Policy | None, period: floa
 
 def _picture(env: Env, player: Player) -> np.ndarray:
     """Picture of the arm now, and in a corner the one that the policy observes, if it observes one."""
-    picture, observation = env.render(player.state, path=player.moment.path), player.see()
+    picture, observation = env.render(player.state, path=player.moment.path), player.observed_picture()
     return picture if observation is None else inset(picture, observation)
 
 

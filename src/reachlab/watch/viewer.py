@@ -141,7 +141,7 @@ class Viewer:
 
     def _begin_next(self) -> None:
         """Begin a new episode, or after a failure to follow a new try from home."""
-        self.player.go_on()
+        self.player.proceed()
         self._begun()
 
     def _begun(self) -> None:
@@ -204,7 +204,7 @@ class Viewer:
         self._hand = np.array(self.handle.position)
 
     def _show(self) -> None:
-        observation = self.player.see()
+        observation = self.player.observed_picture()
         with self._server.atomic():
             self.stage.show(self.player.moment, axes=self.panel.axes, observation=observation)
             if observation is not None:

@@ -1,0 +1,186 @@
+"""One client of PyBullet with the tutorial's scene: plane, table, arm and the object that falls."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import platform
+import sys
+from collections.abc import Iterator
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from reachlab.render.view_randomisation import FAR, FIELD_OF_VIEW, NEAR, Views, greys
+from reachlab.robots.robot import PybulletModel, Robot
+from reachlab.settings.validation import InputError
+from reachlab.tasks.observations import SIZE
+
+GRAVITY = -10.0
+"""The tutorial's gravity [m/s²]."""
+
+GROUND, TABLE = (0.0, 0.0, -0.65), (0.5, 0.0, -0.65)
+"""Where the tutorial puts plane and table [m]."""
+
+DROP = 0.0183
+"""Height above the target from which the object is let go [m]: at z = 0.01, to settle at z = -0.0083."""
+
+SETTLED_SPEED, SETTLED_SPIN, SETTLED_STEPS = 0.01, 0.1, 10
+"""An object slower than this [m/s, rad/s] for so many steps has settled; contact with it is most of a step's time."""
+
+CAMERA = {"cameraDistance": 1.5, "cameraYaw": 0.0, "cameraPitch": -40.0, "cameraTargetPosition": (0.55, -0.35, 0.2)}
+"""The tutorial's viewer camera."""
+
+WIDTH, HEIGHT = 640, 480
+"""Size of the viewer camera's pictures [pixels]; its lens is the observation camera's."""
+
+LAMP_DISTANCE = 2.0
+"""How far the lamp is from the scene [m]."""
+
+
+class World:
+    """One client with the tutorial's scene."""
+
+    def __init__(self, bullet: ModuleType, robot: Robot, urdf: PybulletModel, period: float, *, gui: bool) -> None:
+        import pybullet_data
+
+        self._bullet, self._urdf = bullet, urdf
+        self._joints = list(range(robot.chain.n))
+        self._still = 0
+        self.client = _connect(bullet, gui=gui)
+        here: dict[str, Any] = {"physicsClientId": self.client}
+        bullet.setAdditionalSearchPath(pybullet_data.getDataPath(), **here)
+        bullet.setGravity(0, 0, GRAVITY, **here)
+        bullet.setTimeStep(period, **here)
+        bullet.loadURDF("plane.urdf", basePosition=GROUND, **here)
+        bullet.loadURDF("table/table.urdf", basePosition=TABLE, **here)
+        self._arm = bullet.loadURDF(urdf.file, useFixedBase=True, **here)
+        self._object = bullet.loadURDF("random_urdfs/000/000.urdf", **here)
+        # Nothing but set joints moves the arm: awake, its default motors would only cost time and blur them by 1e-6.
+        self._sleep(self._arm)
+        if gui:
+            bullet.configureDebugVisualizer(bullet.COV_ENABLE_GUI, 0, **here)
+            bullet.resetDebugVisualizerCamera(**CAMERA, **here)
+            for start, end in robot.workspace_edges():
+                bullet.addUserDebugLine(start, end, (1, 1, 1), **here)
+
+    def _sleep(self, body: int) -> None:
+        """Take a body out of the dynamics until it is woken."""
+        state = self._bullet.ACTIVATION_STATE_ENABLE_SLEEPING | self._bullet.ACTIVATION_STATE_SLEEP
+        self._bullet.changeDynamics(body, -1, activationState=state, physicsClientId=self.client)
+
+    def drop(self, target: np.ndarray) -> None:
+        """Let the object go above the target, at rest."""
+        wake = self._bullet.ACTIVATION_STATE_WAKE_UP
+        self._bullet.changeDynamics(self._object, -1, activationState=wake, physicsClientId=self.client)
+        self._still = 0
+        position = target + np.array([0.0, 0.0, DROP])
+        self._bullet.resetBasePositionAndOrientation(self._object, position, (0, 0, 0, 1), physicsClientId=self.client)
+        self._bullet.resetBaseVelocity(self._object, (0, 0, 0), (0, 0, 0), physicsClientId=self.client)
+
+    def step(self) -> None:
+        """Move on by a control period; an object that has settled stays where it lies from then on."""
+        self._bullet.stepSimulation(physicsClientId=self.client)
+        if self._still < SETTLED_STEPS:
+            linear, angular = self._bullet.getBaseVelocity(self._object, physicsClientId=self.client)
+            slow = max(map(abs, linear)) < SETTLED_SPEED and max(map(abs, angular)) < SETTLED_SPIN
+            self._still = self._still + 1 if slow else 0
+            if self._still == SETTLED_STEPS:
+                self._sleep(self._object)
+
+    def set_joints(self, q: np.ndarray) -> None:
+        """Set the joints, at rest."""
+        self._bullet.resetJointStatesMultiDof(
+            self._arm, self._joints, [[value] for value in q.tolist()], physicsClientId=self.client
+        )
+
+    def link(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Position `[3]` m and quaternion `[4]` xyzw of the link that holds the tools, by PyBullet's kinematics."""
+        state = self._bullet.getLinkState(
+            self._arm, self._urdf.link, computeForwardKinematics=True, physicsClientId=self.client
+        )
+        # [4] and [5] are the link's frame; [0] is its centre of mass, 2 cm away.
+        return state[4], state[5]
+
+    def picture(self) -> np.ndarray:
+        """Picture of the tutorial's viewer camera, `[HEIGHT, WIDTH, 3]` uint8."""
+        bullet = self._bullet
+        view = bullet.computeViewMatrixFromYawPitchRoll(
+            CAMERA["cameraTargetPosition"],
+            CAMERA["cameraDistance"],
+            CAMERA["cameraYaw"],
+            CAMERA["cameraPitch"],
+            roll=0,
+            upAxisIndex=2,
+        )
+        projection = bullet.computeProjectionMatrixFOV(FIELD_OF_VIEW, WIDTH / HEIGHT, NEAR, FAR)
+        pixels = bullet.getCameraImage(
+            WIDTH, HEIGHT, view, projection, renderer=bullet.ER_TINY_RENDERER, physicsClientId=self.client
+        )[2]
+        return np.array(pixels, np.uint8).reshape(HEIGHT, WIDTH, 4)[..., :3].copy()
+
+    def observation(self, view: Views) -> np.ndarray:
+        """Picture of the observation camera in a view, `[SIZE, SIZE]` uint8."""
+        bullet = self._bullet
+        up, back = view.rotation[:, 1], view.rotation[:, 2]
+        looks_at = view.position - back
+        pixels = bullet.getCameraImage(
+            SIZE,
+            SIZE,
+            bullet.computeViewMatrix(view.position.tolist(), looks_at.tolist(), up.tolist()),
+            bullet.computeProjectionMatrixFOV(FIELD_OF_VIEW, 1.0, NEAR, FAR),
+            lightDirection=(-view.lamp_direction).tolist(),
+            lightDistance=LAMP_DISTANCE,
+            lightAmbientCoeff=float(view.ambient),
+            lightDiffuseCoeff=float(view.lamp),
+            lightSpecularCoeff=0.0,
+            shadow=0,
+            renderer=bullet.ER_TINY_RENDERER,
+            flags=bullet.ER_NO_SEGMENTATION_MASK,
+            physicsClientId=self.client,
+        )[2]
+        return greys(np.asarray(pixels, np.uint8).reshape(SIZE, SIZE, 4)[..., :3])
+
+    def close(self) -> None:
+        """Disconnect."""
+        if self._bullet.isConnected(physicsClientId=self.client):
+            self._bullet.disconnect(physicsClientId=self.client)
+
+
+def _connect(bullet: ModuleType, *, gui: bool) -> int:
+    if gui and platform.system() == "Linux" and not os.environ.get("DISPLAY"):
+        raise InputError("--gui needs a display, and there is none here: run without it, or on a desktop.")
+    client = bullet.connect(bullet.GUI if gui else bullet.DIRECT)
+    if client < 0:
+        raise InputError("PyBullet gave no connection: its window could not be opened, or too many clients are open.")
+    return client
+
+
+def import_pybullet() -> ModuleType:
+    """The module; it prints its build time on standard output when imported, which is kept from there."""
+    try:
+        with _quiet_stdout():
+            import pybullet
+    except ImportError:
+        raise InputError(
+            "simulator 'pybullet' needs PyBullet: pip install 'reachlab[pybullet]' (its wheels end at Python 3.11,"
+            f" this is {platform.python_version()}; with a newer one use a 3.11 environment)."
+        ) from None
+    return pybullet
+
+
+@contextlib.contextmanager
+def _quiet_stdout() -> Iterator[None]:
+    sys.stdout.flush()
+    kept = os.dup(1)
+    null = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(null, 1)
+        yield
+    finally:
+        ctypes.CDLL(None).fflush(None)  # what C has printed so far waits in its own buffer
+        os.dup2(kept, 1)
+        os.close(kept)
+        os.close(null)
