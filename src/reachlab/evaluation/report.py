@@ -96,8 +96,8 @@ def evaluate(
     agent: str,
     policy: Policy | None = None,
     *,
-    seed: int,
-    episodes: int,
+    seed: int = 1,
+    episodes: int = 1000,
     runner: Runner | None = None,
     checkpoint: dict[str, Any] | None = None,
 ) -> Report:

@@ -56,7 +56,7 @@ class TrainResult:
 
 def train(
     config: RunConfig,
-    out: Path,
+    out: str | Path,
     watch: Callable[[Progress], None] = lambda _: None,
     *,
     resume: bool = False,
@@ -84,7 +84,7 @@ def train(
     check(config, config if inherited else None)
     if tensorboard:
         event_writer()
-    run = RunDirectory(out)
+    run = RunDirectory(Path(out))
     if resume:
         _check_unfinished(run, config)
     else:
@@ -99,7 +99,7 @@ def train(
         env.check_rendering()
         if not resume:
             run.create(config)
-        with locked(out):
+        with locked(run.path):
             loop = Loop(config, env, run, watch, start, method, given)
             return _train(loop, resume=resume, tensorboard=tensorboard)
     finally:
@@ -108,7 +108,7 @@ def train(
 
 def distil(
     config: DistilRunConfig,
-    out: Path,
+    out: str | Path,
     watch: Callable[[Progress], None] = lambda _: None,
     *,
     resume: bool = False,

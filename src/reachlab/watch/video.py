@@ -61,11 +61,11 @@ def write_video(
     env: Env,
     agent: str,
     policy: Policy | None,
-    out: Path,
+    out: str | Path,
     *,
-    seed: int,
-    episodes: int,
-    fps: float,
+    seed: int = 1,
+    episodes: int = 4,
+    fps: float = 30.0,
     speed: float = 0.0,
 ) -> Clip:
     """Film the first episodes of a seed's evaluation, one after the other; the clip says what was written.
@@ -83,6 +83,7 @@ def write_video(
     Raises:
         InputError: an ending that is none of them, a file that cannot be written, or no OpenGL to draw with.
     """
+    out = Path(out)
     encode = ENCODERS[choose("video format", out.suffix.lower(), ENCODERS)]
     if not out.parent.is_dir():
         raise InputError(f"the video cannot be written to '{out}': there is no folder '{out.parent}'.")
