@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from jax import Array
+from scipy.spatial.transform import Rotation
 
 from reachlab.envs.settle import check, make_setup
 from reachlab.robots.kinematics import forward_kinematics
@@ -186,7 +187,7 @@ def test_targets_lie_in_the_workspace_at_the_settled_height(targets: np.ndarray)
 
 def test_targets_are_uniform(targets: np.ndarray) -> None:
     unit = (targets[:, :2] - (0.2, -0.3)) / (0.5, 0.6)
-    # Five standard errors of each moment of 10,000 uniform draws.
+    # Five standard errors of each moment of 10,000 uniform samples.
     assert unit.mean(0) == pytest.approx(0.5, abs=5 / np.sqrt(12 * 10_000))
     assert unit.var(0) == pytest.approx(1 / 12, abs=5 * np.sqrt(1 / 180 / 10_000))
     assert np.asarray(np.corrcoef(unit.T))[0, 1] == pytest.approx(0, abs=0.05)
@@ -210,6 +211,20 @@ def test_an_episode_starts_at_the_tutorials_joints(setup: TaskSetup) -> None:
     assert np.asarray(position) == pytest.approx((0.5321, -0.0011, 0.4963), abs=1e-4)
 
 
+@pytest.mark.parametrize("angle", [0.0, 1e-4, 0.05, 1.0, 3.0, np.pi])
+def test_a_goals_angle_is_that_of_the_turn_to_it_whatever_the_quaternions_signs(angle: float) -> None:
+    axis, down = np.array([2.0, -1.0, 0.5]) / np.sqrt(5.25), Rotation.from_quat(DOWN, scalar_first=True)
+    turned = (Rotation.from_rotvec(angle * axis) * down).as_quat(scalar_first=True)
+    goal = Goal(jnp.zeros((2, 3)), jnp.array([DOWN, DOWN]))
+    found = goal.angle(jnp.array([turned, -turned]))
+    assert found is not None
+    assert np.asarray(found) == pytest.approx(angle, abs=2e-6 if angle < 2 else 1e-3)
+
+
+def test_a_goal_without_orientation_has_no_angle() -> None:
+    assert Goal(jnp.zeros((1, 3))).angle(jnp.array([DOWN])) is None
+
+
 # --- observations ---------------------------------------------------------------------------------
 
 
@@ -217,6 +232,22 @@ def test_observations_hold_what_their_names_say(setup: TaskSetup) -> None:
     now = situation(tool=(4.0, 5.0, 6.0), goal=(1.0, 2.0, 3.0))
     assert observe(changed(setup, observation="target"), now).tolist() == [[1, 2, 3]]
     assert observe(changed(setup, observation="target+tool"), now).tolist() == [[1, 2, 3, 4, 5, 6]]
+
+
+@pytest.mark.parametrize("name", OBSERVATIONS)
+def test_a_schema_describes_the_observation_and_takes_it_apart_again(setup: TaskSetup, name: str) -> None:
+    schema = OBSERVATIONS[name].schema(setup)
+    values: dict[str, Any] = {field.name: np.full((2, *field.shape), i) for i, field in enumerate(schema.fields)}
+    picture, vector = schema.split(schema.join(values))
+    assert (picture is None) == (not schema.pictures)
+    assert (vector is None) == (not schema.vectors)
+    if vector is not None:
+        assert vector.shape == (2, schema.vector_size)
+        assert np.array_equal(vector, np.concatenate([values[field.name] for field in schema.vectors], axis=1))
+    if picture is not None:
+        assert np.array_equal(picture, values[schema.pictures[0].name])
+    assert schema == OBSERVATIONS[name].schema(setup)
+    assert hash(schema) == hash(OBSERVATIONS[name].schema(setup))
 
 
 def test_the_observed_box_of_the_target_is_the_workspace_from_just_below_the_table(setup: TaskSetup) -> None:
