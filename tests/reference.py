@@ -1,4 +1,4 @@
-"""Kinematics in float64 NumPy, on plain 4 x 4 matrices: what the compiled lanes are checked against.
+"""Kinematics in float64 NumPy, on plain 4 x 4 matrices: what the compiled ones are checked against.
 
 Written from MuJoCo's documentation of joints and shares no code with `reachlab.robots.kinematics`, only the
 named bounds of its inverse-kinematics step. Joint vectors are `[B, n]`, quaternions w, x, y, z.

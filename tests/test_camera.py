@@ -1,53 +1,58 @@
-"""What the observation camera sees, and who pays for it."""
+"""What the observation camera shows, and which pictures are drawn."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import gymnasium
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from gymnasium.spaces import Box, Dict
 
 from reachlab.agents.policy import Policy
 from reachlab.envs.core import Env
+from reachlab.envs.functions import EnvState, Transition
 from reachlab.envs.streams import env_keys
-from reachlab.evaluation import report as evaluation
+from reachlab.evaluation import episodes
+from reachlab.evaluation.episodes import Episodes
 from reachlab.evaluation.report import evaluate
 from reachlab.learn.learner import make_initial_policy
 from reachlab.learn.rollout import host_collector
 from reachlab.learn.train import train
-from reachlab.render import observation_camera as camera
+from reachlab.render import observation_camera
 from reachlab.render.observation_camera import ObservationCamera
 from reachlab.render.view_randomisation import FIELD_OF_VIEW, SAMPLES, SHIFT, TURN, Views, make_views
 from reachlab.robots.loading import load_robot
-from reachlab.settings.config import PICTURED, PPOConfig
+from reachlab.settings.config import LoopConfig
 from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError
 from reachlab.sims import SIMULATORS, make_simulator
 from reachlab.tasks.observations import OBSERVATIONS, SIZE
+from reachlab.tasks.task import Goal
 
 ROBOT = load_robot("iiwa14", "link_7")
 HOME = np.array(ROBOT.home)
 TARGETS = np.array([[0.3, 0.2, -0.0083], [0.6, -0.2, -0.0083], [0.5, 0.05, -0.0083], [0.65, 0.25, -0.0083]])
 
 
-def nominal(lanes: int) -> Views:
-    return make_views(np.zeros((lanes, SAMPLES)))
+def nominal(num_envs: int) -> Views:
+    return make_views(np.zeros((num_envs, SAMPLES)))
 
 
-def at_home(lanes: int) -> np.ndarray:
-    return np.tile(HOME, (lanes, 1))
+def at_home(num_envs: int) -> np.ndarray:
+    return np.tile(HOME, (num_envs, 1))
 
 
 @pytest.fixture(scope="module")
-def eye() -> Iterator[ObservationCamera]:
-    eye = ObservationCamera(ROBOT, threads=2)
-    yield eye
-    eye.close()
+def camera() -> Iterator[ObservationCamera]:
+    camera = ObservationCamera(ROBOT, threads=2)
+    yield camera
+    camera.close()
 
 
 def pixel(point: np.ndarray, views: Views) -> np.ndarray:
@@ -58,7 +63,9 @@ def pixel(point: np.ndarray, views: Views) -> np.ndarray:
 
 
 def test_pictures_have_defaults_of_their_own() -> None:
-    assert {name for name, design in OBSERVATIONS.items() if design.pictured} == set(PICTURED)
+    pictured = {name for name, design in OBSERVATIONS.items() if design.pictured}
+    usual = configure().loop.action_repeat
+    assert {name for name in OBSERVATIONS if configure(observation=name).loop.action_repeat != usual} == pictured
 
 
 # --- where it stands ------------------------------------------------------------------------------
@@ -82,18 +89,18 @@ def test_random_views_stay_within_2_cm_and_2_degrees_on_each_axis() -> None:
     assert (views.target < views.table).all()
 
 
-# --- what it sees ---------------------------------------------------------------------------------
+# --- what it shows --------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("sim", SIMULATORS)
-def test_the_target_is_seen_where_it_is(sim: str) -> None:
+def test_the_target_is_shown_where_it_is(sim: str) -> None:
     try:
         simulator = make_simulator(sim, ROBOT, configure(sim=sim).physics, len(TARGETS))
     except InputError as error:
         pytest.skip(str(error))
-    q, views = at_home(len(TARGETS)), nominal(len(TARGETS))
-    simulator.reset(None, q, TARGETS, None)
-    pictures = simulator.see(q, TARGETS, views, np.arange(len(TARGETS)))
+    q, goal, views = at_home(len(TARGETS)), Goal(jnp.asarray(TARGETS)), nominal(len(TARGETS))
+    simulator.reset(None, q, goal, None)
+    pictures = simulator.render_observations(q, goal, views, np.arange(len(TARGETS)))
     assert pictures.shape == (len(TARGETS), SIZE, SIZE)
     assert pictures.dtype == np.uint8
     empty = np.median(pictures, axis=0)
@@ -104,16 +111,16 @@ def test_the_target_is_seen_where_it_is(sim: str) -> None:
     simulator.close()
 
 
-def test_the_arm_is_seen_to_move(eye: ObservationCamera) -> None:
+def test_the_arm_is_shown_to_move(camera: ObservationCamera) -> None:
     q = at_home(2)
     q[1, 3] -= 0.4
-    one, other = eye.pictures(q, TARGETS[[0, 0]], nominal(2))
+    one, other = camera.pictures(q, TARGETS[[0, 0]], nominal(2))
     assert (np.abs(one.astype(int) - other) > 20).sum() > 50
 
 
-def test_a_picture_depends_on_nothing_but_its_lane(eye: ObservationCamera) -> None:
+def test_a_picture_depends_on_nothing_but_its_environment(camera: ObservationCamera) -> None:
     q, views = at_home(4), make_views(np.random.default_rng(0).uniform(-1, 1, (4, SAMPLES)))
-    together, again = eye.pictures(q, TARGETS, views), eye.pictures(q, TARGETS, views)
+    together, again = camera.pictures(q, TARGETS, views), camera.pictures(q, TARGETS, views)
     alone = ObservationCamera(ROBOT, threads=1)
     parts = [alone.pictures(q[i : i + 1], TARGETS[i : i + 1], Views(*(x[i : i + 1] for x in views))) for i in range(4)]
     alone.close()
@@ -121,18 +128,21 @@ def test_a_picture_depends_on_nothing_but_its_lane(eye: ObservationCamera) -> No
     assert np.array_equal(together, np.concatenate(parts))
 
 
-def test_no_lanes_are_no_pictures(eye: ObservationCamera) -> None:
-    assert eye.pictures(at_home(0), TARGETS[:0], nominal(0)).shape == (0, SIZE, SIZE)
+def test_no_environments_are_no_pictures(camera: ObservationCamera) -> None:
+    assert camera.pictures(at_home(0), TARGETS[:0], nominal(0)).shape == (0, SIZE, SIZE)
 
 
 def test_every_episode_has_its_own_view_where_views_are_random() -> None:
-    env = Env(configure(observation="image", randomise_view=True), 3)
+    env = Env(configure(observation="image", randomise=("view",)), 3)
     state = env.init(env_keys(0, 3))
-    still = state.__class__(**{**vars(state), "target": state.goal.position.at[:].set(state.goal.position[0])})
-    seen = np.asarray(env.observe_now(still))
-    assert not np.array_equal(seen[0], seen[1])
-    assert np.array_equal(seen, np.asarray(env.observe_now(still)))
-    assert not np.array_equal(seen[2], np.asarray(env.observe_now(env.reset(still, np.array([False, False, True]))))[2])
+    state = replace(state, goal=Goal(state.goal.position.at[:].set(state.goal.position[0])))
+    pictures = np.asarray(env.observe_now(state))
+    assert not np.array_equal(pictures[0], pictures[1])
+    assert np.array_equal(pictures, np.asarray(env.observe_now(state)))
+    begun = env.reset(state, np.array([False, False, True]))
+    again = np.asarray(env.observe_now(replace(begun, goal=state.goal)))
+    assert np.array_equal(pictures[:2], again[:2])
+    assert not np.array_equal(pictures[2], again[2])
     env.close()
 
 
@@ -140,7 +150,7 @@ def test_without_opengl_one_sentence_says_what_to_install(monkeypatch: pytest.Mo
     def none(*_: object) -> None:
         raise InputError("pictures need OpenGL (egl), which does not start here. apt install libegl1")
 
-    monkeypatch.setattr(camera, "gl_context", none)
+    monkeypatch.setattr(observation_camera, "gl_context", none)
     env = Env(configure(observation="image"), 1)
     state = env.init(env_keys(0, 1))
     with pytest.raises(InputError, match="apt install libegl1"):
@@ -183,37 +193,37 @@ def untrained(env: Env) -> Policy:
 def test_an_evaluation_draws_each_episode_while_it_lasts(
     env: Env, drawn: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    ended = evaluation._count
+    count = episodes._count
 
-    def sooner(episodes: Any, state: Any, transition: Any, **settings: float) -> Any:
+    def sooner(before: Episodes, state: EnvState, transition: Transition, **settings: float) -> Episodes:
         early = transition.done | (state.clock == 2) & (np.arange(3) == 1)
-        return ended(episodes, state, transition.__class__(**{**vars(transition), "done": early}), **settings)
+        return count(before, state, replace(transition, done=early), **settings)
 
-    monkeypatch.setattr(evaluation, "_count", sooner)
+    monkeypatch.setattr(episodes, "_count", sooner)
     report = evaluate(env, "trained", untrained(env), seed=0, episodes=3)
     assert sum(drawn) == 6 + 2 + 6 == report.steps_mean * 3
 
 
 @pytest.mark.parametrize("agent", ["ik", "random", "zero"])
-def test_agents_that_do_not_look_have_nothing_drawn(env: Env, drawn: list[int], agent: str) -> None:
+def test_agents_that_need_no_picture_have_none_drawn(env: Env, drawn: list[int], agent: str) -> None:
     evaluate(env, agent, seed=0, episodes=3)
     assert drawn == []
 
 
 def test_a_rollout_draws_one_picture_a_step_and_one_for_every_start(env: Env, drawn: list[int]) -> None:
     state = env.init(env_keys(0, 3))
-    _, rollout = host_collector()(env, untrained(env), state, jax.random.key(0), PPOConfig(rollout_steps=8))
+    _, rollout = host_collector()(env, untrained(env), state, jax.random.key(0), LoopConfig(rollout_steps=8))
     assert sum(drawn) == 3 + 8 * 3 + int(np.asarray(rollout.done).sum())
-    seen, next_seen, done = (np.asarray(x) for x in (rollout.observation, rollout.next_observation, rollout.done))
+    observed, after, done = (np.asarray(x) for x in (rollout.observation, rollout.next_observation, rollout.done))
     assert done[5].all()
-    assert np.array_equal(seen[1:6], next_seen[:5])
-    assert not np.array_equal(seen[6], next_seen[5])  # the final observation is kept, the next begins anew
+    assert np.array_equal(observed[1:6], after[:5])
+    assert not np.array_equal(observed[6], after[5])  # the final observation is kept, the next begins anew
 
 
-def test_a_held_action_costs_one_picture(env: Env, drawn: list[int]) -> None:
+def test_a_repeated_action_costs_one_picture(env: Env, drawn: list[int]) -> None:
     state = env.init(env_keys(0, 3))
     _, rollout = host_collector()(
-        env, untrained(env), state, jax.random.key(0), PPOConfig(rollout_steps=5, action_repeat=4)
+        env, untrained(env), state, jax.random.key(0), LoopConfig(rollout_steps=5, action_repeat=4)
     )
     assert sum(drawn) == 3 + 5 * 3 + int(np.asarray(rollout.done).sum())
     assert np.asarray(rollout.clock)[0].tolist() == [4, 4, 4]
@@ -227,7 +237,7 @@ def make(observation: str, **settings: Any) -> gymnasium.Env[Any, Any]:
     return gymnasium.make("reachlab:reachlab/Reach-v0", observation=observation, **settings)
 
 
-def test_gymnasium_sees_84_by_84_bytes() -> None:
+def test_gymnasium_gives_84_by_84_bytes() -> None:
     env = make("image")
     assert env.observation_space == Box(0, 255, (84, 84), np.uint8)
     observation, _ = env.reset(seed=0)
@@ -236,7 +246,7 @@ def test_gymnasium_sees_84_by_84_bytes() -> None:
     env.close()
 
 
-def test_gymnasium_sees_picture_and_tool_as_a_dict() -> None:
+def test_gymnasium_gives_picture_and_tool_as_a_dict() -> None:
     env = make("image+tool")
     assert isinstance(env.observation_space, Dict)
     observation, info = env.reset(seed=0)
@@ -247,20 +257,20 @@ def test_gymnasium_sees_picture_and_tool_as_a_dict() -> None:
 
 
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
-def test_lanes_of_a_batch_see_what_single_environments_see(mode: str) -> None:
+def test_environments_of_a_batch_observe_what_single_ones_observe(mode: str) -> None:
     settings: dict[str, Any] = {"observation": "image+tool", "max_steps": 2}
     batch = gymnasium.make_vec("reachlab:reachlab/Reach-v0", num_envs=2, autoreset_mode=mode, **settings)
     single = make(**settings)
-    seen, _ = batch.reset(seed=3)
+    together, _ = batch.reset(seed=3)
     alone, _ = single.reset(seed=4)
-    assert np.array_equal(seen["image"][1], alone["image"])
+    assert np.array_equal(together["image"][1], alone["image"])
     info: dict[str, Any] = {}
     truncated = np.zeros(2, bool)
     for _ in range(2):
-        seen, _, _, truncated, info = batch.step(np.zeros((2, 3), np.float32))
+        together, _, _, truncated, info = batch.step(np.zeros((2, 3), np.float32))
         alone, *_ = single.step(np.zeros(3, np.float32))
     assert truncated.all()
-    final = info["final_obs"][1] if mode == "SameStep" else {name: part[1] for name, part in seen.items()}
+    final = info["final_obs"][1] if mode == "SameStep" else {name: part[1] for name, part in together.items()}
     assert np.array_equal(final["image"], alone["image"])
     for env in (batch, single):
         env.close()

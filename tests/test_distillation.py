@@ -1,4 +1,4 @@
-"""A student that sees learns from a teacher that knows."""
+"""A student that observes pictures learns from a teacher that knows the state."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ TINY: dict[str, Any] = {
     "report_episodes": 4,
     "max_steps": 30,
 }
-"""Six iterations of 32 pictures; what is remembered is overwritten once."""
+"""Six iterations of 32 pictures; the buffer is overwritten once."""
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +60,7 @@ def lessons(teacher: Path, **settings: Any) -> DistilRunConfig:
 @pytest.fixture(scope="module")
 def whole(teacher: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("whole") / "run"
-    distil(lessons(teacher, randomise_view=True), out)
+    distil(lessons(teacher, randomise=("view",)), out)
     return out
 
 
@@ -73,7 +73,7 @@ def test_the_student_comes_to_do_as_the_teacher_does(teacher: Path, tmp_path: Pa
 def test_a_distillation_stopped_ends_with_the_weights_of_one_never_stopped(
     teacher: Path, whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    out, config = tmp_path / "parts", lessons(teacher, randomise_view=True)
+    out, config = tmp_path / "parts", lessons(teacher, randomise=("view",))
     with pytest.raises(Interrupted, match=r"`reachlab distil --resume .*parts` continues from there"):
         distil(config, out, at(5, ask(signal.SIGINT)))
     different = (
@@ -81,7 +81,7 @@ def test_a_distillation_stopped_ends_with_the_weights_of_one_never_stopped(
         ["--action-repeat", "7"],
         ["--batch", "17"],
         ["--updates", "48"],  # what it would be by default
-        ["--no-randomise-view"],
+        ["--randomise"],
         [str(tmp_path / "other")],
     )
     for words in different:
@@ -97,21 +97,21 @@ def test_the_run_directory_is_as_that_of_a_training(whole: Path) -> None:
     report = json.loads(run.report_file.read_text())
     assert (report["episodes"], report["steps"], report["agent"]) == (4, 768, "trained")
     assert isinstance(run.read_config(), DistilRunConfig)
-    assert (run.read_config().physics.randomise_view, report["perturb_view"]) == (True, False)
+    assert (run.read_config().randomise, report["randomised"]) == (("view",), [])
     assert rows(whole)[-1]["pictures"] == 6 * 32
 
 
 def test_pictures_that_are_drawn_again_are_the_same() -> None:
-    env = Env(configure(observation="image", randomise_view=True), 8)
+    env = Env(configure(observation="image", randomise=("view",)), 8)
     state = env.init(env_keys(0, 8))
-    memory, album, again = make_buffer(state, 12), Pictures(env, 12), Pictures(env, 12)
+    buffer, album, again = make_buffer(state, 12), Pictures(env, 12), Pictures(env, 12)
     for seed in range(2):
         state = env.init(env_keys(8 * seed, 8))
-        memory = add(memory, state, state.last_action)
+        buffer = add(buffer, state, state.last_action)
         pictures = env.render_observation(state)
         assert pictures is not None
         album.add(pictures)
-    again.complete(memory)
+    again.complete(buffer)
     everything = np.arange(12)
     assert np.array_equal(album[everything], again[everything])
     env.close()
@@ -128,10 +128,10 @@ def student(whole: Path) -> Iterator[tuple[Env, Any]]:
 @pytest.mark.parametrize("way", SPOILT)
 def test_whatever_the_picture_actions_are_finite(student: tuple[Env, Any], way: str) -> None:
     env, policy = student
-    seen = env.render_observation(env.init(env_keys(0, 2)))
-    assert seen is not None
-    spoilt = SPOILT[way](seen, np.random.default_rng(0)).astype(np.uint8)
-    assert not np.array_equal(spoilt, seen)
+    picture = env.render_observation(env.init(env_keys(0, 2)))
+    assert picture is not None
+    spoilt = SPOILT[way](picture, np.random.default_rng(0)).astype(np.uint8)
+    assert not np.array_equal(spoilt, picture)
     assert np.isfinite(np.asarray(policy.act(spoilt))).all()
 
 
@@ -189,8 +189,8 @@ def test_videos_of_a_student_of_random_views_show_the_view_as_it_is(whole: Path,
     assert cli.main(["video", str(whole), "--episodes", "1", "--out", str(out)]) == cli.DONE
     shown = np.asarray(Image.open(out).convert("L"), int)[16 : 16 + 168 : 2, 640 - 16 - 168 : 640 - 16 : 2]
     pictures = []
-    for randomise_view in (False, True):
-        env = Env(override(RunDirectory(whole).read_config(), randomise_view=randomise_view), 1)
+    for randomise in ((), ("view",)):
+        env = Env(override(RunDirectory(whole).read_config(), randomise=randomise), 1)
         pictures.append(np.asarray(env.observe_now(env.init(episode_keys(1, REPORT_STREAM, 0, 1))), int)[0])
         env.close()
     tutorial, random = (np.abs(shown - picture).mean() for picture in pictures)

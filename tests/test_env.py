@@ -18,7 +18,7 @@ from reachlab.envs.functions import EnvState, Transition
 from reachlab.envs.streams import env_keys
 from reachlab.settings.presets import configure
 
-LANES = 4
+NUM_ENVS = 4
 TOOL = slice(3, 6)
 """Where `target+tool` holds the tool."""
 
@@ -30,13 +30,13 @@ class Compiled:
     """An environment with its functions compiled, whatever the batch."""
 
     def __init__(self, **settings: Any) -> None:
-        self.env = Env(configure("tutorial", **settings), LANES)
+        self.env = Env(configure("tutorial", **settings), NUM_ENVS)
         self.init: Callable[..., EnvState] = self.env.compile_whole(self.env.init)
         self.step: Callable[..., tuple[EnvState, Transition]] = self.env.compile_whole(self.env.step)
         self.reset: Callable[..., EnvState] = self.env.compile_whole(self.env.reset)
         self.observe: Callable[..., jax.Array] = self.env.compile_whole(self.env.observe)
 
-    def start(self, seed: int = 0, num_envs: int = LANES) -> EnvState:
+    def start(self, seed: int = 0, num_envs: int = NUM_ENVS) -> EnvState:
         return self.init(env_keys(seed, num_envs))
 
     def walk(self, state: EnvState, action: tuple[float, ...], steps: int) -> tuple[EnvState, Transition]:
@@ -185,7 +185,7 @@ def test_the_terms_of_the_reward_add_up_to_it(tutorial: Compiled, settled: EnvSt
 # --- resets ---------------------------------------------------------------------------------------
 
 
-def test_a_reset_changes_the_masked_lanes_and_no_other(tutorial: Compiled, settled: EnvState) -> None:
+def test_a_reset_changes_the_masked_environments_and_no_other(tutorial: Compiled, settled: EnvState) -> None:
     mask = np.array([True, False, False, True])
     before, after = leaves(settled), leaves(tutorial.reset(settled, mask))
     for old, new in zip(before, after, strict=True):
@@ -198,13 +198,13 @@ def test_a_reset_changes_the_masked_lanes_and_no_other(tutorial: Compiled, settl
     assert not np.asarray(fresh.last_action)[mask].any()
 
 
-def test_every_reset_draws_a_new_target(tutorial: Compiled) -> None:
+def test_every_reset_samples_a_new_goal(tutorial: Compiled) -> None:
     state = tutorial.start()
-    drawn = [np.asarray(state.goal.position)]
+    sampled = [np.asarray(state.goal.position)]
     for _ in range(100):
-        state = tutorial.reset(state, np.ones(LANES, bool))
-        drawn.append(np.asarray(state.goal.position))
-    assert len(np.unique(np.concatenate(drawn), axis=0)) == 101 * LANES
+        state = tutorial.reset(state, np.ones(NUM_ENVS, bool))
+        sampled.append(np.asarray(state.goal.position))
+    assert len(np.unique(np.concatenate(sampled), axis=0)) == 101 * NUM_ENVS
 
 
 def test_the_final_observation_is_the_one_before_the_reset(tutorial: Compiled, settled: EnvState) -> None:
@@ -213,18 +213,18 @@ def test_the_final_observation_is_the_one_before_the_reset(tutorial: Compiled, s
     assert np.array_equal(final, np.asarray(tutorial.observe(state)))
     assert (final[:, 5] > 0.55).all()
     fresh = np.asarray(tutorial.observe(tutorial.reset(state, transition.done)))
-    assert fresh[:, TOOL] == pytest.approx(np.tile((0.5321, -0.0011, 0.4963), (LANES, 1)), abs=1e-4)
+    assert fresh[:, TOOL] == pytest.approx(np.tile((0.5321, -0.0011, 0.4963), (NUM_ENVS, 1)), abs=1e-4)
     assert (fresh[:, :2] != final[:, :2]).all()
 
 
 # --- randomness -----------------------------------------------------------------------------------
 
 
-def with_staggered_lanes(sim: str, observation: str) -> tuple[Compiled, EnvState]:
-    """Three lanes two steps into episodes of five, and one that begins."""
+def with_staggered_episodes(sim: str, observation: str) -> tuple[Compiled, EnvState]:
+    """Three environments two steps into episodes of five, and one that begins."""
     there = Compiled(sim=sim, observation=observation, max_steps=5)
     state, _ = there.walk(there.start(), (0.1, -0.2, -0.3), 2)
-    return there, there.reset(state, np.arange(LANES) == 0)
+    return there, there.reset(state, np.arange(NUM_ENVS) == 0)
 
 
 @pytest.mark.parametrize(
@@ -232,50 +232,50 @@ def with_staggered_lanes(sim: str, observation: str) -> tuple[Compiled, EnvState
     [("kinematic", "target+tool"), ("mujoco", "target+tool"), ("pybullet", "target+tool"), ("kinematic", "image")],
 )
 def test_an_action_taken_several_times_ends_where_the_episode_does(sim: str, observation: str) -> None:
-    (once, state), (several, begun) = (with_staggered_lanes(sim, observation) for _ in range(2))
+    (once, state), (several, begun) = (with_staggered_episodes(sim, observation) for _ in range(2))
     states, transitions = [], []
     for _ in range(4):
         state, transition = once.walk(state, (0.1, -0.2, -0.3), 1)
         states.append(state)
         transitions.append(transition)
-    actions = np.tile(np.array((0.1, -0.2, -0.3), np.float32), (LANES, 1))
+    actions = np.tile(np.array((0.1, -0.2, -0.3), np.float32), (NUM_ENVS, 1))
     step = several.env.compile_whole(lambda state, action: several.env.step(state, action, 4))
     end, transition = step(begun, actions)
 
-    lasted = np.array([4, 3, 3, 3])  # the fifth step of its episode ends a lane
+    lasted = np.array([4, 3, 3, 3])  # an episode ends on its fifth step
     assert np.asarray(transition.done).tolist() == [False, True, True, True]
     assert np.asarray(end.clock).tolist() == [4, 5, 5, 5]
-    for lane, steps in enumerate(lasted):
-        assert np.asarray(end.arm.q)[lane] == pytest.approx(np.asarray(states[steps - 1].arm.q)[lane], abs=1e-6)
-        reward = sum(float(given.reward[lane]) for given in transitions[:steps])
-        assert float(transition.reward[lane]) == pytest.approx(reward, abs=1e-5)
+    for index, steps in enumerate(lasted):
+        assert np.asarray(end.arm.q)[index] == pytest.approx(np.asarray(states[steps - 1].arm.q)[index], abs=1e-6)
+        reward = sum(float(given.reward[index]) for given in transitions[:steps])
+        assert float(transition.reward[index]) == pytest.approx(reward, abs=1e-5)
         if transition.observation is not None:
-            seen = np.asarray(transitions[steps - 1].observation)[lane]
-            assert np.asarray(transition.observation)[lane] == pytest.approx(seen, abs=1e-5)
+            seen = np.asarray(transitions[steps - 1].observation)[index]
+            assert np.asarray(transition.observation)[index] == pytest.approx(seen, abs=1e-5)
     for there in (once, several):
         there.env.close()
 
 
-def test_a_lane_is_the_single_environment_with_its_own_seed(tutorial: Compiled) -> None:
-    seed, lane, random = 11, 2, np.random.default_rng(5)
-    batch, single = tutorial.start(seed), tutorial.start(seed + lane, num_envs=1)
+def test_an_environment_of_a_batch_is_the_single_one_with_its_own_seed(tutorial: Compiled) -> None:
+    seed, index, random = 11, 2, np.random.default_rng(5)
+    batch, single = tutorial.start(seed), tutorial.start(seed + index, num_envs=1)
     low, high = tutorial.env.action_bounds
-    pushes = random.uniform(low, high, (13, LANES, 3)).astype(np.float32)
+    pushes = random.uniform(low, high, (13, NUM_ENVS, 3)).astype(np.float32)
     ends = 0
     for actions in np.repeat(pushes, 80, axis=0)[:1000]:
         batch, here = tutorial.step(batch, actions)
-        single, there = tutorial.step(single, actions[lane : lane + 1])
-        assert np.asarray(here.observation[lane]) == pytest.approx(np.asarray(there.observation[0]), abs=1e-4)
-        assert float(here.reward[lane]) == pytest.approx(float(there.reward[0]), abs=1e-3)
-        assert bool(here.terminated[lane]) == bool(there.terminated[0])
-        assert bool(here.truncated[lane]) == bool(there.truncated[0])
-        ends += int(here.done[lane])
+        single, there = tutorial.step(single, actions[index : index + 1])
+        assert np.asarray(here.observation[index]) == pytest.approx(np.asarray(there.observation[0]), abs=1e-4)
+        assert float(here.reward[index]) == pytest.approx(float(there.reward[0]), abs=1e-3)
+        assert bool(here.terminated[index]) == bool(there.terminated[0])
+        assert bool(here.truncated[index]) == bool(there.truncated[0])
+        ends += int(here.done[index])
         batch, single = tutorial.reset(batch, here.done), tutorial.reset(single, there.done)
     assert ends >= 3
 
 
-def test_neighbouring_seeds_share_lanes_and_distant_ones_none(tutorial: Compiled) -> None:
-    first, second, far = (np.asarray(tutorial.start(seed).target) for seed in (5, 6, 100))
+def test_neighbouring_seeds_share_episodes_and_distant_ones_none(tutorial: Compiled) -> None:
+    first, second, far = (np.asarray(tutorial.start(seed).goal.position) for seed in (5, 6, 100))
     assert np.array_equal(first[1:], second[:-1])
     assert not set(map(tuple, first)) & set(map(tuple, far))
 
@@ -285,14 +285,14 @@ def test_neighbouring_seeds_share_lanes_and_distant_ones_none(tutorial: Compiled
 
 def reach_and_stay(at_goal: str, sim: str, **settings: Any) -> tuple[list[EnvState], Transition, np.ndarray]:
     """States and last transition of an episode of inverse kinematics, and the sum of its rewards for success."""
-    # The tutorial's own targets lie below the workspace's floor: an arm that goes on to their middle leaves it.
+    # The tutorial's own targets lie below the workspace's floor: an arm that continues to their middle leaves it.
     box = {"targets": "box", "target_low": (0.4, -0.2, 0.2), "target_high": (0.6, 0.2, 0.3)}
-    env = Env(configure(sim=sim, at_goal=at_goal, max_steps=300, **box, **settings), LANES)
-    decide, step = make_act(env, "ik"), env.compile_whole(env.step)
-    state, key = env.compile_whole(env.init)(env_keys(0, LANES)), jax.random.key(0)
-    states, paid = [state], np.zeros(LANES)
+    env = Env(configure(sim=sim, at_goal=at_goal, max_steps=300, **box, **settings), NUM_ENVS)
+    act = env.compile_whole(make_act(env, "ik"))
+    state, key = env.compile_whole(env.init)(env_keys(0, NUM_ENVS)), jax.random.key(0)
+    states, paid = [state], np.zeros(NUM_ENVS)
     while True:
-        state, transition = step(state, decide(None, state, key, None))
+        state, transition, key = act(None, state, key)
         states.append(state)
         paid += np.asarray(transition.terms["reach"])
         if np.asarray(transition.done).any():
@@ -302,7 +302,7 @@ def reach_and_stay(at_goal: str, sim: str, **settings: Any) -> tuple[list[EnvSta
 
 @pytest.mark.parametrize("sim", ["kinematic", "mujoco"])
 @pytest.mark.parametrize("at_goal", ["continue", "hold"])
-def test_an_episode_that_goes_on_at_the_target_ends_with_the_clock_in_success(at_goal: str, sim: str) -> None:
+def test_an_episode_that_continues_at_the_target_ends_with_the_clock_in_success(at_goal: str, sim: str) -> None:
     states, last, paid = reach_and_stay(at_goal, sim)
     assert len(states) == 301
     assert np.asarray(last.truncated).all()
@@ -321,7 +321,7 @@ def test_held_at_the_target_the_joints_get_no_new_command(sim: str) -> None:
     assert (np.asarray(states[-1].distance) > 0.05).all() or sim == "mujoco", "the tool stays where it came in"
 
 
-def test_the_policy_goes_on_to_the_middle_where_nothing_holds_the_arm() -> None:
+def test_the_policy_continues_to_the_middle_where_nothing_holds_the_arm() -> None:
     states, _, _ = reach_and_stay("continue", "kinematic")
     assert (np.asarray(states[-1].distance) < 0.05).all()
 

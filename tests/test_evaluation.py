@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import binomtest, rankdata
 
-from reachlab.agents import AGENTS
+from reachlab.agents import AGENTS, AgentEntry
 from reachlab.agents.policy import Policy
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState
@@ -43,8 +43,7 @@ REPORT_FIELDS = [
     "seed",
     "episodes",
     "checkpoint",
-    "perturb",
-    "perturb_view",
+    "randomised",
     "success_rate",
     "success_interval",
     "success_within",
@@ -57,7 +56,7 @@ REPORT_FIELDS = [
     "wall_s",
     "versions",
 ]
-"""DESIGN.md's, `return_mean` and `perturb_view`."""
+"""Every field of a report."""
 
 
 @pytest.fixture(scope="module")
@@ -106,7 +105,7 @@ def test_wilson_intervals_are_scipys_and_exact_at_their_ends(trials: int) -> Non
 
 
 @pytest.mark.parametrize("sim", ["kinematic", "mujoco"])
-def test_whoever_watches_an_evaluation_is_told_of_all_episodes(sim: str) -> None:
+def test_a_watch_is_told_of_all_episodes(sim: str) -> None:
     env, told = Env(configure(sim=sim, max_steps=5), 4), list[int]()
     examine(env, "zero", seed=1, episodes=7, runner=replace(make_runner(env, "zero"), num_envs=4), watch=told.append)
     assert told == sorted(told)
@@ -137,7 +136,7 @@ def test_an_episodes_key_depends_on_its_number_alone() -> None:
 
 
 def test_held_out_targets_were_never_trained_or_validated_on(env: Env) -> None:
-    targets = jax.jit(lambda keys: env.init(keys).target[:, :2])
+    targets = jax.jit(lambda keys: env.init(keys).goal.position[:, :2])
     streams = {
         stream: np.asarray(targets(episode_keys(0, stream, 0, BATCH)))
         for stream in (TRAINING_STREAM, VALIDATION_STREAM, REPORT_STREAM)
@@ -167,13 +166,13 @@ def test_every_key_of_a_run_is_used_for_one_thing() -> None:
 
 
 def test_measurement_noise_says_nothing_of_starts_and_targets() -> None:
-    lanes = 1000
-    env = Env(configure("precise", sim="kinematic", perturb=True), lanes)
-    state = env.compile_whole(env.init)(episode_keys(0, REPORT_STREAM, 0, lanes))
-    after = env.compile_whole(env.reset)(state, np.ones(lanes, bool))
+    num_envs = 1000
+    env = Env(configure("precise", sim="kinematic", randomise=("dynamics",)), num_envs)
+    state = env.compile_whole(env.init)(episode_keys(0, REPORT_STREAM, 0, num_envs))
+    after = env.compile_whole(env.reset)(state, np.ones(num_envs, bool))
     noise = [np.asarray(env.situation(replace(state, clock=state.clock + step)).q - state.arm.q) for step in range(5)]
-    drawn = np.concatenate([np.asarray(x) for s in (state, after) for x in (s.arm.q, s.target)], axis=1)
-    columns = np.concatenate([*noise, drawn], axis=1)
+    sampled = np.concatenate([np.asarray(x) for s in (state, after) for x in (s.arm.q, s.goal.position)], axis=1)
+    columns = np.concatenate([*noise, sampled], axis=1)
     correlation, own = np.corrcoef(rankdata(columns, axis=0), rowvar=False), sum(rows.shape[1] for rows in noise)
     assert np.abs(correlation[:own, own:]).max() < 0.15
 
@@ -252,13 +251,13 @@ def test_an_unknown_agent_is_refused(env: Env) -> None:
 # --- reports --------------------------------------------------------------------------------------
 
 
-def test_a_report_has_the_designs_fields(idle: Report) -> None:
+def test_a_report_has_all_its_fields(idle: Report) -> None:
     plain = json.loads(json.dumps(idle.to_json(), allow_nan=False))
     assert sorted(plain) == sorted(REPORT_FIELDS)
     assert sorted(plain["final_error_mm"]) == ["max", "median", "p95", "p99"]
     assert len(plain["max_joint_speed"]) == 7
-    told = ("task", "robot", "sim", "agent", "seed", "episodes", "perturb", "success_within")
-    assert [plain[name] for name in told] == ["tutorial", "iiwa14", "kinematic", "zero", 1, 30, False, None]
+    told = ("task", "robot", "sim", "agent", "seed", "episodes", "randomised", "success_within")
+    assert [plain[name] for name in told] == ["tutorial", "iiwa14", "kinematic", "zero", 1, 30, [], None]
     assert {"python", "reachlab", "jax", "mujoco", "numpy"} <= set(plain["versions"])
 
 
@@ -268,7 +267,7 @@ def test_a_report_sums_up_its_episodes(env: Env) -> None:
     speeds[1, 2] = 3.0
     speeds[2, 2] = 2.0
     values = {
-        "target": np.zeros((4, 3), np.float32),
+        "goal": np.zeros((4, 3), np.float32),
         "done": np.ones(4, bool),
         "success": np.array([True, False, True, True]),
         "distance": np.array([0.02, 0.4, 0.04, 0.06], np.float32),
@@ -293,14 +292,15 @@ def test_a_report_sums_up_its_episodes(env: Env) -> None:
     assert report.jerk == pytest.approx((1 + 2 + 3 + 1) / 4)
 
 
+def turn(env: Env, policy: Policy | None, state: EnvState, key: jax.Array, picture: jax.Array | None) -> jax.Array:
+    """One joint at full speed."""
+    del env, policy, key, picture
+    return jnp.zeros_like(state.last_action).at[:, 0].set(1.0)
+
+
 def test_speed_and_jerk_are_those_of_a_known_motion(monkeypatch: pytest.MonkeyPatch) -> None:
     """One joint sets off at full speed from rest: its displacement jumps once and stays."""
-
-    def turn(env: Env, policy: Policy | None, state: EnvState, key: jax.Array, picture: None) -> jax.Array:
-        del env, policy, key, picture
-        return jnp.zeros_like(state.last_action).at[:, 0].set(1.0)
-
-    monkeypatch.setitem(AGENTS, "turn", turn)
+    monkeypatch.setitem(AGENTS, "turn", AgentEntry("one joint at full speed", f"{__name__}:turn"))
     steps, move, period = 10, 0.02, 1 / 240
     report = evaluate(Env(configure(action="joint_delta", max_steps=steps), BATCH), "turn", seed=0, episodes=50)
     assert report.steps_mean == steps

@@ -24,14 +24,14 @@ from reachlab.robots.loading import load_robot
 from reachlab.settings.validation import InputError
 
 IDS = ("reachlab/KukaReach-v0", "reachlab/Reach-v0")
-LANES = 3
+NUM_ENVS = 3
 SHORT: dict[str, Any] = {"max_steps": 40, "clip_actions": False, "success_distance": 0.4}
 """Episodes that end often and in every way."""
 
 BAD_ACTIONS = {
-    "nan": ([0.0, np.nan, 0.0], "lane 0.*nan.*index 1"),
-    "infinite": ([0.0, 0.0, -np.inf], "lane 0.*-inf.*index 2"),
-    "beyond float32": ([1e300, 0.0, 0.0], "lane 0.*index 0"),
+    "nan": ([0.0, np.nan, 0.0], "environment 0.*nan.*index 1"),
+    "infinite": ([0.0, 0.0, -np.inf], "environment 0.*-inf.*index 2"),
+    "beyond float32": ([1e300, 0.0, 0.0], "environment 0.*index 0"),
     "too short": ([0.0, 0.0], r"shape \(3,\)"),
     "too long": ([0.0] * 4, r"shape \(3,\)"),
     "scalar": (0.0, r"shape \(3,\)"),
@@ -64,7 +64,7 @@ def twin() -> ReachEnv:
 
 @pytest.fixture(scope="module")
 def singles() -> list[ReachEnv]:
-    return [ReachEnv(**SHORT) for _ in range(LANES)]
+    return [ReachEnv(**SHORT) for _ in range(NUM_ENVS)]
 
 
 # --- Gymnasium's checker, spaces and registration -------------------------------------------------
@@ -236,8 +236,8 @@ def assert_same_info(ours: Mapping[str, Any], theirs: Mapping[str, Any], where: 
             assert_same_info(ours[name], theirs[name], f"{where}: {name}")
         else:
             mask = theirs[f"_{name}"]
-            for lane in np.flatnonzero(mask):
-                assert ours[name][lane] == pytest.approx(theirs[name][lane], abs=1e-4), f"{where}: {name} of {lane}"
+            for index in np.flatnonzero(mask):
+                assert ours[name][index] == pytest.approx(theirs[name][index], abs=1e-4), f"{where}: {name} of {index}"
             if ours[name].dtype == object:
                 assert [value is None for value in ours[name]] == (~mask).tolist(), f"{where}: {name}"
 
@@ -254,17 +254,17 @@ def assert_same_step(ours: tuple[Any, ...], theirs: tuple[Any, ...], where: str)
 
 def pushes(steps: int) -> Iterator[np.ndarray]:
     """Actions that keep their direction long enough to leave the workspace or to reach the target."""
-    random, actions = np.random.default_rng(1), np.zeros((LANES, 3), np.float32)
+    random, actions = np.random.default_rng(1), np.zeros((NUM_ENVS, 3), np.float32)
     for step in range(steps):
         if step % 20 == 0:
-            actions = random.uniform((-1.5, -1.5, -3.0), (1.5, 1.5, 0.8), (LANES, 3)).astype(np.float32)
+            actions = random.uniform((-1.5, -1.5, -3.0), (1.5, 1.5, 0.8), (NUM_ENVS, 3)).astype(np.float32)
         yield actions
 
 
 @pytest.mark.parametrize("mode", AutoresetMode)
 def test_a_batch_is_gymnasiums_vector_of_single_environments(singles: list[ReachEnv], mode: AutoresetMode) -> None:
     theirs = SyncVectorEnv([lambda env=env: env for env in singles], autoreset_mode=mode)
-    ours = gymnasium.make_vec("reachlab/Reach-v0", num_envs=LANES, autoreset_mode=mode, **SHORT)
+    ours = gymnasium.make_vec("reachlab/Reach-v0", num_envs=NUM_ENVS, autoreset_mode=mode, **SHORT)
     assert ours.metadata["autoreset_mode"] is mode
     assert_same_step(ours.reset(seed=21), theirs.reset(seed=21), "reset")
     ends = {"terminated": 0, "truncated": 0, "success": 0}
@@ -286,17 +286,17 @@ def test_a_batch_is_gymnasiums_vector_of_single_environments(singles: list[Reach
 
 @pytest.fixture(scope="module")
 def batch() -> ReachVectorEnv:
-    return ReachVectorEnv(num_envs=LANES, autoreset_mode="Disabled", max_steps=5)
+    return ReachVectorEnv(num_envs=NUM_ENVS, autoreset_mode="Disabled", max_steps=5)
 
 
 def test_a_batch_has_batched_spaces(batch: ReachVectorEnv) -> None:
     assert batch.single_observation_space.shape == (6,)
-    assert batch.observation_space.shape == (LANES, 6)
-    assert batch.action_space.shape == (LANES, 3)
+    assert batch.observation_space.shape == (NUM_ENVS, 6)
+    assert batch.action_space.shape == (NUM_ENVS, 3)
     assert batch.reset(seed=0)[0] in batch.observation_space
 
 
-def test_lanes_take_seeds_of_their_own(batch: ReachVectorEnv) -> None:
+def test_environments_take_seeds_of_their_own(batch: ReachVectorEnv) -> None:
     counted = batch.reset(seed=40)[0]
     assert np.array_equal(batch.reset(seed=[40, 41, 42])[0], counted)
     mixed = batch.reset(seed=[42, None, 40])[0]
@@ -305,14 +305,14 @@ def test_lanes_take_seeds_of_their_own(batch: ReachVectorEnv) -> None:
     assert mixed[1, :2].tolist() != counted[1, :2].tolist()
 
 
-def test_as_many_seeds_as_lanes_are_needed(batch: ReachVectorEnv) -> None:
+def test_as_many_seeds_as_environments_are_needed(batch: ReachVectorEnv) -> None:
     with pytest.raises(InputError, match="seed must be one number or 3 of them, got 2"):
         batch.reset(seed=[1, 2])
 
 
-def test_a_masked_reset_leaves_the_other_lanes_alone(batch: ReachVectorEnv) -> None:
+def test_a_masked_reset_leaves_the_other_environments_alone(batch: ReachVectorEnv) -> None:
     batch.reset(seed=1)
-    before = batch.step(np.full((LANES, 3), 0.3, np.float32))[0]
+    before = batch.step(np.full((NUM_ENVS, 3), 0.3, np.float32))[0]
     after, info = batch.reset(options={"reset_mask": np.array([False, True, False])})
     assert np.array_equal(after[[0, 2]], before[[0, 2]])
     assert (after[1] != before[1]).any()
@@ -329,31 +329,31 @@ def test_a_misshapen_mask_is_refused(batch: ReachVectorEnv, mask: Any) -> None:
         batch.reset(options={"reset_mask": mask})
 
 
-def test_without_autoreset_a_step_of_an_ended_lane_is_refused(batch: ReachVectorEnv) -> None:
+def test_without_autoreset_a_step_of_an_ended_episode_is_refused(batch: ReachVectorEnv) -> None:
     batch.reset(seed=0)
-    still = np.zeros((LANES, 3), np.float32)
+    still = np.zeros((NUM_ENVS, 3), np.float32)
     for _ in range(4):
         assert not batch.step(still)[3].any()
     assert batch.step(still)[3].all()
-    with pytest.raises(InputError, match=r"lane 0 has ended.*reset_mask"):
+    with pytest.raises(InputError, match=r"environment 0 has ended.*reset_mask"):
         batch.step(still)
     batch.reset(options={"reset_mask": np.array([True, True, False])})
-    with pytest.raises(InputError, match="lane 2 has ended"):
+    with pytest.raises(InputError, match="environment 2 has ended"):
         batch.step(still)
     batch.reset(options={"reset_mask": np.array([False, False, True])})
     assert not batch.step(still)[3].any()
 
 
-def test_a_wrong_action_names_its_lane_and_moves_no_lane(batch: ReachVectorEnv) -> None:
-    good = np.full((LANES, 3), 0.2, np.float32)
+def test_a_wrong_action_names_its_environment_and_moves_none(batch: ReachVectorEnv) -> None:
+    good = np.full((NUM_ENVS, 3), 0.2, np.float32)
     bad = good.copy()
     bad[2, 1] = np.nan
     batch.reset(seed=6)
     untouched = batch.step(good)
     batch.reset(seed=6)
-    with pytest.raises(InputError, match="lane 2 is nan at index 1"):
+    with pytest.raises(InputError, match="environment 2 is nan at index 1"):
         batch.step(bad)
-    with pytest.raises(InputError, match=r"shape \(3,\) in each of 3 lanes, got \(2, 3\)"):
+    with pytest.raises(InputError, match=r"shape \(3,\) in each of 3 environments, got \(2, 3\)"):
         batch.step(good[:2])
     for one, other in zip(batch.step(good)[:4], untouched[:4], strict=True):
         assert np.array_equal(one, other)
@@ -367,7 +367,7 @@ def test_an_autoreset_mode_is_named_or_refused() -> None:
 
 
 @pytest.mark.parametrize("count", [0, -1])
-def test_a_batch_without_lanes_is_refused(count: int) -> None:
+def test_a_batch_without_environments_is_refused(count: int) -> None:
     with pytest.raises(InputError, match="num_envs must be at least 1"):
         ReachVectorEnv(num_envs=count)
 
@@ -421,7 +421,7 @@ def test_pictures_are_drawn_in_whatever_thread(drawing: None) -> None:
 
 
 @pytest.mark.parametrize("sim", ["kinematic", "mujoco"])
-def test_a_copy_goes_on_as_the_original_and_leaves_it_alone(sim: str) -> None:
+def test_a_copy_continues_as_the_original_and_leaves_it_alone(sim: str) -> None:
     original = ReachEnv(sim=sim, clip_actions=False)
     original.reset(seed=3)
     push = np.array([0.3, -0.2, -0.5], np.float32)

@@ -148,10 +148,10 @@ def solve(robot):
 
 
 @pytest.mark.parametrize("batch", ALL_BATCHES)
-def test_compiled_kernels_equal_float64_at_every_num_envs(arm, compiled, batch):
+def test_compiled_kernels_equal_float64_at_every_batch_size(arm, compiled, batch):
     rng = np.random.default_rng(batch)
     q = arm.sample(rng, batch)
-    # Every other lane is to turn further than one step may.
+    # Every other arm is to turn further than one step may.
     target = near_targets(arm, q, rng, angle=np.where(np.arange(batch) % 2, 0.5, 0.02)[:, None])
     there, columns, stepped = compiled(q, target)
 
@@ -340,8 +340,8 @@ def test_tool_still_reaches_its_point_when_a_joint_limit_binds(arm, compiled):
     """Where clipping alone loses a good part of a 3 mm displacement, the free joints make it up."""
     rng = np.random.default_rng(9)
     q = arm.sample(rng, 1000, within=0.8)
-    lanes, joint, side = np.arange(1000), rng.integers(7, size=1000), rng.integers(2, size=1000)
-    q[lanes, joint] = np.where(side, arm.upper[joint] - 1e-3, arm.lower[joint] + 1e-3)
+    arms, joint, side = np.arange(1000), rng.integers(7, size=1000), rng.integers(2, size=1000)
+    q[arms, joint] = np.where(side, arm.upper[joint] - 1e-3, arm.lower[joint] + 1e-3)
     target = near_targets(arm, q, rng)
     stepped = compiled(q, target)[2]
     solved = arm.ik_step(q, target.position, target.quaternion)

@@ -9,31 +9,30 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reachlab.agents.policy import Normaliser, distribution, make_policy, value
+from reachlab.agents.policy import Inputs, Normaliser, distribution, make_policy, value
 from reachlab.jax_setup import jit
 from reachlab.learn import ppo
+from reachlab.learn.learner import make_learner, make_optimiser
 from reachlab.learn.rollout import Rollout
-from reachlab.settings.config import PPOConfig
+from reachlab.settings.config import LoopConfig, PPOConfig, RunConfig
+from reachlab.settings.plain import override
+from reachlab.tasks.observations import Field, Schema
 
 K, A, T, B = 4, 2, 6, 8
 
-CONFIG = PPOConfig(
-    num_envs=B,
-    rollout_steps=T,
-    epochs=1,
-    minibatches=1,
-    hidden=(8,),
-    clip_ratio=0.2,
-    value_weight=0.5,
-    entropy_weight=0.01,
+CONFIG = RunConfig(
+    loop=LoopConfig(num_envs=B, rollout_steps=T),
+    ppo=PPOConfig(epochs=1, minibatches=1, clip_ratio=0.2, value_weight=0.5, entropy_weight=0.01),
 )
+
+SCHEMA = Schema((Field("numbers", "1", (K,), (-1.0,) * K, (1.0,) * K, (False,) * K, picture=False),))
 
 
 @pytest.fixture(scope="module")
 def policy():
     """Untrained, with a normaliser that changes what it is given."""
-    seen, commanded = ((-np.ones(size, np.float32), np.ones(size, np.float32)) for size in (K, A))
-    made = jit(lambda key: make_policy(key, seen, commanded, (8,), initial_std=0.4))(jax.random.key(0))
+    box = -np.ones(A, np.float32), np.ones(A, np.float32)
+    made = jit(lambda key: make_policy(key, SCHEMA, box, (8,), initial_std=0.4))(jax.random.key(0))
     return replace(made, normaliser=Normaliser(jnp.full(K, 3.0), jnp.full(K, 4.0), jnp.asarray(100.0)))
 
 
@@ -41,7 +40,7 @@ def policy():
 def rollout(policy):
     keys = jax.random.split(jax.random.key(1), 5)
     observation = 2 + jax.random.normal(keys[0], (T, B, K))
-    head = distribution(policy.parameters, policy.normaliser(observation))
+    head = distribution(policy.parameters, policy.inputs(observation))
     output = head.sample(keys[1])
     terminated = jax.random.bernoulli(keys[2], 0.2, (T, B))
     return Rollout(
@@ -56,6 +55,11 @@ def rollout(policy):
         distance=jnp.ones((T, B)),
         clock=jnp.ones((T, B), jnp.int32),
     )
+
+
+def start(config, policy):
+    """A learner with this policy that has learnt nothing yet."""
+    return make_learner(make_optimiser(config, ppo.updates_per_iteration(config.ppo)), policy)
 
 
 @functools.cache
@@ -125,7 +129,7 @@ def test_gae_of_lambda_1_is_the_discounted_return_less_the_value(rollout):
 @functools.cache
 def grading(config):
     """Loss with what it watches, and its gradient, compiled."""
-    return jit(jax.value_and_grad(lambda parameters, batch: ppo.loss(parameters, batch, config), has_aux=True))
+    return jit(jax.value_and_grad(lambda parameters, batch: ppo.loss(parameters, batch, config.ppo), has_aux=True))
 
 
 def gradient_of(parameters, batch, config):
@@ -136,25 +140,25 @@ def loss_of(parameters, batch, config):
     return grading(config)(parameters, batch)[0]
 
 
-log_prob = jit(lambda parameters, batch: distribution(parameters, batch.observation).log_prob(batch.output))
+log_prob = jit(lambda parameters, batch: distribution(parameters, batch.inputs).log_prob(batch.output))
 
 
 def make_batch(policy, advantage, log_ratio: Any = 0.0):
-    """Batch whose samples are `exp(log_ratio)` times as likely under the policy as when they were drawn."""
+    """Batch whose samples are `exp(log_ratio)` times as likely under the policy as when they were sampled."""
     n = len(advantage)
     for_observation, for_output, for_returns = jax.random.split(jax.random.key(5), 3)
-    observation = jax.random.normal(for_observation, (n, K))
-    head = distribution(policy.parameters, observation)
+    inputs = Inputs(None, jax.random.normal(for_observation, (n, K)))
+    head = distribution(policy.parameters, inputs)
     output = head.sample(for_output)
     log_prob = head.log_prob(output) - jnp.asarray(log_ratio)
-    return ppo.Batch(observation, output, log_prob, jnp.asarray(advantage), jax.random.normal(for_returns, (n,)))
+    return ppo.Batch(inputs, output, log_prob, jnp.asarray(advantage), jax.random.normal(for_returns, (n,)))
 
 
-def test_loss_of_the_policy_that_drew_the_batch(policy):
+def test_loss_of_the_policy_that_sampled_the_batch(policy):
     """The ratio is 1 and normalised advantages cancel; half the squared value error and the entropy remain."""
     batch = make_batch(policy, [1.0, -2.0, 3.0, 0.5])
     total, watched = loss_of(policy.parameters, batch, CONFIG)
-    error = np.asarray(value(policy.parameters, batch.observation) - batch.returns)
+    error = np.asarray(value(policy.parameters, batch.inputs) - batch.returns)
     entropy = A * (np.log(0.4) + 0.5 * np.log(2 * np.pi * np.e))
     np.testing.assert_allclose(total, 0.5 * 0.5 * np.square(error).mean() - 0.01 * entropy, rtol=1e-5, atol=1e-6)
     np.testing.assert_allclose(watched["kl"], 0.0, atol=1e-6)
@@ -167,9 +171,9 @@ def test_policy_gradient_at_ratio_1_is_that_of_log_prob_times_advantage(policy):
     weight = (advantage - advantage.mean()) / advantage.std()
 
     def plain(parameters):
-        return -(distribution(parameters, batch.observation).log_prob(batch.output) * weight).mean()
+        return -(distribution(parameters, batch.inputs).log_prob(batch.output) * weight).mean()
 
-    only_policy = replace(CONFIG, value_weight=0.0, entropy_weight=0.0)
+    only_policy = override(CONFIG, value_weight=0.0, entropy_weight=0.0)
     found = gradient_of(policy.parameters, batch, only_policy)
     expected = jit(jax.grad(plain))(policy.parameters)
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-3, atol=1e-5), found, expected)
@@ -185,7 +189,7 @@ def test_clipping_stops_the_gradient_only_where_the_ratio_has_already_gone_the_r
     # Normalised advantages of the others have the opposite sign: they are clipped on the other side.
     others = np.log(0.5 if sign > 0 else 1.5)
     batch = make_batch(policy, advantage, [np.log(ratio), others, others, others])
-    only_policy = replace(CONFIG, value_weight=0.0, entropy_weight=0.0)
+    only_policy = override(CONFIG, value_weight=0.0, entropy_weight=0.0)
     gradient = gradient_of(policy.parameters, batch, only_policy)
     size = float(sum(jnp.abs(leaf).sum() for leaf in jax.tree.leaves(gradient)))
     assert (size > 1e-3) == moves
@@ -198,7 +202,7 @@ def test_clipping_stops_the_gradient_only_where_the_ratio_has_already_gone_the_r
 
 def test_value_and_entropy_weights_pull_the_right_way(policy):
     batch = make_batch(policy, [0.0, 0.0, 0.0, 0.0])
-    weighted = replace(CONFIG, value_weight=1.0, entropy_weight=1.0)
+    weighted = override(CONFIG, value_weight=1.0, entropy_weight=1.0)
     gradient = gradient_of(policy.parameters, batch, weighted)
     stepped = jax.tree.map(lambda p, g: p - 0.01 * g, policy.parameters, gradient)
     _, before = loss_of(policy.parameters, batch, CONFIG)
@@ -219,7 +223,7 @@ def test_watched_scalars_report_how_far_the_policy_has_moved(policy):
 
 def changes(config, gradients):
     """What the optimiser adds to parameters, for each of the gradients in turn."""
-    optimiser = ppo.make_optimiser(config)
+    optimiser = make_optimiser(config, ppo.updates_per_iteration(config.ppo))
     step = jit(optimiser.update)
     state = optimiser.init(jax.tree.map(jnp.zeros_like, gradients[0]))
     result = []
@@ -235,7 +239,7 @@ def test_the_norm_of_all_gradients_together_is_bounded():
     Adam forgets the scale of a single gradient, so the second step, with a short gradient, shows what the
     first one was shortened to. Clipping each element, or each array, would give other numbers.
     """
-    config = PPOConfig(max_grad_norm=0.5, learning_rate=1e-2, final_learning_rate=1e-2)
+    config = override(CONFIG, max_grad_norm=0.5, learning_rate=1e-2, final_learning_rate=1e-2)
     first = {"a": np.array([30.0, 0.0]), "b": np.array([[40.0], [0.3]])}
     second = {"a": np.array([0.1, 0.2]), "b": np.array([[-0.1], [0.3]])}
     norm = np.sqrt(sum(np.square(g).sum() for g in first.values()))
@@ -250,7 +254,8 @@ def test_the_norm_of_all_gradients_together_is_bounded():
 @pytest.mark.parametrize("action_repeat", [1, 5])
 def test_learning_rate_falls_on_a_line_from_its_first_to_its_final_value(action_repeat):
     """A constant gradient makes every step of Adam as long as the learning rate."""
-    config = PPOConfig(
+    config = override(
+        CONFIG,
         num_envs=10,
         rollout_steps=10 // action_repeat,
         action_repeat=action_repeat,
@@ -270,13 +275,13 @@ def test_learning_rate_falls_on_a_line_from_its_first_to_its_final_value(action_
 @pytest.mark.parametrize("action_repeat", [1, 4])
 def test_noise_follows_its_schedule_or_what_is_learnt(policy, rollout, action_repeat):
     anneal_steps = 2 * T * B * action_repeat
-    scheduled = replace(CONFIG, initial_std=0.4, final_std=0.1, anneal_steps=anneal_steps, action_repeat=action_repeat)
+    scheduled = override(CONFIG, initial_std=0.4, final_std=0.1, anneal_steps=anneal_steps, action_repeat=action_repeat)
     fresh = replace(policy, normaliser=replace(policy.normaliser, count=jnp.zeros(())))
-    learner = ppo.make_learner(scheduled, fresh)
+    learner = start(scheduled, fresh)
     for wanted in (0.2, 0.1, 0.1):
         learner, watched = updater(scheduled)(learner, rollout, jax.random.key(6))
         np.testing.assert_allclose(watched["std"], wanted, rtol=1e-5)
-    _, learnt = updater(CONFIG)(ppo.make_learner(CONFIG, fresh), rollout, jax.random.key(6))
+    _, learnt = updater(CONFIG)(start(CONFIG, fresh), rollout, jax.random.key(6))
     assert 0.39 < learnt["std"] < 0.41
     assert learnt["std"] != np.float32(0.4)
 
@@ -284,43 +289,43 @@ def test_noise_follows_its_schedule_or_what_is_learnt(policy, rollout, action_re
 # --- minibatches -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("steps", "lanes", "minibatches"), [(6, 8, 4), (16, 12, 3), (5, 4, 1), (1, 8, 2)])
-def test_each_minibatch_draws_its_own_lanes_at_every_step(steps, lanes, minibatches):
-    order = np.asarray(jit(lambda key: ppo._shuffle(key, steps, lanes))(jax.random.key(0)))
-    assert sorted(order) == list(range(steps * lanes))
+@pytest.mark.parametrize(("steps", "num_envs", "minibatches"), [(6, 8, 4), (16, 12, 3), (5, 4, 1), (1, 8, 2)])
+def test_each_minibatch_has_environments_of_its_own_at_every_step(steps, num_envs, minibatches):
+    order = np.asarray(jit(lambda key: ppo._shuffle(key, steps, num_envs))(jax.random.key(0)))
+    assert sorted(order) == list(range(steps * num_envs))
     for rows in order.reshape(minibatches, -1):
         for step in range(steps):
-            drawn = rows[rows // lanes == step] % lanes
-            assert len(set(drawn)) == lanes // minibatches
+            used = rows[rows // num_envs == step] % num_envs
+            assert len(set(used)) == num_envs // minibatches
 
 
-def test_minibatches_change_from_epoch_to_epoch_and_mix_lanes_from_step_to_step():
+def test_minibatches_change_from_epoch_to_epoch_and_mix_environments_from_step_to_step():
     one, other = (np.asarray(ppo._shuffle(jax.random.key(seed), 16, 32)) for seed in (0, 1))
     assert not np.array_equal(one, other)
     half = one[: len(one) // 2]
-    lanes_by_step = {tuple(sorted(half[half // 32 == step] % 32)) for step in range(16)}
-    assert len(lanes_by_step) > 4
+    envs_by_step = {tuple(sorted(half[half // 32 == step] % 32)) for step in range(16)}
+    assert len(envs_by_step) > 4
 
 
 # --- the update --------------------------------------------------------------------------------------
 
 
-def test_update_learns_with_the_normaliser_that_drew_the_rollout(policy, rollout):
+def test_update_learns_with_the_normaliser_that_collected_the_rollout(policy, rollout):
     """Only then is the first ratio exactly 1."""
-    learner = ppo.make_learner(CONFIG, policy)
+    learner = start(CONFIG, policy)
     _, watched = updater(CONFIG)(learner, rollout, jax.random.key(6))
     np.testing.assert_allclose(watched["kl"], 0.0, atol=1e-6)
     assert watched["clip_fraction"] == 0.0
 
 
-def test_update_hands_on_a_normaliser_that_has_seen_the_rollout(policy, rollout):
-    learner, _ = updater(CONFIG)(ppo.make_learner(CONFIG, policy), rollout, jax.random.key(6))
-    seen = np.asarray(rollout.observation).reshape(-1, K)
-    n, mean = T * B, seen.mean(0)
+def test_update_hands_on_a_normaliser_that_knows_the_rollout(policy, rollout):
+    learner, _ = updater(CONFIG)(start(CONFIG, policy), rollout, jax.random.key(6))
+    observed = np.asarray(rollout.observation).reshape(-1, K)
+    n, mean = T * B, observed.mean(0)
     count = 100 + n
     merged = (100 * 3.0 + n * mean) / count
     # Second moments about zero add up.
-    moment = (100 * (4.0 + 3.0**2) + n * (seen.var(0) + mean**2)) / count - merged**2
+    moment = (100 * (4.0 + 3.0**2) + n * (observed.var(0) + mean**2)) / count - merged**2
     assert learner.policy.normaliser.count == count
     np.testing.assert_allclose(learner.policy.normaliser.mean, merged, rtol=1e-5)
     np.testing.assert_allclose(learner.policy.normaliser.variance, moment, rtol=1e-4)
@@ -328,13 +333,15 @@ def test_update_hands_on_a_normaliser_that_has_seen_the_rollout(policy, rollout)
 
 def test_update_of_one_batch_is_one_step_of_the_optimiser_on_the_loss(policy, rollout):
     """The whole of PPO put together by hand from its parts."""
-    learner = ppo.make_learner(CONFIG, policy)
+    learner = start(CONFIG, policy)
     found, _ = updater(CONFIG)(learner, rollout, jax.random.key(6))
-    values = jit(lambda observation: value(policy.parameters, policy.normaliser(observation)))
+    values = jit(lambda observation: value(policy.parameters, policy.inputs(observation)))
     v_t, v_tp1 = values(rollout.observation), values(rollout.next_observation)
-    advantage = gae(rollout.reward, v_t, v_tp1, rollout.terminated, rollout.done, CONFIG.gamma, CONFIG.gae_lambda)
+    advantage = gae(
+        rollout.reward, v_t, v_tp1, rollout.terminated, rollout.done, CONFIG.ppo.gamma, CONFIG.ppo.gae_lambda
+    )
     batch = ppo.Batch(
-        policy.normaliser(rollout.observation).reshape(-1, K),
+        Inputs(None, policy.normaliser(rollout.observation).reshape(-1, K)),
         rollout.output.reshape(-1, A),
         rollout.log_prob.reshape(-1),
         advantage.reshape(-1),
@@ -349,23 +356,21 @@ def test_update_of_one_batch_is_one_step_of_the_optimiser_on_the_loss(policy, ro
 
 def test_updates_on_one_rollout_raise_the_probability_of_what_paid(policy, rollout):
     """Reward is the first component of the output: the policy's mean has to move that way."""
-    config = replace(CONFIG, epochs=4, minibatches=2, learning_rate=1e-2, gamma=0.0, value_weight=0.0)
+    config = override(CONFIG, epochs=4, minibatches=2, learning_rate=1e-2, gamma=0.0, value_weight=0.0)
     paid = replace(rollout, reward=rollout.output[..., 0])
-    learner, watched = updater(config)(ppo.make_learner(config, policy), paid, jax.random.key(7))
+    learner, watched = updater(config)(start(config, policy), paid, jax.random.key(7))
 
     def mean_output(learner):
-        head = distribution(learner.policy.parameters, policy.normaliser(rollout.observation))
+        head = distribution(learner.policy.parameters, policy.inputs(rollout.observation))
         return head.mean[..., 0].mean()
 
-    assert mean_output(learner) > mean_output(ppo.make_learner(config, policy)) + 0.05
+    assert mean_output(learner) > mean_output(start(config, policy)) + 0.05
     assert watched["kl"] > 0
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((learner, watched)))
 
 
 def test_equal_keys_give_equal_updates(policy, rollout):
-    config = replace(CONFIG, epochs=4, minibatches=2, learning_rate=1e-2, gamma=0.0, value_weight=0.0)
-    one, same, other = (
-        updater(config)(ppo.make_learner(config, policy), rollout, jax.random.key(seed))[0] for seed in (1, 1, 2)
-    )
+    config = override(CONFIG, epochs=4, minibatches=2, learning_rate=1e-2, gamma=0.0, value_weight=0.0)
+    one, same, other = (updater(config)(start(config, policy), rollout, jax.random.key(seed))[0] for seed in (1, 1, 2))
     jax.tree.map(np.testing.assert_array_equal, one, same)
     assert not np.array_equal(one.policy.parameters.actor[0][0], other.policy.parameters.actor[0][0])

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from jax import Array
 
-from reachlab.agents import AGENTS
+from reachlab.agents import AGENTS, AgentEntry
+from reachlab.agents.baselines import ik
 from reachlab.agents.policy import Policy
 from reachlab.bench import bound as bench_bound
 from reachlab.bench import precise as bench_precise
@@ -26,30 +27,31 @@ from reachlab.robots.kinematics import forward_kinematics
 from reachlab.runs.directory import RunDirectory
 from reachlab.settings.plain import override
 from reachlab.settings.presets import configure
-from reachlab.tasks.reach import judge, nothing_held, remember
-from reachlab.tasks.task import Situation
+from reachlab.tasks.task import Goal, Situation
 
-LANES = 40
+NUM_ENVS = 40
 HOLD = 10
 
 
 @pytest.fixture(scope="module")
 def env() -> Env:
-    return Env(configure("precise"), LANES)
+    return Env(configure("precise", randomise=()), NUM_ENVS)
 
 
 def situation(distance: float, speed: float = 0.0) -> Situation:
     joints, target = jnp.zeros((1, 7)), jnp.array([[0.5, 0.0, 0.3]])
     tool = target + jnp.array([distance, 0.0, 0.0])
-    return Situation(joints, joints.at[0, 4].set(speed), tool, target, joints, joints)
+    upright = jnp.array([[1.0, 0.0, 0.0, 0.0]])
+    return Situation(joints, joints.at[0, 4].set(speed), tool, upright, Goal(target), joints, joints)
 
 
 def held_after(env: Env, steps: list[Situation]) -> tuple[float, bool]:
-    recent = nothing_held(env.setup, 1)
-    for now in steps:
-        recent = remember(env.setup, recent, now)
-    outcome = judge(env.setup, jnp.array([0.5]), recent, steps[-1], jnp.array([len(steps)]))
-    return float(outcome.held[0]), bool(outcome.success[0])
+    task, progress = env.setup.task, env.setup.task.begin(env.setup, jnp.array([0.5]))
+    success = jnp.array([False])
+    for number, now in enumerate(steps, start=1):
+        progress, outcome = task.judge(env.setup, progress, now, jnp.array([number]))
+        success = outcome.success
+    return float(progress.error[0]), bool(success[0])
 
 
 def test_the_held_error_is_the_largest_of_the_last_steps(env):
@@ -67,11 +69,11 @@ def test_nothing_is_held_before_ten_steps_or_while_a_joint_moves(env):
 
 
 def test_starts_lie_about_home_and_targets_in_the_box_independently(env):
-    state = env.init(env_keys(0, 400)[:LANES])
+    state = env.init(env_keys(0, 400)[:NUM_ENVS])
     spread = np.asarray(state.arm.q) - np.array(env.setup.robot.home)
     assert np.abs(spread).max() <= 0.3 + 1e-6
     assert (np.ptp(spread, axis=0) > 0.4).all()
-    low, high = np.array(env.config.rules.target_low), np.array(env.config.rules.target_high)
+    low, high = env.setup.task.goal_box(env.setup)
     target = np.asarray(state.goal.position)
     assert ((target >= low - 1e-6) & (target <= high + 1e-6)).all()
     assert (np.ptp(target, axis=0) > 0.7 * (high - low)).all()
@@ -79,8 +81,8 @@ def test_starts_lie_about_home_and_targets_in_the_box_independently(env):
 
 
 def test_every_target_of_the_box_can_be_reached(env):
-    rules, chain = env.config.rules, env.setup.robot.chain
-    axes = [np.linspace(low, high, 7) for low, high in zip(rules.target_low, rules.target_high, strict=True)]
+    chain = env.setup.robot.chain
+    axes = [np.linspace(low, high, 7) for low, high in zip(*env.setup.task.goal_box(env.setup), strict=True)]
     targets = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 1, 3).astype(np.float32)
     lower, upper = jnp.array(chain.lower), jnp.array(chain.upper)
     starts = np.random.default_rng(0).uniform(lower, upper, (len(targets), 12, chain.n)).astype(np.float32)
@@ -98,8 +100,8 @@ def test_every_target_of_the_box_can_be_reached(env):
 
 
 def test_an_episode_lasts_two_seconds_whatever_happens(env):
-    state = env.init(env_keys(0, LANES))
-    still = np.zeros((LANES, 7), np.float32)
+    state = env.init(env_keys(0, NUM_ENVS))
+    still = np.zeros((NUM_ENVS, 7), np.float32)
     for step in range(1, 101):
         state, transition = env.step(state, still)
         assert bool(np.asarray(transition.truncated).all()) == (step == 100)
@@ -107,7 +109,7 @@ def test_an_episode_lasts_two_seconds_whatever_happens(env):
 
 
 def test_a_clipped_action_is_the_clipped_one_in_command_observation_and_reward(env):
-    state, box = env.init(env_keys(0, LANES)), np.ones((LANES, 7), np.float32)
+    state, box = env.init(env_keys(0, NUM_ENVS)), np.ones((NUM_ENVS, 7), np.float32)
     after, expected = env.step(state, box)
     for beyond in (2.0, 1e30):
         clipped, transition = env.step(state, beyond * box)
@@ -120,7 +122,7 @@ def test_a_clipped_action_is_the_clipped_one_in_command_observation_and_reward(e
 
 @pytest.fixture(scope="module")
 def reports(env: Env) -> dict[str, Report]:
-    return {agent: evaluate(env, agent, seed=3, episodes=LANES) for agent in ("ik", "ik_open")}
+    return {agent: evaluate(env, agent, seed=3, episodes=NUM_ENVS) for agent in ("ik", "ik_open")}
 
 
 def test_a_closed_loop_beats_gravity_and_a_solution_solved_once_does_not(reports):
@@ -132,11 +134,11 @@ def test_a_closed_loop_beats_gravity_and_a_solution_solved_once_does_not(reports
 
 @pytest.fixture(scope="module")
 def plain() -> Env:
-    return Env(configure("precise", action="joint_delta"), LANES)
+    return Env(configure("precise", action="joint_delta", randomise=()), NUM_ENVS)
 
 
 def test_solving_once_is_the_same_whatever_the_policy_would_command(plain, reports):
-    report = evaluate(plain, "ik_open", seed=3, episodes=LANES)
+    report = evaluate(plain, "ik_open", seed=3, episodes=NUM_ENVS)
     assert report.final_error_mm["median"] == pytest.approx(reports["ik_open"].final_error_mm["median"], rel=1e-3)
 
 
@@ -144,17 +146,16 @@ def test_no_joint_goes_faster_than_it_may(env, reports):
     assert (np.array(reports["ik"].max_joint_speed) <= np.array(env.setup.robot.speed)).all()
 
 
+def wander(env: Env, policy: Policy | None, state: EnvState, key: Array, picture: Array | None) -> Array:
+    """As inverse kinematics, but away from the target for a while, once it was there."""
+    away = (state.clock >= 40) & (state.clock < 50)
+    return jnp.where(away[:, None], 1.0, ik(env, policy, state, key, picture))
+
+
 def test_an_arm_that_comes_and_goes_has_reached_only_when_it_stays(plain):
-    waypoints = np.zeros((100, LANES, 7), np.float32)
-    waypoints[40:50] = 1.0  # away from the target again, once it was there
-
-    def wander(env: Env, policy: Policy | None, state: EnvState, key: Array, picture: None) -> Array:
-        wanted = AGENTS["ik"](env, policy, state, key, picture)
-        return jnp.where(jnp.asarray(waypoints)[state.clock[0]] > 0, 1.0, wanted)
-
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(AGENTS, "wander", wander)
-        report = evaluate(plain, "wander", seed=3, episodes=LANES)
+        patch.setitem(AGENTS, "wander", AgentEntry("comes and goes", f"{__name__}:wander"))
+        report = evaluate(plain, "wander", seed=3, episodes=NUM_ENVS)
     assert report.success_rate > 0.8
     assert report.time_to_reach_s is not None
     assert 50 * 0.02 < report.time_to_reach_s < 90 * 0.02
@@ -164,48 +165,48 @@ def test_an_arm_that_comes_and_goes_has_reached_only_when_it_stays(plain):
 
 
 @pytest.fixture(scope="module")
-def perturbed() -> Env:
-    return Env(configure("precise", perturb=True), LANES)
+def varied() -> Env:
+    return Env(configure("precise", randomise=("dynamics",)), NUM_ENVS)
 
 
 def settled(env: Env, state: EnvState) -> EnvState:
     for _ in range(60):
-        state, _ = env.step(state, np.zeros((LANES, 7), np.float32))
+        state, _ = env.step(state, np.zeros((NUM_ENVS, 7), np.float32))
     return state
 
 
-def test_every_episode_has_an_arm_of_its_own_which_a_saved_state_keeps(env, perturbed):
-    begun = perturbed.init(env_keys(0, LANES))
-    sag = np.asarray(settled(perturbed, begun).arm.q - begun.target_q)
-    usual = settled(env, env.init(env_keys(0, LANES)))
+def test_every_episode_has_an_arm_of_its_own_which_a_saved_state_keeps(env, varied):
+    begun = varied.init(env_keys(0, NUM_ENVS))
+    sag = np.asarray(settled(varied, begun).arm.q - begun.target_q)
+    usual = settled(env, env.init(env_keys(0, NUM_ENVS)))
     ratio = sag[:, 1] / np.asarray(usual.arm.q - usual.target_q)[:, 1]
     assert np.ptp(ratio) > 0.2
     saved = jax.tree.map(np.array, begun.arm)
-    other = perturbed.reset(begun, np.ones(LANES, bool))
-    assert not np.allclose(np.asarray(settled(perturbed, other).arm.q - other.target_q), sag)
-    again = settled(perturbed, replace(begun, arm=saved))
+    other = varied.reset(begun, np.ones(NUM_ENVS, bool))
+    assert not np.allclose(np.asarray(settled(varied, other).arm.q - other.target_q), sag)
+    again = settled(varied, replace(begun, arm=saved))
     assert np.array_equal(np.asarray(again.arm.q - begun.target_q), sag)
 
 
-def test_measurements_are_noisy_and_the_score_is_not(perturbed):
-    state = perturbed.init(env_keys(0, LANES))
-    now = perturbed.situation(state)
+def test_measurements_are_noisy_and_the_score_is_not(varied):
+    state = varied.init(env_keys(0, NUM_ENVS))
+    now = varied.situation(state)
     noise = np.asarray(now.q - state.arm.q)
     assert noise.std() == pytest.approx(5e-4, rel=0.2)
     assert np.asarray(now.qd - state.arm.qd).std() == pytest.approx(0.01, rel=0.2)
-    measured = forward_kinematics(perturbed.reach.robot.chain, now.q).position
+    measured = forward_kinematics(varied.setup.robot.chain, now.q).position
     assert np.allclose(now.tool_position, measured, atol=1e-6)
-    state, transition = perturbed.step(state, np.zeros((LANES, 7), np.float32))
+    state, transition = varied.step(state, np.zeros((NUM_ENVS, 7), np.float32))
     true = np.linalg.norm(np.asarray(state.arm.tool_position) - np.asarray(state.goal.position), axis=1)
     assert np.allclose(transition.terms["distance"], true, atol=1e-6)
 
 
-def test_training_on_perturbed_arms_is_reported_on_nominal_ones(tmp_path):
+def test_training_on_arms_that_vary_is_reported_on_nominal_ones(tmp_path):
     settings = {"num_envs": 8, "rollout_steps": 20, "total_steps": 160, "hidden": (8,), "report_episodes": 8}
     result = train(configure("precise", minibatches=2, **settings), tmp_path / "run")
-    assert not result.report.perturb
+    assert result.report.randomised == []
     assert result.report.success_within is not None
-    assert RunDirectory(tmp_path / "run").read_config().ppo.randomise
+    assert RunDirectory(tmp_path / "run").read_config().randomise == ("dynamics",)
 
 
 def test_the_suite_compares_all_agents_on_nominal_and_perturbed_arms(monkeypatch):
@@ -216,7 +217,7 @@ def test_the_suite_compares_all_agents_on_nominal_and_perturbed_arms(monkeypatch
     monkeypatch.setattr(bench_precise, "SEEDS", range(2))
     monkeypatch.setattr(bench_precise, "HELD_OUT", 20)
     monkeypatch.setattr(bench_bound, "EPISODES", 5)
-    monkeypatch.setattr(bench_precise, "LANES", 20)
+    monkeypatch.setattr(bench_precise, "BATCH", 20)
     rows = list(bench_precise.precise())
     values = {row["name"]: row["value"] for row in rows}
     assert values["held within 2 mm/ik"] > 0.8 > values["held within 2 mm/ik_open"]

@@ -68,7 +68,7 @@ def test_held_orientation_is_the_tutorials():
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_every_tool_of_a_known_robot_starts_inside_limits_and_workspace(name):
-    for tool in ROBOTS[name].tools:
+    for tool in ROBOTS[name].tools.values():
         robot = load_robot(name, tool)
         n = robot.chain.n
         assert robot.tool == tool
@@ -81,8 +81,13 @@ def test_every_tool_of_a_known_robot_starts_inside_limits_and_workspace(name):
         assert ((low < position) & (position < high)).all()
 
 
-def test_the_first_tool_is_the_default():
-    assert load_robot("iiwa14") == load_robot("iiwa14", ROBOTS["iiwa14"].tools[0])
+def test_the_first_tool_is_the_default_unless_another_kind_is_asked_for():
+    for name, known in ROBOTS.items():
+        first = next(iter(known.tools.values()))
+        assert load_robot(name) == load_robot(name, first)
+        for kind, tool in known.tools.items():
+            assert load_robot(name, kind=kind) == load_robot(name, tool)
+            assert load_robot(name, first, kind=kind) == load_robot(name, first)
 
 
 # --- a file of one's own -----------------------------------------------------------------------------

@@ -1,10 +1,11 @@
-"""Simulators: going on from a saved state, independence of each other, and agreement."""
+"""Simulators: continuing from a saved state, independence of each other, and agreement."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -15,24 +16,25 @@ from reachlab.robots.loading import load_robot
 from reachlab.settings.presets import configure
 from reachlab.sims import SIMULATORS, make_simulator
 from reachlab.sims.mujoco import MujocoSimulator
+from reachlab.tasks.task import Goal
 
-LANES = 4
+NUM_ENVS = 4
 
 
 @pytest.mark.parametrize("threads", [1, 2])
-def test_mujoco_goes_on_from_a_saved_state_bit_for_bit_at_any_thread_count(threads):
+def test_mujoco_continues_from_a_saved_state_bit_for_bit_at_any_thread_count(threads):
     config, robot = configure(sim="mujoco"), load_robot("iiwa14")
-    whole = MujocoSimulator(robot, config.physics, LANES, threads=1)
-    other = MujocoSimulator(robot, config.physics, LANES, threads=threads)
-    home = np.tile(np.array(robot.home, np.float32), (LANES, 1))
+    whole = MujocoSimulator(robot, config.physics, NUM_ENVS, threads=1)
+    other = MujocoSimulator(robot, config.physics, NUM_ENVS, threads=threads)
+    home = np.tile(np.array(robot.home, np.float32), (NUM_ENVS, 1))
     commands = home + np.random.default_rng(0).uniform(-0.3, 0.3, (120, *home.shape)).astype(np.float32)
-    arm = whole.reset(None, home, np.zeros((LANES, 3)), None)
+    arm = whole.reset(None, home, Goal(jnp.zeros((NUM_ENVS, 3))), None)
     for command in commands[:20]:
         arm = whole.step(arm, command)
     saved = jax.tree.map(np.array, arm)
     for command in commands[20:]:
         arm = whole.step(arm, command)
-    other.reset(None, home + 0.1, np.zeros((LANES, 3)), None)
+    other.reset(None, home + 0.1, Goal(jnp.zeros((NUM_ENVS, 3))), None)
     again = saved
     for command in commands[20:]:
         again = other.step(again, command)
@@ -62,8 +64,8 @@ def test_pybullet_follows_joint_commands_as_the_kinematic_simulator_does():
     robot, physics = load_robot("iiwa14"), configure().physics
     bullet, kinematic = (make_simulator(name, robot, physics, 2) for name in ("pybullet", "kinematic"))
     q = np.tile(np.array(robot.home, np.float32), (2, 1))
-    target = np.array([[0.5, 0.0, -0.0083]] * 2, np.float32)
-    here, there = kinematic.reset(None, q, target, None), bullet.reset(None, q, target, None)
+    goal = Goal(jnp.array([[0.5, 0.0, -0.0083]] * 2))
+    here, there = kinematic.reset(None, q, goal, None), bullet.reset(None, q, goal, None)
     for step in np.random.default_rng(4).uniform(-0.02, 0.02, (100, 2, 7)).astype(np.float32):
         q = q + step
         here, there = kinematic.step(here, q), bullet.step(there, q)
@@ -74,11 +76,11 @@ def test_pybullet_follows_joint_commands_as_the_kinematic_simulator_does():
 
 
 def test_mujoco_arm_follows_its_commands_no_faster_than_its_joints_may():
-    env = Env(configure(sim="mujoco", action="joint_delta", joint_scale=1.0), LANES)
-    state = env.init(env_keys(0, LANES))
+    env = Env(configure(sim="mujoco", action="joint_delta", joint_scale=1.0), NUM_ENVS)
+    state = env.init(env_keys(0, NUM_ENVS))
     speed = np.array(env.setup.robot.speed)
     before = np.asarray(state.target_q)
-    state, _ = env.step(state, np.ones((LANES, 7), np.float32))
+    state, _ = env.step(state, np.ones((NUM_ENVS, 7), np.float32))
     assert np.allclose(np.asarray(state.target_q) - before, speed * env.config.physics.control_period, atol=1e-6)
 
 
@@ -89,7 +91,7 @@ def test_gravity_pulls_the_mujoco_arm_down_unless_compensated():
     for compensated in (False, True):
         physics = configure(sim="mujoco", gravity_compensation=compensated).physics
         simulator = make_simulator("mujoco", robot, physics, 1)
-        arm = start = simulator.reset(None, home, np.zeros((1, 3)), None)
+        arm = start = simulator.reset(None, home, Goal(jnp.zeros((1, 3))), None)
         for _ in range(100):
             arm = simulator.step(arm, home)
         sag[compensated] = float(start.tool_position[0, 2] - arm.tool_position[0, 2])
@@ -97,13 +99,13 @@ def test_gravity_pulls_the_mujoco_arm_down_unless_compensated():
     assert abs(sag[True]) < 1e-4
 
 
-def test_mujoco_refuses_to_go_on_from_a_broken_state_and_then_goes_on_from_a_sound_one(tmp_path, monkeypatch):
+def test_mujoco_refuses_to_continue_from_a_broken_state_and_then_continues_from_a_sound_one(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # the engine leaves its log where it runs
-    env = Env(configure(sim="mujoco"), LANES)
-    state = env.init(env_keys(0, LANES))
+    env = Env(configure(sim="mujoco"), NUM_ENVS)
+    state = env.init(env_keys(0, NUM_ENVS))
     still = np.zeros_like(np.asarray(state.last_action))
     broken = np.array(state.arm.engine)
     broken.view(np.float64)[2] = np.nan
-    with pytest.raises(FloatingPointError, match="BADQPOS in lane 2"):
+    with pytest.raises(FloatingPointError, match="BADQPOS in environment 2"):
         env.step(replace(state, arm=replace(state.arm, engine=broken)), still)
     assert np.isfinite(np.asarray(env.step(state, still)[0].arm.q)).all()

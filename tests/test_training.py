@@ -18,6 +18,7 @@ from reachlab.envs.core import Env
 from reachlab.evaluation.episodes import BATCH
 from reachlab.evaluation.report import evaluate
 from reachlab.learn.loop import ENOUGH_EPISODES, Loop, Progress
+from reachlab.learn.ppo_method import PPO
 from reachlab.learn.saved import load_policy
 from reachlab.learn.train import TrainResult, train
 from reachlab.runs.directory import RunDirectory
@@ -68,19 +69,19 @@ print(hashlib.sha256(state.read_bytes()).hexdigest())
 
 @dataclass(frozen=True)
 class Trained:
-    """A finished training, its directory and what was seen on the way."""
+    """A finished training, its directory and what was told on the way."""
 
     result: TrainResult
     out: Path
-    seen: list[Progress]
+    told: list[Progress]
     rows: list[dict[str, float]]
 
 
 def run(out: Path, **settings: object) -> Trained:
-    seen: list[Progress] = []
-    result = train(configure(**settings), out, seen.append)  # type: ignore[arg-type]
+    told: list[Progress] = []
+    result = train(configure(**settings), out, told.append)  # type: ignore[arg-type]
     rows = [json.loads(line) for line in (out / "metrics.jsonl").read_text().splitlines()]
-    return Trained(result, out, seen, rows)
+    return Trained(result, out, told, rows)
 
 
 @pytest.fixture(scope="module")
@@ -136,7 +137,7 @@ def test_times_and_speed_fit_together(tutorial: Trained) -> None:
 
 def loop_of(tmp_path: Path, **settings: object) -> Loop:
     config = configure(num_envs=8, **settings)  # type: ignore[arg-type]
-    return Loop(config, Env(config, 8), RunDirectory(tmp_path / "run"), lambda _: None, 0.0)
+    return Loop(config, Env(config, 8), RunDirectory(tmp_path / "run"), lambda _: None, 0.0, PPO, None)
 
 
 def end_episodes(loop: Loop, episodes: int, successes: int) -> None:
@@ -152,8 +153,8 @@ def test_a_validation_that_just_reaches_its_success_rate_holds(
 ) -> None:
     loop = loop_of(tmp_path, stop_success=stop_success, validation_episodes=episodes)
     allowed = math.floor(episodes * (1 - Decimal(str(stop_success))))
-    assert loop._can_hold(allowed)
-    assert not loop._can_hold(allowed + 1)
+    assert loop._can_reach(allowed)
+    assert not loop._can_reach(allowed + 1)
 
 
 def test_one_lucky_episode_brings_no_validation_and_no_rank(tmp_path: Path) -> None:
@@ -180,7 +181,7 @@ def test_validations_begin_where_training_is_as_good_as_is_asked_for(
 # --- the run directory ----------------------------------------------------------------------------
 
 
-def test_a_run_directory_holds_what_the_design_says(tutorial: Trained) -> None:
+def test_a_run_directory_holds_checkpoint_configuration_metrics_and_report(tutorial: Trained) -> None:
     out, step = tutorial.out, tutorial.result.steps
     files = sorted(str(path.relative_to(out)) for path in out.rglob("*") if path.is_file())
     checkpoint = f"checkpoints/step_{step:012d}"
@@ -217,10 +218,10 @@ def test_every_iteration_leaves_a_row(tutorial: Trained) -> None:
     assert tutorial.rows[-1]["std"] < tutorial.rows[0]["std"]
 
 
-def test_whoever_watches_sees_every_row(tutorial: Trained) -> None:
-    assert [progress.metrics for progress in tutorial.seen] == tutorial.rows
-    assert [progress.steps for progress in tutorial.seen] == [row["steps"] for row in tutorial.rows]
-    assert {progress.total_steps for progress in tutorial.seen} == {configure().loop.total_steps}
+def test_a_watch_is_told_every_row(tutorial: Trained) -> None:
+    assert [progress.metrics for progress in tutorial.told] == tutorial.rows
+    assert [progress.steps for progress in tutorial.told] == [row["steps"] for row in tutorial.rows]
+    assert {progress.total_steps for progress in tutorial.told} == {configure().loop.total_steps}
 
 
 # --- settings -------------------------------------------------------------------------------------

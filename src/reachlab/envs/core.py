@@ -19,7 +19,7 @@ from reachlab.render.marks import NO_PATH, Marks
 from reachlab.render.view_randomisation import SAMPLES, develop, make_views
 from reachlab.settings.config import RunConfig
 from reachlab.sims import SIMULATORS, BatchArray, make_simulator
-from reachlab.tasks.actions import ACTIONS
+from reachlab.tasks.actions import ACTIONS, bounded
 from reachlab.tasks.observations import OBSERVATIONS, SIZE, Observed
 from reachlab.tasks.task import Goal, Situation
 
@@ -130,7 +130,7 @@ class Env:
         return stepped
 
     def _step(self, state: EnvState, action: BatchArray, instead: Array | None) -> Stepped:
-        action = self._functions.bounded(jnp.asarray(action))
+        action = bounded(self.setup, jnp.asarray(action))
         target_q = self._parts.command(replace(state, arm=replace(state.arm, engine=None)), action)
         if instead is not None:
             target_q = jnp.where(jnp.isnan(instead), target_q, instead)

@@ -13,8 +13,7 @@ from reachlab.envs.streams import CHAIN_STREAM, PARTS, VIEW_STREAM, noise_keys
 from reachlab.render.view_randomisation import SAMPLES
 from reachlab.robots.kinematics import forward_kinematics
 from reachlab.sims import ArmState, BatchArray
-from reachlab.tasks import observations
-from reachlab.tasks.actions import ACTIONS
+from reachlab.tasks import actions, observations
 from reachlab.tasks.observations import Observed
 from reachlab.tasks.rewards import REWARDS
 from reachlab.tasks.task import Goal, Progress, Situation, TaskSetup, outside_workspace
@@ -120,12 +119,12 @@ class EnvFunctions:
 
     def begin(self, arm: ArmState, goal: Goal, key: Array) -> EnvState:
         """State at the start of episodes."""
-        actions = len(ACTIONS[self.setup.rules.action].bounds(self.setup)[0])
+        size = len(actions.ACTIONS[self.setup.rules.action].bounds(self.setup)[0])
         return EnvState(
             arm=arm,
             goal=goal,
             target_q=arm.q,
-            last_action=jnp.zeros((len(goal.position), actions)),
+            last_action=jnp.zeros((len(goal.position), size)),
             progress=self.setup.task.begin(self.setup, goal.distance(arm.tool_position)),
             clock=jnp.zeros(len(goal.position), jnp.int32),
             key=key,
@@ -133,16 +132,11 @@ class EnvFunctions:
 
     def command(self, state: EnvState, action: Array) -> Array:
         """Next joint command `[B, n]` for an action `[B, a]` in its box, no faster than the joints can follow."""
-        target_q = ACTIONS[self.setup.rules.action].command(self.setup, self.situation(state), action)
+        target_q = actions.command(self.setup, self.situation(state), action)
         if not self.real_time:
             return target_q
         most = jnp.array(self.setup.robot.speed) * self.setup.period
         return jnp.clip(target_q, state.target_q - most, state.target_q + most)
-
-    def bounded(self, action: Array) -> Array:
-        """The action `[B, a]` that is taken: clipped to its box, where the rules say so."""
-        rules = self.setup.rules
-        return jnp.clip(action, *ACTIONS[rules.action].bounds(self.setup)) if rules.clip_actions else action
 
     def judge(
         self, now: Situation, progress: Progress, clock: Array, keys: Array

@@ -162,6 +162,6 @@ def run_episodes(
         keys = episode_keys(seed, stream, first + done, runner.num_envs)
         part = runner.run(policy, keys, watch_all) if runner.on_host else runner.run(policy, keys)
         watch_all(runner.num_envs)
-        # BatchArray beyond the last episode ran too; they do not count.
+        # Episodes beyond the last one asked for ran too; they do not count.
         parts.append(jax.tree.map(lambda x, left=episodes - done: np.asarray(x)[:left], part))
     return jax.tree.map(lambda *x: np.concatenate(x), *parts)

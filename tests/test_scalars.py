@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from reachlab.jax_setup import jit
-from reachlab.robots import scalars as lanes
+from reachlab.robots import scalars
 from reachlab.robots.inverse_kinematics import ik_step
 from reachlab.robots.kinematics import Pose
 from reachlab.robots.loading import load_robot
@@ -24,14 +24,14 @@ def operations(function, *shapes):
 
 
 def of_matrix(matrix):
-    """Rotation in lanes of matrices `[B, 3, 3]`."""
+    """Rotation in scalars of matrices `[B, 3, 3]`."""
     return Rotation(*(Vec(*(jnp.asarray(matrix[:, i, j], jnp.float32) for i in range(3))) for j in range(3)))
 
 
 @pytest.fixture(scope="module")
 def quaternions():
     """Compiled `quaternion_from_rotation` of matrices `[B, 3, 3]`."""
-    program = jit(lambda rotation: jnp.stack(lanes.quaternion_from_rotation(rotation), -1))
+    program = jit(lambda rotation: jnp.stack(scalars.quaternion_from_rotation(rotation), -1))
     return lambda matrix: np.asarray(program(of_matrix(matrix)))
 
 
@@ -41,17 +41,17 @@ def quaternions():
 @pytest.mark.parametrize(
     ("function", "expected"),
     [
-        (lambda a: lanes.mul(a, 0.0), []),
-        (lambda a: lanes.mul(0.0, a), []),
-        (lambda a: lanes.mul(1.0, a), []),
-        (lambda a: lanes.mul(a, -1.0), ["neg"]),
-        (lambda a: lanes.mul(a, 2.0), ["mul"]),
-        (lambda a: lanes.add(a, 0.0), []),
-        (lambda a: lanes.add(0.0, a), []),
-        (lambda a: lanes.add(a, 1.0), ["add"]),
-        (lambda a: lanes.sub(a, 0.0), []),
-        (lambda a: lanes.sub(0.0, a), ["neg"]),
-        (lambda a: lanes.total([0.0, a, 0.0]), []),
+        (lambda a: scalars.mul(a, 0.0), []),
+        (lambda a: scalars.mul(0.0, a), []),
+        (lambda a: scalars.mul(1.0, a), []),
+        (lambda a: scalars.mul(a, -1.0), ["neg"]),
+        (lambda a: scalars.mul(a, 2.0), ["mul"]),
+        (lambda a: scalars.add(a, 0.0), []),
+        (lambda a: scalars.add(0.0, a), []),
+        (lambda a: scalars.add(a, 1.0), ["add"]),
+        (lambda a: scalars.sub(a, 0.0), []),
+        (lambda a: scalars.sub(0.0, a), ["neg"]),
+        (lambda a: scalars.total([0.0, a, 0.0]), []),
         (lambda a: Vec(1.0, 0.0, 0.0).dot(Vec(a, 2.0 * a, a)), ["mul"]),
         (lambda a: Vec(0.0, 0.0, 1.0).cross(Vec(a, a, a)), ["neg"]),
         (lambda a: tuple(QUARTER_TURN.apply(Vec(a, a, a))), ["neg"]),
@@ -67,23 +67,23 @@ def test_folded_arithmetic_is_arithmetic():
     """Folding may drop operations, never change a value."""
     for a in (0.0, 1.0, -1.0, 0.3, jnp.asarray([0.3, -2.0])):
         for b in (0.0, 1.0, -1.0, 0.7, jnp.asarray([4.0, 0.5])):
-            np.testing.assert_allclose(lanes.mul(a, b), np.multiply(a, b), rtol=1e-6)
-            np.testing.assert_allclose(lanes.add(a, b), np.add(a, b), rtol=1e-6)
-            np.testing.assert_allclose(lanes.sub(a, b), np.subtract(a, b), rtol=1e-6)
+            np.testing.assert_allclose(scalars.mul(a, b), np.multiply(a, b), rtol=1e-6)
+            np.testing.assert_allclose(scalars.add(a, b), np.add(a, b), rtol=1e-6)
+            np.testing.assert_allclose(scalars.sub(a, b), np.subtract(a, b), rtol=1e-6)
 
 
 def test_rotations_compose_and_invert_like_matrices():
     rng = np.random.default_rng(0)
     a, b = rotation_matrix(random_quaternions(rng, 2, 10))
     v = rng.normal(size=(10, 3))
-    in_lanes = Vec(*jnp.asarray(v.T, jnp.float32))
+    in_scalars = Vec(*jnp.asarray(v.T, jnp.float32))
 
     def matrix(rotation):
         return np.stack([np.stack(column, -1) for column in rotation], -1)
 
     np.testing.assert_allclose(matrix(of_matrix(a).compose(of_matrix(b))), a @ b, atol=1e-6)
     np.testing.assert_allclose(matrix(of_matrix(a).transpose()), a.transpose(0, 2, 1), atol=1e-7)
-    np.testing.assert_allclose(np.stack(of_matrix(a).apply(in_lanes), -1), (a @ v[..., None])[..., 0], atol=1e-6)
+    np.testing.assert_allclose(np.stack(of_matrix(a).apply(in_scalars), -1), (a @ v[..., None])[..., 0], atol=1e-6)
 
 
 # --- rotations and quaternions -----------------------------------------------------------------------
@@ -121,7 +121,7 @@ def test_quaternion_of_a_random_rotation_is_the_references(quaternions):
 
 def test_rotation_of_a_quaternion_is_the_references():
     true = random_quaternions(np.random.default_rng(2), 500)
-    rotation = lanes.rotation_from_quaternion(*jnp.asarray(true.T, jnp.float32))
+    rotation = scalars.rotation_from_quaternion(*jnp.asarray(true.T, jnp.float32))
     found = np.stack([np.stack(column, -1) for column in rotation], -1)
     np.testing.assert_allclose(found, rotation_matrix(true), atol=1e-6)
 
@@ -136,7 +136,7 @@ def test_unrolled_cholesky_solves_what_lapack_solves(n):
     a = root @ root.transpose(0, 2, 1) + 0.1 * np.eye(n)
     b = rng.normal(size=(200, n))
     lower = [[jnp.asarray(a[:, i, j], jnp.float32) for j in range(i + 1)] for i in range(n)]
-    program = jit(lambda a, b: jnp.stack(lanes.solve_positive(a, b), -1))
+    program = jit(lambda a, b: jnp.stack(scalars.solve_positive(a, b), -1))
     x = np.asarray(program(lower, [jnp.asarray(column, jnp.float32) for column in b.T]))
     exact = np.linalg.solve(a, b[..., None])[..., 0]
     # Relative error of a backward stable solve: rounding times the condition number.
@@ -165,7 +165,7 @@ def test_what_is_computed_once_stays_computed_once_in_the_compiled_program():
 
 def test_once_keeps_values_and_constants():
     tree = {"a": jnp.arange(3.0), "b": (2.0, jnp.ones(2))}
-    kept = lanes.once(tree)
+    kept = scalars.once(tree)
     assert kept["b"][0] == 2.0
     assert isinstance(kept["b"][0], float)
     jax.tree.map(np.testing.assert_array_equal, kept, tree)
