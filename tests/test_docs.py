@@ -15,8 +15,13 @@ from pathlib import Path
 import pytest
 
 import reachlab
+from reachlab.agents import AGENTS
+from reachlab.bench import SUITES
 from reachlab.cli import main as cli
+from reachlab.cli.flags import Bench, Eval, Train
 from reachlab.cli.verbs import VERBS
+from reachlab.envs.settle import check
+from reachlab.settings.consistency import RANDOMISED
 from reachlab.settings.validation import choose, hints
 from test_imports import FOLDERS
 
@@ -64,8 +69,16 @@ def test_a_command_of_the_documents_is_one(command: str, monkeypatch: pytest.Mon
     if verb == "--version":
         return
     choose("command", verb, VERBS)
-    if words and words != ["--help"]:  # a verb without anything is only mentioned
-        cli._parse(verb, VERBS[verb].flags, words)
+    if not words or words == ["--help"]:  # only mentioned
+        return
+    flags = cli._parse(verb, VERBS[verb].flags, words)
+    if isinstance(flags, Train):
+        check(flags.run)
+    elif isinstance(flags, Eval):
+        assert set(flags.agent) <= set(AGENTS)
+        assert set(flags.randomise) <= set(RANDOMISED)
+    elif isinstance(flags, Bench):
+        assert flags.suite in SUITES
 
 
 def settings(cls: type) -> Iterator[str]:
@@ -114,6 +127,7 @@ def test_the_table_of_public_names_is_complete() -> None:
 
 
 def test_the_examples_of_the_readme_run(tmp_path: Path) -> None:
+    # Unless it is told, only the command line keeps compiled programs.
     cache = {"JAX_COMPILATION_CACHE_DIR": str(Path.home() / ".cache" / "reachlab" / "jax")} | dict(os.environ)
     script = "\n".join(blocks(TEXTS["README.md"], "python"))
     done = subprocess.run(
