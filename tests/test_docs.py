@@ -1,0 +1,138 @@
+"""What README, CONTRIBUTING and docs/ say is true: examples run, commands parse, names and files exist."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import re
+import shlex
+import subprocess
+import sys
+import typing
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import reachlab
+from reachlab.agents import AGENTS
+from reachlab.bench import SUITES
+from reachlab.cli import main as cli
+from reachlab.cli.flags import Bench, Eval, Train
+from reachlab.cli.verbs import VERBS
+from reachlab.envs.settle import check
+from reachlab.settings.consistency import RANDOMISED
+from reachlab.settings.validation import choose, hints
+from test_imports import FOLDERS
+
+ROOT = Path(__file__).parent.parent
+SOURCE = Path(reachlab.__file__).parent
+
+README, CONTRIBUTING = ROOT / "README.md", ROOT / "CONTRIBUTING.md"
+PAGES = (README, CONTRIBUTING, *sorted((ROOT / "docs").glob("*.md")))
+TEXTS = {page.relative_to(ROOT).as_posix(): page.read_text(encoding="utf-8") for page in PAGES}
+
+NUMBERS = {"N": "0", "$seed": "0"}
+"""What stands for a number in a command."""
+
+FENCED = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+SPAN = re.compile(r"`([^`]+)`")
+
+
+def blocks(text: str, language: str) -> list[str]:
+    """Fenced blocks of a language."""
+    return [block for name, block in FENCED.findall(text) if name == language]
+
+
+def spans(text: str) -> list[str]:
+    """Code inside lines, each on one line."""
+    return [" ".join(span.split()) for span in SPAN.findall(FENCED.sub("", text))]
+
+
+def commands(text: str) -> Iterator[str]:
+    """Command lines of `reachlab` in a text: a prompt's, and those in a sentence."""
+    prompts = [line[2:] for block in blocks(text, "console") for line in block.splitlines() if line.startswith("$ ")]
+    for line in [*prompts, *spans(text)]:
+        for part in re.split(r"[;|>]| # ", line):
+            words = part.strip().removeprefix("do ")
+            if words.startswith("reachlab "):
+                yield words
+
+
+COMMANDS = sorted({command for text in TEXTS.values() for command in commands(text)})
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_command_of_the_documents_is_one(command: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cli, "_resumed", lambda _chosen: None)  # the run that is resumed is not there
+    verb, *words = (NUMBERS.get(word, word) for word in shlex.split(command)[1:])
+    if verb == "--version":
+        return
+    choose("command", verb, VERBS)
+    if not words or words == ["--help"]:  # only mentioned
+        return
+    flags = cli._parse(verb, VERBS[verb].flags, words)
+    if isinstance(flags, Train):
+        check(flags.run)
+    elif isinstance(flags, Eval):
+        assert set(flags.agent) <= set(AGENTS)
+        assert set(flags.randomise) <= set(RANDOMISED)
+    elif isinstance(flags, Bench):
+        assert flags.suite in SUITES
+
+
+def settings(cls: type) -> Iterator[str]:
+    """Names of the flags of a dataclass, those of the dataclasses in it among them."""
+    for name, hint in hints(cls).items():
+        kind = typing.get_args(hint)[0] if hasattr(hint, "__metadata__") else hint
+        if dataclasses.is_dataclass(kind):
+            yield from settings(typing.cast("type", kind))
+        else:
+            flag = name.replace("_", "-")
+            yield from (f"--{flag}", f"--no-{flag}") if kind is bool else (f"--{flag}",)
+
+
+FLAGS = {flag for verb in VERBS.values() for flag in settings(verb.flags)} | {"--help"}
+
+
+@pytest.mark.parametrize("page", TEXTS)
+def test_flags_in_sentences_exist(page: str) -> None:
+    named = {word for span in spans(TEXTS[page]) if span.startswith("--") for word in span.split() if word[:2] == "--"}
+    assert named <= FLAGS
+
+
+@pytest.mark.parametrize("page", TEXTS)
+def test_targets_of_make_exist(page: str) -> None:
+    rules = set(re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
+    assert {span.split()[1] for span in spans(TEXTS[page]) if re.fullmatch(r"make [\w-]+", span)} <= rules
+
+
+@pytest.mark.parametrize("page", TEXTS)
+def test_files_that_are_linked_or_named_exist(page: str) -> None:
+    links = re.findall(r"\]\(([^):#]+)\)", TEXTS[page])
+    assert not [link for link in links if not (ROOT / page).parent.joinpath(link).exists()]
+    named = [span for span in spans(TEXTS[page]) if re.fullmatch(r"[\w/]+\.py", span) and "/" in span]
+    assert not [file for file in named if not (SOURCE / file).exists() and not (ROOT / file).exists()]
+
+
+def test_the_folders_of_the_layout_are_those_of_the_package_in_their_order() -> None:
+    table = re.findall(r"^\| `(\w+)/` \|", TEXTS["CONTRIBUTING.md"], re.MULTILINE)
+    assert table == [folder for folder in FOLDERS if (SOURCE / folder / "__init__.py").exists()]
+
+
+def test_the_table_of_public_names_is_complete() -> None:
+    _, table = TEXTS["README.md"].split("| name | what it gives |\n")
+    names = [re.findall(r"\w+", row)[0] for row in table.split("\n\n")[0].splitlines()[1:]]
+    assert sorted(names) == sorted(reachlab.__all__)
+
+
+def test_the_examples_of_the_readme_run(tmp_path: Path) -> None:
+    # Unless it is told, only the command line keeps compiled programs.
+    cache = {"JAX_COMPILATION_CACHE_DIR": str(Path.home() / ".cache" / "reachlab" / "jax")} | dict(os.environ)
+    script = "\n".join(blocks(TEXTS["README.md"], "python"))
+    done = subprocess.run(
+        [sys.executable, "-c", script], cwd=tmp_path, env=cache, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "curve.png").is_file()
+    assert (tmp_path / "film.webp").is_file()
