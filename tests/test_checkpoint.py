@@ -94,8 +94,8 @@ def test_random_keys_come_back_as_keys_that_draw_the_same(finished: Path, state:
     assert np.array_equal(jax.random.normal(key, (4,)), jax.random.normal(state.key, (4,)))
 
 
-def test_a_loaded_policy_acts_as_the_saved_one(finished: Path, config: RunConfig, env: Env, state: TrainState) -> None:
-    policy = load_policy(RunDirectory(finished), config, env)
+def test_a_loaded_policy_acts_as_the_saved_one(finished: Path, env: Env, state: TrainState) -> None:
+    policy = load_policy(RunDirectory(finished), env)
     observation = env.observe(state.env)
     assert np.array_equal(policy.act(observation), state.learner.policy.act(observation))
 
@@ -187,7 +187,7 @@ DAMAGES: dict[str, tuple[Callable[[Path], None], str]] = {
     "arrays that are none": (lambda run: reseal(run, b"not tensors"), "is damaged: its header is too large"),
     "an array too few": (drop_array, "does not fit the run's configuration at 'learner/policy/centre'"),
     "an array of another type": (retype_array, "does not fit the run's configuration at 'learner/policy/centre'"),
-    "another shape": (edit_config(lambda c: c["ppo"].update(hidden=[32])), "does not fit the run's configuration"),
+    "another shape": (edit_config(lambda c: c["learner"].update(hidden=[32])), "does not fit the run's configuration"),
     "no manifest": (remove(f"{STEP}/manifest.json"), "manifest.json' is missing"),
     "a manifest that is no JSON": (write(f"{STEP}/manifest.json", b"{"), "manifest.json' is not JSON"),
     "a manifest that is a list": (write(f"{STEP}/manifest.json", b"[]"), "is damaged"),
@@ -198,10 +198,10 @@ DAMAGES: dict[str, tuple[Callable[[Path], None], str]] = {
     "a configuration in binary": (write("config.json", b"\xff\xfe\x00"), "config.json' is not JSON"),
     "a bottomless configuration": (write("config.json", b"[" * 100_000), "config.json' is not JSON"),
     "a configuration that is a list": (write("config.json", b"[]"), "config.json' is not usable: .*got list"),
-    "a setting too few": (edit_config(lambda c: c.pop("seed")), "lacks the setting 'seed'"),
+    "a setting too few": (edit_config(lambda c: c.pop("seed")), "has no setting 'seed'"),
     "a setting too many": (edit_config(lambda c: c.update(colour="red")), "unknown setting 'colour'"),
     "a setting of another type": (
-        edit_config(lambda c: c["ppo"].update(num_envs="many")),
+        edit_config(lambda c: c["loop"].update(num_envs="many")),
         "num_envs must be a whole number",
     ),
     "a setting out of range": (edit_config(lambda c: c["ppo"].update(gamma=2.0)), "gamma must be at least 0 and"),

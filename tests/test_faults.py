@@ -294,7 +294,7 @@ def test_an_engine_that_breaks_stops_training_with_the_last_good_state_saved(
     monkeypatch.setattr(MujocoSimulator, "step", step)
     monkeypatch.chdir(tmp_path)  # the engine writes a log of its own
     config = configure(**TINY, sim="mujoco")
-    with pytest.raises(NotFiniteError, match=r"stopped after step 128: MuJoCo.*lane 0"):
+    with pytest.raises(NotFiniteError, match=r"stopped after step 128: MuJoCo.*environment 0"):
         train(config, tmp_path / "run")
     assert steps_saved(tmp_path / "run")[-1] == 128
     rollout = safetensors.numpy.load((tmp_path / "run/not_finite.safetensors").read_bytes())

@@ -295,6 +295,6 @@ def test_a_command_tells_what_follows_on_standard_error(
         "--max-steps",
         "9",
     ]
-    assert cli.main(["train", *flags, "--perturb", "--json", "--out", str(tmp_path / "run")]) == cli.DONE
+    assert cli.main(["train", *flags, "--randomise", "dynamics", "--json", "--out", str(tmp_path / "run")]) == cli.DONE
     assert capsys.readouterr().out.startswith("{")
     assert "arms differ with --sim mujoco" in said(caplog)[0]

@@ -59,7 +59,7 @@ class Env:
     """
 
     def __init__(self, config: RunConfig, num_envs: int) -> None:
-        """Environment of `num_envs` episodes at a time.
+        """Environment of `num_envs` episodes at a time, which differ in what `config.randomise` names.
 
         Raises:
             InputError: a name in the configuration that does not exist, or a setting that does not fit the arm.

@@ -41,7 +41,8 @@ class EpisodeBatch:
         """
         if num_envs < 1:
             raise InputError(f"num_envs must be at least 1, got {num_envs}.")
-        config = configure(task, **settings)
+        # What varies in the training that a preset describes does not vary here, unless it is asked for.
+        config = configure(task, **{"randomise": (), **settings})
         check(config)
         self.env = Env(config, num_envs)
         self._state: EnvState | None = None

@@ -90,6 +90,7 @@ def _initial_state(env: Env, config: RunConfig, seed: int | Array, teacher: Poli
     if teacher is None:
         knowing = Env(override(config, observation=config.teacher_observation, randomise=()), 1)
         teacher = make_initial_policy(knowing.config, knowing, for_policy)
+        knowing.close()
     state = env.init(episode_keys(seed, TRAINING_STREAM, 0, config.loop.num_envs))
     learner = make_learner(_optimiser(config), policy)
     return DistilState(learner, state, key, make_buffer(state, config.dagger.capacity), teacher)
