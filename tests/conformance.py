@@ -15,7 +15,7 @@ import numpy as np
 
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState, Transition
-from reachlab.envs.streams import env_keys
+from reachlab.envs.random_streams import env_keys
 from reachlab.settings.presets import configure
 from reachlab.sims import SIMULATORS
 

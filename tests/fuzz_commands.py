@@ -37,7 +37,7 @@ from reachlab.cli import main as cli
 from reachlab.cli.verbs import VERBS
 from reachlab.robots.catalogue import ROBOTS
 from reachlab.settings.consistency import RANDOMISED
-from reachlab.settings.plain import flatten, to_json
+from reachlab.settings.json_form import flatten, to_json
 from reachlab.settings.presets import preset
 from reachlab.settings.validation import Range, hints
 from reachlab.sims import SIMULATORS

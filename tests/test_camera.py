@@ -17,7 +17,7 @@ from gymnasium.spaces import Box, Dict
 from reachlab.agents.policy import Policy
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState, Transition
-from reachlab.envs.streams import env_keys
+from reachlab.envs.random_streams import env_keys
 from reachlab.evaluation import episodes
 from reachlab.evaluation.episodes import Episodes
 from reachlab.evaluation.report import evaluate

@@ -23,8 +23,8 @@ import safetensors.numpy
 from reachlab import sims
 from reachlab.cli import main as cli
 from reachlab.envs.core import Env
+from reachlab.learn.load import load_policy
 from reachlab.learn.ppo_method import TrainState, initial_state
-from reachlab.learn.saved import load_policy
 from reachlab.runs.checkpoint import seal
 from reachlab.runs.directory import RunDirectory
 from reachlab.runs.files import write_json

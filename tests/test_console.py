@@ -7,7 +7,7 @@ import re
 import pytest
 
 from reachlab.cli.console import asked
-from reachlab.cli.displays import EvalDisplay, TrainDisplay, explained, parts_of_time, train_line
+from reachlab.cli.progress import EvalDisplay, TrainDisplay, explained, parts_of_time, train_line
 from reachlab.learn.loop import Progress
 from reachlab.settings.config import RunConfig
 from reachlab.settings.presets import configure

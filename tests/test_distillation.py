@@ -16,14 +16,14 @@ from PIL import Image
 from reachlab.bench.camera import SPOILT
 from reachlab.cli import main as cli
 from reachlab.envs.core import Env
-from reachlab.envs.streams import REPORT_STREAM, env_keys, episode_keys
+from reachlab.envs.random_streams import REPORT_STREAM, env_keys, episode_keys
 from reachlab.learn.dagger_buffer import Pictures, add, make_buffer
 from reachlab.learn.interrupts import Interrupted
-from reachlab.learn.saved import load_policy
+from reachlab.learn.load import load_policy
 from reachlab.learn.train import distil, train
 from reachlab.runs.directory import RunDirectory
 from reachlab.settings.config import DistilRunConfig
-from reachlab.settings.plain import override
+from reachlab.settings.json_form import override
 from reachlab.settings.presets import configure, distillation
 from reachlab.settings.validation import InputError
 from test_resume import ask, at, rows, weights

@@ -20,7 +20,7 @@ from reachlab.bench import SUITES
 from reachlab.cli import main as cli
 from reachlab.cli.flags import Bench, Eval, Train
 from reachlab.cli.verbs import VERBS
-from reachlab.envs.settle import check
+from reachlab.envs.setup import check
 from reachlab.settings.consistency import RANDOMISED
 from reachlab.settings.validation import choose, hints
 from test_imports import FOLDERS

@@ -17,7 +17,7 @@ from reachlab.agents import AGENTS, AgentEntry
 from reachlab.agents.policy import Policy
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState
-from reachlab.envs.streams import (
+from reachlab.envs.random_streams import (
     AGENT_STREAM,
     LEARNER_STREAM,
     PARTS,

@@ -30,7 +30,7 @@ from reachlab.runs.checkpoint import MANIFEST, seal
 from reachlab.runs.directory import RunDirectory
 from reachlab.runs.files import read_json, write_json
 from reachlab.runs.metrics import Metrics
-from reachlab.settings.plain import to_json
+from reachlab.settings.json_form import to_json
 from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError
 from reachlab.sims.mujoco import MujocoSimulator

@@ -9,7 +9,7 @@ import pytest
 
 from reachlab.agents import AGENTS
 from reachlab.envs.core import Env
-from reachlab.envs.streams import REPORT_STREAM
+from reachlab.envs.random_streams import REPORT_STREAM
 from reachlab.evaluation.episodes import BATCH, make_runner, run_episodes
 from reachlab.learn.learner import make_initial_policy
 from reachlab.settings.presets import configure

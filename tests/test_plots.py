@@ -17,7 +17,7 @@ from PIL import Image
 from reachlab.agents import AGENTS
 from reachlab.runs.directory import RunDirectory
 from reachlab.settings.config import RunConfig
-from reachlab.settings.plain import to_json
+from reachlab.settings.json_form import to_json
 from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError
 from reachlab.watch.plots import plot

@@ -15,7 +15,7 @@ from reachlab.learn import ppo
 from reachlab.learn.learner import make_learner, make_optimiser
 from reachlab.learn.rollout import Rollout
 from reachlab.settings.config import LoopConfig, PPOConfig, RunConfig
-from reachlab.settings.plain import override
+from reachlab.settings.json_form import override
 from reachlab.tasks.observations import Field, Schema
 
 K, A, T, B = 4, 2, 6, 8

@@ -18,14 +18,14 @@ from reachlab.bench import precise as bench_precise
 from reachlab.bench.table import to_markdown
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState
-from reachlab.envs.streams import env_keys
+from reachlab.envs.random_streams import env_keys
 from reachlab.evaluation.report import Report, evaluate
 from reachlab.jax_setup import jit
 from reachlab.learn.train import train
 from reachlab.robots.inverse_kinematics import ik_point_step
 from reachlab.robots.kinematics import forward_kinematics
 from reachlab.runs.directory import RunDirectory
-from reachlab.settings.plain import override
+from reachlab.settings.json_form import override
 from reachlab.settings.presets import configure
 from reachlab.tasks.task import Goal, Situation
 

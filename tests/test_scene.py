@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from reachlab.envs.core import Env
-from reachlab.envs.streams import env_keys
+from reachlab.envs.random_streams import env_keys
 from reachlab.render.marks import Marks
 from reachlab.render.offscreen import Camera
 from reachlab.render.scene import HEIGHT, WIDTH, scene_spec

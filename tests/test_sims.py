@@ -11,7 +11,7 @@ import pytest
 
 from reachlab.bench.soak import bad_actions, interleavings
 from reachlab.envs.core import Env
-from reachlab.envs.streams import env_keys
+from reachlab.envs.random_streams import env_keys
 from reachlab.robots.loading import load_robot
 from reachlab.settings.presets import configure
 from reachlab.sims import SIMULATORS, make_simulator

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from jax import Array
 from scipy.spatial.transform import Rotation
 
-from reachlab.envs.settle import check, make_setup
+from reachlab.envs.setup import check, make_setup
 from reachlab.robots.kinematics import forward_kinematics
 from reachlab.settings.config import RunConfig, TaskConfig
 from reachlab.settings.presets import configure

@@ -17,12 +17,12 @@ import pytest
 from reachlab.envs.core import Env
 from reachlab.evaluation.episodes import BATCH
 from reachlab.evaluation.report import evaluate
+from reachlab.learn.load import load_policy
 from reachlab.learn.loop import ENOUGH_EPISODES, Loop, Progress
 from reachlab.learn.ppo_method import PPO
-from reachlab.learn.saved import load_policy
 from reachlab.learn.train import TrainResult, train
 from reachlab.runs.directory import RunDirectory
-from reachlab.settings.plain import to_json
+from reachlab.settings.json_form import to_json
 from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError
 

@@ -13,8 +13,8 @@ import pytest
 from reachlab.cli import main as cli
 from reachlab.envs.core import Env
 from reachlab.envs.gymnasium_single import ReachEnv
-from reachlab.envs.settle import check, check_reach, in_evaluation, make_setup
-from reachlab.envs.streams import env_keys
+from reachlab.envs.random_streams import env_keys
+from reachlab.envs.setup import check, check_reach, in_evaluation, make_setup
 from reachlab.learn import train as training
 from reachlab.robots.loading import load_robot
 from reachlab.runs.directory import RunDirectory
@@ -53,7 +53,7 @@ URDF = """
 </robot>"""
 
 
-LOGGERS = ("reachlab.envs.settle", "reachlab.settings.consistency")
+LOGGERS = ("reachlab.envs.setup", "reachlab.settings.consistency")
 
 
 def said(caplog: pytest.LogCaptureFixture) -> list[str]:

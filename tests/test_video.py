@@ -13,7 +13,7 @@ import pytest
 from PIL import Image
 
 from reachlab.envs.core import Env
-from reachlab.envs.streams import REPORT_STREAM
+from reachlab.envs.random_streams import REPORT_STREAM
 from reachlab.evaluation.episodes import BATCH, make_runner, run_episodes
 from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError

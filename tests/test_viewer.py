@@ -23,8 +23,8 @@ from browser.follow import follow
 from browser.viewer import free_port
 from reachlab.cli import main as cli
 from reachlab.envs.core import Env
+from reachlab.learn.load import load_policy
 from reachlab.learn.ppo_method import initial_state
-from reachlab.learn.saved import load_policy
 from reachlab.render.marks import REACHED, TARGET_RADIUS
 from reachlab.robots.loading import load_robot
 from reachlab.runs.directory import RunDirectory
@@ -33,8 +33,8 @@ from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError
 from reachlab.tasks import TASKS
 from reachlab.watch import panel
-from reachlab.watch.page import save_page
 from reachlab.watch.player import PATH_STEP
+from reachlab.watch.saved_page import save_page
 from reachlab.watch.server import LOCAL, start_server
 from reachlab.watch.viewer import COMMANDS, Viewer
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from reachlab.envs.gymnasium_single import ReachEnv
     from reachlab.envs.gymnasium_vector import ReachVectorEnv
     from reachlab.evaluation.report import Report, evaluate
-    from reachlab.learn.saved import LoadedRun, load
+    from reachlab.learn.load import LoadedRun, load
     from reachlab.learn.train import TrainResult, distil, train
     from reachlab.robots.inverse_kinematics import inverse_kinematics
     from reachlab.robots.kinematics import forward_kinematics
@@ -34,7 +34,7 @@ __version__ = "0.1.0"
 _HOMES = {
     "Env": "envs.core",
     "InputError": "settings.validation",
-    "LoadedRun": "learn.saved",
+    "LoadedRun": "learn.load",
     "Policy": "agents.policy",
     "ReachEnv": "envs.gymnasium_single",
     "ReachVectorEnv": "envs.gymnasium_vector",
@@ -48,7 +48,7 @@ _HOMES = {
     "evaluate": "evaluation.report",
     "forward_kinematics": "robots.kinematics",
     "inverse_kinematics": "robots.inverse_kinematics",
-    "load": "learn.saved",
+    "load": "learn.load",
     "load_robot": "robots.loading",
     "plot": "watch.plots",
     "train": "learn.train",

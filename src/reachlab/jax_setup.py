@@ -15,7 +15,7 @@ from jax.stages import Wrapped
 from reachlab.settings.validation import InputError
 
 CPU_OPTIONS = {
-    # Without this XLA's CPU compiler drops optimisation barriers before it fuses (see `scalars.once`).
+    # Without this XLA's CPU compiler drops optimisation barriers before it fuses (see `scalar_algebra.once`).
     "xla_disable_hlo_passes": "cse_barrier_expander",
     # The kernels are simple loops: higher levels take a fifth longer to compile and run no faster.
     "xla_backend_optimization_level": 1,

@@ -25,7 +25,7 @@ from reachlab.bench.table import Row, row
 from reachlab.cli.console import print_table
 from reachlab.envs.core import Env
 from reachlab.jax_setup import use_compilation_cache
-from reachlab.learn.saved import load_policy
+from reachlab.learn.load import load_policy
 from reachlab.learn.train import train
 from reachlab.runs.directory import RunDirectory
 from reachlab.settings.config import RunConfig

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.optimize import linprog
 
 from reachlab.envs.core import Env
-from reachlab.envs.streams import REPORT_STREAM, episode_keys
+from reachlab.envs.random_streams import REPORT_STREAM, episode_keys
 from reachlab.jax_setup import jit
 from reachlab.robots.kinematics import forward_kinematics, jacobian
 from reachlab.settings.config import RunConfig

@@ -17,13 +17,13 @@ from reachlab.agents.policy import Policy
 from reachlab.bench.table import Row, row
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState, Transition
-from reachlab.envs.streams import env_keys
+from reachlab.envs.random_streams import env_keys
 from reachlab.evaluation.report import FRESH_SEED, Report, evaluate
 from reachlab.jax_setup import jit
-from reachlab.learn.saved import load_policy
+from reachlab.learn.load import load_policy
 from reachlab.learn.train import distil, train
 from reachlab.runs.directory import RunDirectory
-from reachlab.settings.plain import override
+from reachlab.settings.json_form import override
 from reachlab.settings.presets import configure, distillation, in_simulator
 from reachlab.sims import BatchArray
 

@@ -19,7 +19,7 @@ from reachlab.evaluation.report import FRESH_SEED, Report, examine, summarise
 from reachlab.learn.train import TrainResult, train
 from reachlab.robots.loading import load_robot
 from reachlab.settings.config import RunConfig
-from reachlab.settings.plain import override
+from reachlab.settings.json_form import override
 from reachlab.settings.presets import configure
 
 SEEDS, HELD_OUT = range(5), 2000

@@ -15,7 +15,7 @@ from mujoco.batch import Batch
 
 from reachlab.bench.table import Row, row
 from reachlab.envs.core import Env
-from reachlab.envs.streams import env_keys
+from reachlab.envs.random_streams import env_keys
 from reachlab.evaluation.episodes import BATCH
 from reachlab.evaluation.report import FRESH_SEED, evaluate
 from reachlab.jax_setup import jit

@@ -13,7 +13,7 @@ from reachlab.bench.table import Row, row
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState
 from reachlab.envs.gymnasium_single import ReachEnv
-from reachlab.envs.streams import env_keys
+from reachlab.envs.random_streams import env_keys
 from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError
 from reachlab.sims import SIMULATORS

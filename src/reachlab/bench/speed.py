@@ -14,7 +14,7 @@ from reachlab.bench.table import Row, machine, row
 from reachlab.bench.timing import shortest_time
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState
-from reachlab.envs.streams import env_keys
+from reachlab.envs.random_streams import env_keys
 from reachlab.jax_setup import jit
 from reachlab.learn.ppo_method import compile_iteration, initial_state
 from reachlab.settings.presets import configure

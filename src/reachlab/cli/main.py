@@ -18,7 +18,7 @@ import tyro
 from reachlab.cli.flags import LESSON, Distil, Train
 from reachlab.cli.verbs import VERBS
 from reachlab.settings.config import DistilRunConfig, RunConfig
-from reachlab.settings.plain import flatten, to_json
+from reachlab.settings.json_form import flatten, to_json
 from reachlab.settings.presets import CHOICES, preset
 from reachlab.settings.validation import InputError, choose
 

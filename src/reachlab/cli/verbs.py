@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from reachlab.bench import SUITES, run_suite
-from reachlab.cli.evaluation import evaluate
+from reachlab.cli.eval_command import evaluate
 from reachlab.cli.flags import Bench, Distil, Eval, List, Plot, Train, Video, View
 from reachlab.cli.preparation import prepare
-from reachlab.cli.training import distil, train
-from reachlab.cli.watching import plot, video, view
+from reachlab.cli.train_command import distil, train
+from reachlab.cli.watch_commands import plot, video, view
 
 
 def bench(arguments: Bench) -> None:

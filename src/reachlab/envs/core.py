@@ -13,7 +13,7 @@ import numpy as np
 from jax import Array
 
 from reachlab.envs.functions import EnvFunctions, EnvState, Stepped, Transition
-from reachlab.envs.settle import make_setup
+from reachlab.envs.setup import make_setup
 from reachlab.jax_setup import dispatch_inline, first_process, jit
 from reachlab.render.marks import NO_PATH, Marks
 from reachlab.render.view_randomisation import SAMPLES, develop, make_views
@@ -90,7 +90,7 @@ class Env:
     # --- episodes ---------------------------------------------------------------------------------
 
     def init(self, keys: Array) -> EnvState:
-        """State in which every environment begins an episode; `keys [B]`, see `streams`."""
+        """State in which every environment begins an episode; `keys [B]`, see `random_streams`."""
         return self._init(keys)
 
     def reset(self, state: EnvState, mask: BatchArray, chained: float | None = None) -> EnvState:

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from reachlab.envs.streams import CHAIN_STREAM, PARTS, VIEW_STREAM, noise_keys
+from reachlab.envs.random_streams import CHAIN_STREAM, PARTS, VIEW_STREAM, noise_keys
 from reachlab.render.view_randomisation import SAMPLES
 from reachlab.robots.kinematics import forward_kinematics
 from reachlab.sims import ArmState, BatchArray

@@ -8,7 +8,7 @@ import gymnasium
 import numpy as np
 
 from reachlab.envs.functions import EnvState
-from reachlab.envs.gymnasium_batch import METADATA, EpisodeBatch, box, checked_render_mode, observation_space, single
+from reachlab.envs.gymnasium_shared import METADATA, EpisodeBatch, box, checked_render_mode, observation_space, single
 
 
 class ReachEnv(gymnasium.Env[Any, np.ndarray]):

@@ -10,7 +10,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from reachlab.envs.functions import Transition
-from reachlab.envs.gymnasium_batch import METADATA, EpisodeBatch, box, checked_render_mode, observation_space, single
+from reachlab.envs.gymnasium_shared import METADATA, EpisodeBatch, box, checked_render_mode, observation_space, single
 from reachlab.settings.validation import InputError, choose
 
 Step = tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]

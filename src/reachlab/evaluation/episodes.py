@@ -15,7 +15,7 @@ from reachlab.agents.acting import make_act
 from reachlab.agents.policy import Policy
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState, Transition
-from reachlab.envs.streams import AGENT_STREAM, episode_keys
+from reachlab.envs.random_streams import AGENT_STREAM, episode_keys
 from reachlab.jax_setup import jit
 
 Watch = Callable[[int], None]

@@ -12,7 +12,7 @@ import numpy as np
 from reachlab.agents import AGENTS
 from reachlab.agents.policy import Policy
 from reachlab.envs.core import Env
-from reachlab.envs.streams import REPORT_STREAM
+from reachlab.envs.random_streams import REPORT_STREAM
 from reachlab.evaluation.episodes import Episodes, Runner, Watch, ignore, make_runner, run_episodes
 from reachlab.runs.versions import versions
 from reachlab.settings.validation import InputError

@@ -20,16 +20,16 @@ from jax import Array
 from reachlab.agents.policy import Parameters, Policy, distribution, features
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState, Transition
-from reachlab.envs.streams import LEARNER_STREAM, TRAINING_STREAM, episode_keys, stream_key
+from reachlab.envs.random_streams import LEARNER_STREAM, TRAINING_STREAM, episode_keys, stream_key
 from reachlab.jax_setup import jit
 from reachlab.learn.dagger_buffer import DaggerBuffer, Pictures, add, make_buffer
 from reachlab.learn.learner import Learner, make_initial_policy, make_learner, make_optimiser
+from reachlab.learn.load import load_policy
 from reachlab.learn.method import Finite, Method, Watched, all_finite
-from reachlab.learn.saved import load_policy
 from reachlab.robots.robot import Robot
 from reachlab.runs.directory import RunDirectory
 from reachlab.settings.config import DistilRunConfig, RunConfig
-from reachlab.settings.plain import override
+from reachlab.settings.json_form import override
 from reachlab.settings.validation import InputError
 from reachlab.sims import SIMULATORS
 from reachlab.tasks.observations import OBSERVATIONS, observe, remembered_situation

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -15,9 +14,10 @@ from jax.stages import Wrapped
 
 from reachlab.agents.policy import Policy
 from reachlab.envs.core import Env
-from reachlab.envs.streams import VALIDATION_STREAM, episode_keys
+from reachlab.envs.random_streams import VALIDATION_STREAM, episode_keys
 from reachlab.evaluation.episodes import Runner, make_runner, run_episodes
 from reachlab.jax_setup import jit
+from reachlab.learn.checkpointing import Checkpoints, reason, unwritable
 from reachlab.learn.interrupts import Interrupted, Interrupts
 from reachlab.learn.method import Method
 from reachlab.learn.rollout import EngineError
@@ -34,11 +34,6 @@ VALIDATE_FROM = 0.9
 
 ENOUGH_EPISODES = 20
 """Training episodes from which on their success rate says something: a single one may succeed by luck."""
-
-SAVING_SHARE = 0.02
-"""Checkpoints take at most this share of the time, on average."""
-
-log = logging.getLogger(__name__)
 
 
 class NotFiniteError(FloatingPointError):
@@ -60,7 +55,7 @@ class Loop:
 
     Attributes:
         now: where training stands.
-        saved: where the newest checkpoint stands, None without one.
+        checkpoints: its saving.
     """
 
     def __init__(
@@ -77,10 +72,8 @@ class Loop:
         self.method, self.given = method, given
         self.config, self.env, self.run, self.watch, self.start = config, env, run, watch, start
         self.now = Counters(0)
-        self.saved: Counters | None = None
+        self.checkpoints = Checkpoints(run, config)
         self.runner = make_runner(env, "trained")
-        self._save_after = config.loop.checkpoint_interval
-        self._clock = 0.0
 
     @property
     def validated(self) -> bool:
@@ -117,7 +110,7 @@ class Loop:
 
     def _saved_state(self, template: Any) -> Any:
         self.now, state = self.run.read_state(template)
-        self.saved = self.now
+        self.checkpoints.saved = self.now
         self.start -= self.now.train_s
         return state
 
@@ -131,16 +124,16 @@ class Loop:
 
     def iterate(self, state: Any, metrics: Metrics, interrupts: Interrupts) -> Any:
         """State after training, saved."""
-        self._clock = time.perf_counter()
-        self._loop_start = self._clock - self.now.loop_s
+        self.checkpoints.start()
+        self._loop_start = time.perf_counter() - self.now.loop_s
         while self.now.steps < self.config.loop.total_steps and not self.validated:
             state = self._advance(state, metrics)
             if interrupts.received is not None:
                 self._leave(state, metrics, interrupts.received)
-            if time.perf_counter() - self._clock >= self._save_after:
+            if self.checkpoints.due:
                 self._try_to_save(state, metrics)
         try:
-            self._save(state, metrics)
+            self.checkpoints.save(self._timed(), state, metrics)
         except (OSError, InputError) as error:
             raise unwritable("last checkpoint", self.run, error, self.config.verb) from None
         return state
@@ -208,38 +201,11 @@ class Loop:
         # As one quotient: 0.9 of 1000 is 900 then, where (1 - 0.9) * 1000 is less than 100.
         return (settings.validation_episodes - failures) / settings.validation_episodes >= settings.stop_success
 
-    # --- saving -----------------------------------------------------------------------------------
-
-    def _save(self, state: Any, metrics: Metrics) -> None:
-        """Save the state, unless it is saved."""
-        begun = time.perf_counter()
-        self.now = replace(self.now, train_s=begun - self.start)
-        if self.saved is None or self.saved.steps != self.now.steps:
-            metrics.sync()
-            self.run.write_checkpoint(self.now.steps, state, self.now, self.config.loop.keep_checkpoints)
-            self.saved = self.now
-        self._clock = time.perf_counter()
-        if interval := self.config.loop.checkpoint_interval:
-            self._save_after = max(interval, (self._clock - begun) / SAVING_SHARE)
-
-    def _try_to_save(self, state: Any, metrics: Metrics) -> bool:
-        """Whether the state is saved; if it cannot be, training continues and tries again after the next interval."""
-        try:
-            self._save(state, metrics)
-        except (OSError, InputError) as error:
-            self._clock = time.perf_counter()
-            log.warning(
-                "reachlab: the checkpoint of step %s cannot be written to '%s' (%s).",
-                f"{self.now.steps:,}",
-                self.run.checkpoints,
-                _reason(error),
-            )
-            return False
-        return True
+    # --- ends -------------------------------------------------------------------------------------
 
     def _leave(self, state: Any, metrics: Metrics, signal: int) -> NoReturn:
         self._try_to_save(state, metrics)
-        raise Interrupted(signal, f"interrupted at step {self.now.steps:,}; {self._how_to_resume()}")
+        raise Interrupted(signal, f"interrupted at step {self.now.steps:,}; {self.checkpoints.how_to_resume()}")
 
     def _stop(self, state: Any, metrics: Metrics, why: str, rollout: object) -> NoReturn:
         """End training at numbers that are not finite: the state is the one before them."""
@@ -250,23 +216,14 @@ class Loop:
                 write_synced(self.run.offending_file, arrays.to_bytes(rollout))
                 kept = f" The rollout is in '{self.run.offending_file}'."
             except (OSError, InputError) as error:
-                kept = f" The rollout cannot be written ({_reason(error)})."
-        raise NotFiniteError(f"training stopped after step {self.now.steps:,}: {why}.{kept} {self._how_to_resume()}")
+                kept = f" The rollout cannot be written ({reason(error)})."
+        resume = self.checkpoints.how_to_resume()
+        raise NotFiniteError(f"training stopped after step {self.now.steps:,}: {why}.{kept} {resume}")
 
-    def _how_to_resume(self) -> str:
-        if self.saved is None:
-            return "nothing is saved."
-        command = f"reachlab {self.config.verb} --resume {self.run.path}"
-        return f"step {self.saved.steps:,} is saved: `{command}` continues from there."
+    def _try_to_save(self, state: Any, metrics: Metrics) -> None:
+        self.checkpoints.try_to_save(self._timed(), state, metrics)
 
-
-def unwritable(what: str, run: RunDirectory, error: Exception, verb: str = "train") -> InputError:
-    """An error that says what of a run could not be written, and what to do."""
-    return InputError(
-        f"the {what} cannot be written to '{run.path}' ({_reason(error)}): make room there, and resume with"
-        f" `reachlab {verb} --resume {run.path}`."
-    )
-
-
-def _reason(error: Exception) -> str:
-    return (error.strerror or str(error)) if isinstance(error, OSError) else str(error).rstrip(".")
+    def _timed(self) -> Counters:
+        """Where training stands, with its time so far."""
+        self.now = replace(self.now, train_s=time.perf_counter() - self.start)
+        return self.now

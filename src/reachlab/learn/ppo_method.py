@@ -13,7 +13,7 @@ from jax import Array
 
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState
-from reachlab.envs.streams import LEARNER_STREAM, TRAINING_STREAM, episode_keys, stream_key
+from reachlab.envs.random_streams import LEARNER_STREAM, TRAINING_STREAM, episode_keys, stream_key
 from reachlab.jax_setup import jit
 from reachlab.learn import ppo
 from reachlab.learn.learner import Learner, make_initial_policy, make_learner, make_optimiser

@@ -10,19 +10,20 @@ from typing import Any
 
 from reachlab.agents.policy import Policy
 from reachlab.envs.core import Env
-from reachlab.envs.settle import check, check_reach
+from reachlab.envs.setup import check, check_reach
 from reachlab.evaluation.report import Report, evaluate
 from reachlab.jax_setup import set_threads
 from reachlab.learn import METHODS
+from reachlab.learn.checkpointing import unwritable
 from reachlab.learn.interrupts import Interrupts
-from reachlab.learn.loop import Loop, Progress, unwritable
+from reachlab.learn.loop import Loop, Progress
 from reachlab.learn.method import Method
 from reachlab.runs.directory import RunDirectory
 from reachlab.runs.files import write_json
 from reachlab.runs.lock import locked
 from reachlab.runs.metrics import Metrics, cut_metrics, event_writer
 from reachlab.settings.config import DistilRunConfig, RunConfig
-from reachlab.settings.plain import override
+from reachlab.settings.json_form import override
 from reachlab.settings.validation import InputError
 
 

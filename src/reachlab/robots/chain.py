@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from reachlab.robots.scalars import Rotation, Vec, rotation_from_quaternion
+from reachlab.robots.joint_limits import position_limits
+from reachlab.robots.scalar_algebra import Rotation, Vec, rotation_from_quaternion
 
 ROUND_TO_EXACT = 1e-12
 """Constants of a joint frame this close to 0 or 1 are those numbers; they differ by float64 rounding."""
@@ -70,11 +71,10 @@ def chain_from_model(model: mujoco.MjModel, tool: str) -> Chain:
             reference = float(model.qpos0[model.jnt_qposadr[joint]])
             frames.append(transform @ align @ _joint_transform(slide, -reference))
             transform = back
-            limited = bool(model.jnt_limited[joint])
             slides.append(slide)
-            low, high = model.jnt_range[joint] if limited else (-np.inf, np.inf)
-            lower.append(_inward(low, np.inf))
-            upper.append(_inward(high, -np.inf))
+            low, high = position_limits(model, joint)
+            lower.append(low)
+            upper.append(high)
             joints.append(joint)
     if not slides:
         raise ValueError(f"no joint moves tool {tool!r}")
@@ -97,13 +97,6 @@ def _tool_body(model: mujoco.MjModel, tool: str) -> tuple[int, np.ndarray]:
             f" bodies {bodies or '(none)'}"
         )
     return body, np.eye(4)
-
-
-def _inward(limit: float, inside: float) -> float:
-    """The limit as a float32 number that is not beyond it."""
-    rounded = np.float32(limit)
-    beyond = rounded < limit if inside > limit else rounded > limit
-    return float(np.nextafter(rounded, np.float32(inside)) if beyond else rounded)
 
 
 def _transform(position: np.ndarray, quaternion: np.ndarray) -> np.ndarray:

@@ -15,7 +15,7 @@ from jax import Array
 
 from reachlab.robots.chain import Chain
 from reachlab.robots.kinematics import Pose, components, frames_at, jacobian_columns, stack
-from reachlab.robots.scalars import (
+from reachlab.robots.scalar_algebra import (
     Rotation,
     Scalar,
     Vec,

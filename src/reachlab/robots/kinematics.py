@@ -1,7 +1,7 @@
 """Kinematics of a serial chain of hinge and slide joints: the tool's pose, and its Jacobian.
 
 Every function takes joint vectors `[..., n]` with any leading shape and is traced by JAX; the work
-is done on scalars (see `scalars.py`). Positions are in metres in the world frame, angles in radians,
+is done on scalars (see `scalar_algebra`). Positions are in metres in the world frame, angles in radians,
 quaternions unit and ordered w, x, y, z.
 """
 
@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from reachlab.robots.chain import Chain
-from reachlab.robots.scalars import (
+from reachlab.robots.scalar_algebra import (
     IDENTITY,
     ZERO,
     Rotation,

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
 import mujoco
-import numpy as np
 
 from reachlab.robots.catalogue import ROBOTS, KnownRobot
 from reachlab.robots.chain import Chain, chain_from_model
+from reachlab.robots.joint_limits import speed_limits, torque_limits
 from reachlab.robots.robot import CATALOGUE, DEFAULT, DERIVED, FILE, Robot
 from reachlab.robots.workspace import held_quaternion, reachable_box
 from reachlab.settings.config import is_robot_file
@@ -79,9 +79,9 @@ def _load(name: str, tool: str | None) -> Robot:
         tool=tool,
         chain=chain,
         home=home,
-        speed=figure("speed", listed.speed, lambda: _speeds(model, n), (DEFAULT, lambda: (DEFAULT_SPEED,) * n)),
+        speed=figure("speed", listed.speed, lambda: speed_limits(model, n), (DEFAULT, lambda: (DEFAULT_SPEED,) * n)),
         torque=figure(
-            "torque", listed.torque, lambda: _torques(model, chain.joints), (DEFAULT, lambda: (float("inf"),) * n)
+            "torque", listed.torque, lambda: torque_limits(model, chain.joints), (DEFAULT, lambda: (float("inf"),) * n)
         ),
         workspace=workspace,
         goal_box=figure("goal_box", listed.goal_box, _not_in_files, (DERIVED, lambda: workspace)),
@@ -123,22 +123,3 @@ def _keyframe(model: mujoco.MjModel, chain: Chain) -> tuple[float, ...] | None:
 def _middle(chain: Chain) -> tuple[float, ...]:
     lower, upper = chain.finite_limits()
     return tuple(((lower + upper) / 2).tolist())
-
-
-def _speeds(model: mujoco.MjModel, n: int) -> tuple[float, ...] | None:
-    if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, "speed_limit") < 0:
-        return None
-    speeds = model.numeric("speed_limit").data
-    if len(speeds) != n:
-        raise InputError(f"numeric 'speed_limit' has {len(speeds)} entries, the arm {n} joints; give one for each.")
-    return tuple(float(speed) for speed in speeds)
-
-
-def _torques(model: mujoco.MjModel, ids: Sequence[int]) -> tuple[float, ...] | None:
-    """Torque limits of the joints' actuators; None where no joint has any."""
-    torques = dict.fromkeys(ids, float("inf"))
-    for actuator in range(model.nu):
-        joint = int(model.actuator_trnid[actuator, 0])
-        if joint in torques and model.actuator_forcelimited[actuator]:
-            torques[joint] = float(model.actuator_forcerange[actuator, 1])
-    return tuple(torques.values()) if np.isfinite(list(torques.values())).any() else None

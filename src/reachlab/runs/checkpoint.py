@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 
 from reachlab.runs.files import UNREADABLE, read_json, remove, sync, write_json, write_synced
 from reachlab.settings.config import RunConfig
-from reachlab.settings.plain import difference, from_json
+from reachlab.settings.json_form import difference, from_json
 from reachlab.settings.validation import Checked, Count, Fraction, InputError, NonNegative, NonNegativeInt
 
 FORMAT = 1

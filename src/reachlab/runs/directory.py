@@ -14,9 +14,9 @@ from reachlab.runs.checkpoint import Counters, Manifest
 from reachlab.runs.files import read_json, remove, sync, write_json
 from reachlab.runs.lock import refuse_if_held
 from reachlab.runs.metrics import read_metrics
-from reachlab.runs.reports import read_reports, write_report
+from reachlab.runs.saved_reports import read_reports, write_report
 from reachlab.settings.config import RunConfig
-from reachlab.settings.plain import difference, from_json, to_json
+from reachlab.settings.json_form import difference, from_json, to_json
 from reachlab.settings.validation import InputError
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from reachlab.settings.config import RunConfig
-from reachlab.settings.plain import flatten, to_json
+from reachlab.settings.json_form import flatten, to_json
 from reachlab.settings.presets import preset_of
 from reachlab.settings.validation import InputError, choose
 

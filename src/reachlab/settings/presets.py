@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from reachlab.settings.config import DistilRunConfig, RunConfig
-from reachlab.settings.plain import flatten, override, to_json
+from reachlab.settings.json_form import flatten, override, to_json
 
 CHOICES = ("sim", "observation", "action", "reward")
 """Settings that, like the task, decide the defaults of others."""

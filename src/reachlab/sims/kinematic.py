@@ -8,7 +8,7 @@ from reachlab.robots.kinematics import forward_kinematics
 from reachlab.robots.robot import Robot
 from reachlab.settings.config import SimConfig
 from reachlab.sims import ArmState, BatchArray, Kind
-from reachlab.sims.drawing import Drawn
+from reachlab.sims.rendering import Drawn
 from reachlab.tasks.task import Goal
 
 

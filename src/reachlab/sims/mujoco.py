@@ -16,7 +16,7 @@ from reachlab.robots.robot import Robot
 from reachlab.settings.config import SimConfig
 from reachlab.settings.validation import InputError
 from reachlab.sims import ArmState, BatchArray, Kind
-from reachlab.sims.drawing import Drawn
+from reachlab.sims.rendering import Drawn
 from reachlab.tasks.task import Goal
 
 SERVO_STIFFNESS, SERVO_DAMPING = 2000.0, 200.0

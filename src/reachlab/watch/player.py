@@ -15,7 +15,7 @@ from reachlab.agents.acting import make_act
 from reachlab.agents.policy import Policy
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState, Transition
-from reachlab.envs.streams import AGENT_STREAM, REPORT_STREAM, episode_keys
+from reachlab.envs.random_streams import AGENT_STREAM, REPORT_STREAM, episode_keys
 from reachlab.tasks.task import Goal, TaskSetup
 
 Advance = Callable[[Policy | None, EnvState, Array, bool, np.ndarray], tuple[EnvState, Transition, Array]]

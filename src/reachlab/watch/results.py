@@ -13,7 +13,7 @@ import numpy as np
 
 from reachlab.runs.directory import RunDirectory
 from reachlab.settings import presets
-from reachlab.settings.plain import flatten, to_json
+from reachlab.settings.json_form import flatten, to_json
 from reachlab.settings.presets import preset
 from reachlab.settings.validation import InputError
 

@@ -9,7 +9,7 @@ from typing import Any
 from reachlab.robots.loading import load_robot
 from reachlab.settings.config import RunConfig
 from reachlab.settings.consistency import Facts, check_consistency
-from reachlab.settings.plain import flatten, override, to_json
+from reachlab.settings.json_form import flatten, override, to_json
 from reachlab.settings.presets import in_simulator, preset
 from reachlab.settings.validation import InputError, choose
 from reachlab.sims import SIMULATORS

@@ -10,7 +10,7 @@ import jax
 
 from reachlab.agents.policy import Policy
 from reachlab.envs.core import Env
-from reachlab.envs.settle import in_evaluation
+from reachlab.envs.setup import in_evaluation
 from reachlab.learn.learner import make_initial_policy
 from reachlab.runs.directory import RunDirectory
 from reachlab.settings.config import RunConfig

@@ -10,7 +10,7 @@ from reachlab.agents import AGENTS
 from reachlab.cli.flags import Plot, Video, View
 from reachlab.cli.preparation import prepare
 from reachlab.settings.config import RunConfig
-from reachlab.settings.plain import override
+from reachlab.settings.json_form import override
 from reachlab.settings.presets import in_simulator
 from reachlab.settings.validation import InputError, choose
 
@@ -27,7 +27,7 @@ def video(arguments: Video) -> None:
     prepare()
     from reachlab.cli.console import say
     from reachlab.envs.core import Env
-    from reachlab.learn.saved import load_policy
+    from reachlab.learn.load import load_policy
     from reachlab.runs.directory import RunDirectory
     from reachlab.watch.video import write_video
 
@@ -61,9 +61,9 @@ def view(arguments: View) -> None:
     from reachlab.cli.console import note, say
     from reachlab.envs.core import Env
     from reachlab.learn.interrupts import Interrupts
-    from reachlab.learn.saved import load_policy
+    from reachlab.learn.load import load_policy
     from reachlab.runs.directory import RunDirectory
-    from reachlab.watch.page import save_page
+    from reachlab.watch.saved_page import save_page
     from reachlab.watch.server import is_local
     from reachlab.watch.viewer import Viewer
 

@@ -10,13 +10,13 @@ from reachlab.agents import AGENTS
 from reachlab.cli.flags import Eval
 from reachlab.cli.preparation import prepare
 from reachlab.settings.config import RunConfig
-from reachlab.settings.plain import override
+from reachlab.settings.json_form import override
 from reachlab.settings.presets import preset
 from reachlab.settings.validation import InputError, choose
 
 if TYPE_CHECKING:
-    from reachlab.cli.displays import EvalDisplay
-    from reachlab.learn.saved import Saved
+    from reachlab.cli.progress import EvalDisplay
+    from reachlab.learn.load import Saved
     from reachlab.runs.directory import RunDirectory
 
 
@@ -32,7 +32,7 @@ def evaluate(arguments: Eval) -> None:
         choose("agent", agent, AGENTS)
     prepare()
     from reachlab.cli.console import note
-    from reachlab.cli.displays import EvalDisplay
+    from reachlab.cli.progress import EvalDisplay
     from reachlab.runs.directory import RunDirectory
     from reachlab.sims import SIMULATORS
 
@@ -92,7 +92,7 @@ def _evaluated_config(arguments: Eval, trained: RunConfig, name: str) -> RunConf
     Raises:
         InputError: there is no such simulator, or a flag does not apply to it.
     """
-    from reachlab.envs.settle import in_evaluation
+    from reachlab.envs.setup import in_evaluation
 
     return in_evaluation(trained, name, gui=arguments.gui, slow=arguments.slow, randomise=arguments.randomise)
 
@@ -121,7 +121,7 @@ def _evaluated(
     from reachlab.envs.core import Env
     from reachlab.evaluation.episodes import BATCH
     from reachlab.evaluation.report import examine
-    from reachlab.learn.saved import load_saved
+    from reachlab.learn.load import load_saved
     from reachlab.sims import SIMULATORS
 
     name, episodes = config.sim, arguments.episodes

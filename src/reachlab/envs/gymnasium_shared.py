@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike
 
 from reachlab.envs.core import Env, merge
 from reachlab.envs.functions import EnvState, Transition
-from reachlab.envs.settle import check
-from reachlab.envs.streams import gymnasium_keys
+from reachlab.envs.random_streams import gymnasium_keys
+from reachlab.envs.setup import check
 from reachlab.jax_setup import refuse_fork
 from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError, choose

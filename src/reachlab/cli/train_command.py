@@ -10,7 +10,7 @@ from pathlib import Path
 from reachlab.cli.flags import LESSON, Distil, Train
 from reachlab.cli.preparation import prepare
 from reachlab.settings.config import DistilRunConfig, RunConfig
-from reachlab.settings.plain import override
+from reachlab.settings.json_form import override
 from reachlab.settings.presets import distillation, in_simulator
 from reachlab.settings.validation import InputError
 
@@ -56,7 +56,7 @@ def _learn(arguments: Train | Distil, config: RunConfig, verb: str) -> None:
         return
     prepare()
     from reachlab.cli.console import note, say
-    from reachlab.cli.displays import TrainDisplay, print_training
+    from reachlab.cli.progress import TrainDisplay, print_training
     from reachlab.learn.train import distil as run_distillation
     from reachlab.learn.train import train as run_training
     from reachlab.watch.plots import plot as draw
