@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from reachlab.jax_setup import jit
+from reachlab.robots import scalar_algebra
 from reachlab.robots.inverse_kinematics import ik_step
 from reachlab.robots.kinematics import Pose
 from reachlab.robots.loading import load_robot
