@@ -58,7 +58,7 @@ def _above(setup: TaskSetup) -> tuple[np.ndarray, np.ndarray]:
 
 def _sample_goal(setup: TaskSetup, key: Array) -> Goal:
     low, high = _above(setup)
-    return Goal(low + jax.random.uniform(key, (3,)) * (high - low))
+    return Goal(jnp.asarray(low) + jax.random.uniform(key, (3,)) * (high - low))
 
 
 def _asks(rules: TaskConfig, period: float) -> str:

@@ -1,4 +1,4 @@
-"""Folders import only from those above them in the list of CONTRIBUTING, and `import reachlab` stays light."""
+"""Folders import only from those above them in the list of CONTRIBUTING, files are short, and `import reachlab` is light."""
 
 from __future__ import annotations
 
@@ -21,6 +21,9 @@ FOLDERS = (
 
 GROUND = ("settings",)
 """Folders that the files at the top of the package import from; what is asked for by name is loaded later."""
+
+LONGEST_FILE, LONGEST_FUNCTION = 300, 60
+"""Lines of a source file, and of a function in it, beyond which it has two reasons to exist."""
 
 HEAVY = ("jax", "mujoco", "optax", "matplotlib", "pybullet", "viser")
 
@@ -71,6 +74,14 @@ def test_the_order_is_read_from_the_files() -> None:
     assert {"envs", "agents", "runs", "evaluation"} <= EDGES["learn"]
     assert "watch" in EDGES["cli"], "inside functions"
     assert "learn" in EDGES["cli"], "for types"
+
+
+@pytest.mark.parametrize("path", sorted(SOURCE.rglob("*.py")), ids=lambda path: str(path.relative_to(SOURCE)))
+def test_no_file_and_no_function_is_long(path: Path) -> None:
+    text = path.read_text(encoding="utf-8")
+    functions = [node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.FunctionDef)]
+    assert text.count("\n") <= LONGEST_FILE
+    assert not [one.name for one in functions if (one.end_lineno or 0) - one.lineno >= LONGEST_FUNCTION]
 
 
 def loaded_by(statement: str) -> set[str]:
