@@ -1,4 +1,4 @@
-"""Folders import only from those above them in the list of CONTRIBUTING, files are short, and `import reachlab` is light."""
+"""Folders import only from those above them, files and functions are short, and `import reachlab` loads little."""
 
 from __future__ import annotations
 
