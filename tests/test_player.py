@@ -96,7 +96,7 @@ def test_an_arm_that_leaves_its_workspace_begins_again_at_home_with_the_same_tar
             player.step("trained", Falling())  # type: ignore[arg-type] (a policy in all that is asked of it)
     assert (player.over, player.failed, player.moment.reached) == (True, LEFT, False)
     player.move_target(FAR)
-    assert player.over, "it does not go on from outside"
+    assert player.over, "it does not continue from outside"
     player.proceed()
     assert (player.over, player.failed) == (False, "")
     np.testing.assert_allclose(player.moment.q, home)

@@ -122,7 +122,7 @@ def test_an_environment_draws_the_lane_that_is_asked_for(camera: Camera) -> None
     state = env.compile_whole(env.init)(env_keys(0, 2))
     first, second = env.render(state, 0), env.render(state, 1)
     assert first.shape == (HEIGHT, WIDTH, 3)
-    assert changed(first, second).any(), "two lanes have two targets"
+    assert changed(first, second).any(), "two environments have two targets"
     env.close()
     env.close()
     assert np.array_equal(env.render(state, 0), first), "a closed environment can draw again"
