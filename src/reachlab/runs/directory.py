@@ -93,7 +93,9 @@ class RunDirectory:
         try:
             return from_json(data)
         except InputError as error:
-            raise InputError(f"'{self.config_file}' is not usable: {error}") from None
+            raise InputError(
+                f"'{self.config_file}' is not usable: {error} A run of another version has to be trained again."
+            ) from None
 
     def read_settings(self) -> dict[str, Any]:
         """The configuration as its file has it, of whatever version; empty where there is no file.
