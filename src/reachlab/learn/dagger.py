@@ -118,6 +118,7 @@ class _Lessons:
         collected, tally = self._collect(state, for_acting)
         learner, losses = self._study(collected.learner, collected.buffer, for_learning)
         metrics = {**_statistics(tally), **losses, "pictures": collected.buffer.count}
+        learner = replace(learner, steps=learner.steps + self._config.loop.iteration_steps)
         new = replace(collected, learner=learner, key=key)
         watched = Watched(metrics, self._finite(new, metrics), new.buffer.label)
         return (new if watched.sound else state), watched

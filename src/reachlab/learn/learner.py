@@ -21,11 +21,11 @@ ADAM_EPSILON = 1e-5
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Learner:
-    """A policy, its optimiser's state, and the number of iterations that it has learnt from `[]`."""
+    """A policy, its optimiser's state, and the environment steps that it has learnt from `[]`."""
 
     policy: Policy
     optimiser: optax.OptState
-    iterations: Array
+    steps: Array
 
 
 def make_initial_policy(config: RunConfig, env: Env, key: Array) -> Policy:
@@ -51,4 +51,4 @@ def make_optimiser(config: RunConfig, updates: int) -> optax.GradientTransformat
 def make_learner(optimiser: optax.GradientTransformation, policy: Policy) -> Learner:
     """Learner that has learnt nothing yet."""
     parameters = cast("optax.Params", policy.parameters)
-    return Learner(policy, optimiser.init(parameters), jnp.zeros((), jnp.int32))
+    return Learner(policy, optimiser.init(parameters), jnp.zeros(()))

@@ -106,17 +106,16 @@ def update(learner: Learner, rollout: Rollout, key: Array, config: RunConfig) ->
     carry = (policy.parameters, learner.optimiser)
     (parameters, state), watched = jax.lax.scan(epoch, carry, jax.random.split(key, settings.epochs))
     flat = jax.tree.map(lambda x: x.reshape(size, *x.shape[2:]), rollout.observation)
-    iterations = learner.iterations + 1
-    parameters = replace(parameters, log_std=_log_std(parameters.log_std, iterations, config))
+    steps = learner.steps + config.loop.iteration_steps
+    parameters = replace(parameters, log_std=_log_std(parameters.log_std, steps, config))
     watched = {name: x.mean() for name, x in watched.items()} | {"std": jnp.exp(parameters.log_std).mean()}
-    return Learner(replace(policy.observed(flat), parameters=parameters), state, iterations), watched
+    return Learner(replace(policy.observed(flat), parameters=parameters), state, steps), watched
 
 
-def _log_std(learnt: Array, iterations: Array, config: RunConfig) -> Array:
-    """Log standard deviation `[a]` after so many iterations: the learnt one, unless it has to follow a schedule."""
+def _log_std(learnt: Array, steps: Array, config: RunConfig) -> Array:
+    """Log standard deviation `[a]` after so many steps: the learnt one, unless it has to follow a schedule."""
     if config.ppo.final_std is None:
         return learnt
-    steps = config.loop.iteration_steps * iterations.astype(jnp.float32)  # more than int32 holds
     begin, end = math.log(config.learner.initial_std), math.log(config.ppo.final_std)
     return jnp.full_like(learnt, begin + (end - begin) * jnp.minimum(steps / config.learner.anneal_steps, 1.0))
 
