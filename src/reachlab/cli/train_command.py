@@ -57,17 +57,13 @@ def _learn(arguments: Train | Distil, config: RunConfig, verb: str) -> None:
     prepare()
     from reachlab.cli.console import note, say
     from reachlab.cli.progress import TrainDisplay, print_training
-    from reachlab.learn.train import distil as run_distillation
     from reachlab.learn.train import train as run_training
     from reachlab.watch.plots import plot as draw
 
     out = arguments.resume or arguments.out or Path("runs") / f"{time.strftime('%Y%m%d-%H%M%S')}-{config.task}"
     settings = {"resume": arguments.resume is not None, "tensorboard": arguments.tensorboard}
     with TrainDisplay(config) as display:
-        if isinstance(config, DistilRunConfig):
-            result = run_distillation(config, out, display, **settings)
-        else:
-            result = run_training(config, out, display, **settings)
+        result = run_training(config, out, display, **settings)
     draw([out], out / "curve.png")
     if arguments.json:
         print(jsonlib.dumps(result.to_json()))

@@ -23,7 +23,7 @@ FLAT = 1e-3
 ABOVE, FRONT = (1, 0), (1, 2)
 """Views of the workspace: the target's coordinates across and up."""
 
-MOST_MAPS, MAP_TITLE, MAP_FONT = 2, 38, 9
+MOST_MAPS, MAP_TITLE, MAP_FONT = 2, 36, 9
 """Maps beside the errors, characters in a line above one, and their size [points]."""
 
 
