@@ -1,0 +1,160 @@
+"""Reading of a robot's model file, MJCF or URDF: MuJoCo gets its text and its meshes, and opens no file itself."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import logging
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from reachlab.robots.mesh_search import Folders
+from reachlab.robots.mjcf import rewrite_mjcf
+from reachlab.robots.picture_files import MISSING, MOST_MESH, PictureFiles
+from reachlab.robots.pictures import leave_out, without_pictures
+from reachlab.robots.safe_xml import XmlFiles, read_regular
+from reachlab.robots.urdf import JointFacts, rewrite_urdf, some
+from reachlab.settings.validation import InputError
+
+__all__ = ["JointFacts", "ModelFile", "read_model_file"]
+
+logger = logging.getLogger(__name__)
+
+REFUSALS = (ValueError, mujoco.FatalError, MemoryError)
+"""What MuJoCo raises for a model that it refuses."""
+
+
+@dataclass(frozen=True, eq=False)
+class ModelFile:
+    """A robot's model file, read.
+
+    Attributes:
+        file: the file.
+        joints: what a URDF says of its joints, by name; empty for MJCF.
+        notices: one sentence on each thing that was left out, guessed or changed.
+        kind: MJCF or URDF.
+        digest: SHA-256 of all XML text that was read.
+        text: XML text that MuJoCo gets.
+        parts: XML text of sub-models, by the name under which MuJoCo gets them.
+        pictures: paths of meshes and textures, by the name under which MuJoCo gets them.
+        balanced: whether MuJoCo replaces inertias that no rigid body has.
+    """
+
+    file: Path
+    joints: Mapping[str, JointFacts]
+    notices: tuple[str, ...]
+    kind: str
+    digest: str
+    text: str
+    parts: Mapping[str, bytes]
+    pictures: Mapping[str, Path]
+    balanced: bool = False
+
+    def spec(self, *, pictures: bool = True) -> mujoco.MjSpec:
+        """A fresh specification of the robot, which compiles.
+
+        Args:
+            pictures: with meshes, textures, height fields and skins; otherwise only with meshes that give a body its
+                inertia.
+
+        Raises:
+            InputError: MuJoCo refuses it.
+        """
+        spec = self.parsed()
+        leave_out(spec, self._broken if pictures else frozenset())
+        if not pictures:
+            without_pictures(spec)
+        named = {shape.file for shape in (*spec.meshes, *spec.hfields)}
+        named |= {name for texture in spec.textures for name in (texture.file, *texture.cubefiles)}
+        spec.assets = {name: self._bytes(name) for name in named if name in self.pictures}
+        return spec
+
+    def parsed(self) -> mujoco.MjSpec:
+        """A fresh specification of all that the text says, with the files that are missing."""
+        try:
+            spec = mujoco.MjSpec.from_string(self.text, include=dict(self.parts))
+        except REFUSALS as error:
+            raise _refused(self.file, error) from None
+        if self.balanced:
+            spec.compiler.balanceinertia = True
+        if self.kind == "URDF":
+            for mesh in spec.meshes:  # no mass comes from them, and those that are not closed have no volume
+                mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+        return spec
+
+    @functools.cached_property
+    def _broken(self) -> frozenset[str]:
+        """Names of the meshes and textures that MuJoCo does not read although they are there."""
+        spec = self.parsed()
+        leave_out(spec, frozenset())
+        spec.assets = {name: self._bytes(name) for name in self.pictures}
+        try:
+            spec.compile()
+        except REFUSALS as error:
+            broken = frozenset(name for name in self.pictures if not _compiles_alone(name, self._bytes(name)))
+            if not broken:
+                raise _refused(self.file, error) from None
+            logger.warning("Robot file %s: MuJoCo does not read %s; not drawn.", self.file, some(sorted(broken)))
+            return broken
+        return frozenset()
+
+    def _bytes(self, name: str) -> bytes:
+        try:
+            return read_regular(self.pictures[name], MOST_MESH)[0]
+        except OSError as error:
+            raise InputError(f"file {str(self.pictures[name])!r} cannot be read any more: {error}.") from None
+
+
+def read_model_file(file: Path, packages: Mapping[str, Path] | None = None) -> ModelFile:
+    """A robot's model file, checked: its joints and bodies compile.
+
+    Args:
+        file: MJCF or URDF.
+        packages: folders of the packages that `package://NAME/...` names, by name.
+
+    Raises:
+        InputError: it is missing, no MJCF or URDF, harmful, or MuJoCo refuses it.
+    """
+    folders = Folders(file, packages or {})
+    texts, pictures = XmlFiles(file, folders.find), PictureFiles(folders)
+    root = texts.root()
+    joints: dict[str, JointFacts] = {}
+    parts: dict[str, bytes] = {}
+    if root.tag == "robot":
+        text, joints, notices = rewrite_urdf(root, pictures)
+    else:
+        text, parts, notices = rewrite_mjcf(root, texts, pictures)
+    kind = "URDF" if root.tag == "robot" else "MJCF"
+    model = ModelFile(file, joints, tuple(notices), kind, texts.digest(), text, parts, dict(pictures.files))
+    if light := leave_out(model.parsed(), frozenset()):
+        model = _noticed(
+            model, f"Moving bodies whose mass came from a mesh that is missing get 0.01 kg: {some(light)}."
+        )
+    return _checked(model)
+
+
+def _checked(model: ModelFile) -> ModelFile:
+    """The model once MuJoCo compiles it without pictures, with inertias balanced where MuJoCo asks for that."""
+    try:
+        compiled = model.spec(pictures=False).compile()
+    except REFUSALS as error:
+        if "balanceinertia" not in str(error) or model.balanced:
+            raise error if isinstance(error, InputError) else _refused(model.file, error) from None
+        model = _noticed(model, "Inertias that no rigid body has are replaced by the mean of their moments.")
+        return _checked(dataclasses.replace(model, balanced=True))
+    if not all(np.isfinite(part).all() for part in (compiled.body_mass, compiled.body_inertia, compiled.body_pos)):
+        raise InputError(f"robot file {str(model.file)!r} has a body whose mass, inertia or position is not finite.")
+    return model
+
+
+def _noticed(model: ModelFile, notice: str) -> ModelFile:
+    return dataclasses.replace(model, notices=(*model.notices, notice))
+
+
+def _refused(file: Path, error: BaseException) -> InputError:
+    why = " ".join(str(error).split()).rstrip(".")
+    return InputError(f"robot file {str(file)!r} does not compile: {why}.")
