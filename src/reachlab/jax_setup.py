@@ -32,11 +32,15 @@ def jit(function: Callable[..., Any], *, donate: tuple[int, ...] = ()) -> Wrappe
     return jax.jit(function, donate_argnums=donate, compiler_options=options)
 
 
+def cache_folder() -> Path:
+    """The user's folder for what can be computed again."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "reachlab"
+
+
 def use_compilation_cache() -> None:
     """Keep compiled programs in the user's cache folder, unless `JAX_COMPILATION_CACHE_DIR` says where."""
     if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
-        home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-        jax.config.update("jax_compilation_cache_dir", str(home / "reachlab" / "jax"))
+        jax.config.update("jax_compilation_cache_dir", str(cache_folder() / "jax"))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
 

@@ -48,7 +48,7 @@ def kinematics() -> Iterator[Row]:
 
 def _mujoco_poses(robot: Robot, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Tool positions and quaternions of MuJoCo, in float64."""
-    model = mujoco.MjModel.from_xml_path(str(robot.file))
+    model = robot.spec().compile()
     data, site = mujoco.MjData(model), model.site(robot.tool).id
     positions, quaternions = np.empty((len(q), 3)), np.empty((len(q), 4))
     for i, joints in enumerate(q):

@@ -24,6 +24,7 @@ from reachlab.robots.catalogue import ROBOTS
 from reachlab.robots.kinematics import forward_kinematics
 from reachlab.robots.loading import load_robot
 from reachlab.robots.robot import PybulletModel, Robot
+from reachlab.settings.config import Rules
 from reachlab.settings.presets import configure, in_simulator
 from reachlab.sims import make_simulator
 from reachlab.sims.mujoco import physics_model
@@ -106,7 +107,7 @@ def pybullet_parity() -> Iterator[Row]:
 
     author, stray = Author(env.setup.robot), []
     for before, after, action in zip(points[:-1, 0], points[1:, 0], actions[:, 0], strict=True):
-        author.set_joints(author.solve(before + env.config.rules.tool_scale * action))
+        author.set_joints(author.solve(before + env.setup.rules.tool_scale * action))
         stray.append(np.linalg.norm(author.tool() - after))
     author.close()
     yield row("pybullet_ik_stray", float(np.median(stray)), "m, median", max=float(np.max(stray)), steps=PARITY_STEPS)
@@ -161,7 +162,7 @@ class Author:
 
     def step(self, action: np.ndarray) -> None:
         """One step of the tutorial's environment."""
-        self.set_joints(self.solve(self.tool() + configure().rules.tool_scale * action))
+        self.set_joints(self.solve(self.tool() + Rules().tool_scale * action))
         self._bullet.stepSimulation(physicsClientId=self._client)
         self.tool()
 

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 from rich.table import Table
 
-from reachlab.settings.config import RunConfig, TaskConfig
+from reachlab.settings.config import RunConfig
 
 if TYPE_CHECKING:
-    from reachlab.tasks.task import Task
+    from reachlab.tasks.task import TaskSetup
 
 PLAIN_WIDTH = 120
 """Width of tables where there is no terminal [characters]."""
@@ -57,23 +57,25 @@ def note(text: str) -> None:
 
 def asked(config: RunConfig) -> str:
     """What a task asks for."""
-    return _task(config).asks(config.rules, config.physics.control_period)
+    setup = _setup(config)
+    return setup.task.asks(setup.rules, setup.period)
 
 
 def succeeded(config: RunConfig) -> str:
     """What an episode has to come to, to count as a success."""
-    return _task(config).succeeds(config.rules, config.physics.control_period)
+    setup = _setup(config)
+    return setup.task.succeeds(setup.rules, setup.period)
 
 
-def _task(config: RunConfig) -> Task:
-    from reachlab.tasks import TASKS
-
-    return TASKS[config.task].load()
-
-
-def success_mm(rules: TaskConfig) -> str:
+def success_mm(config: RunConfig) -> str:
     """Distance of success in words."""
-    return f"{1000 * rules.success_distance:g} mm"
+    return f"{1000 * _setup(config).rules.success_distance:.3g} mm"
+
+
+def _setup(config: RunConfig) -> TaskSetup:
+    from reachlab.envs.setup import make_setup
+
+    return make_setup(config)
 
 
 # --- tables ---------------------------------------------------------------------------------------

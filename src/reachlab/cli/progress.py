@@ -57,12 +57,12 @@ class _Ended:
         self.successes += row["episodes"] * row["success_rate"]
         self.metres += row["episodes"] * row["final_distance"]
 
-    def in_words(self, rules: TaskConfig) -> str:
+    def in_words(self, config: RunConfig) -> str:
         """Their success rate in words; for a task that asks to hold a point, also the mean distance at their end."""
         if not self.episodes:
             return ""
         held = "held " if rules.hold_steps else ""
-        rate = f"success ({held}within {success_mm(rules)}) {100 * self.successes / self.episodes:.1f} %"
+        rate = f"success ({held}within {success_mm(config)}) {100 * self.successes / self.episodes:.1f} %"
         text = f"{rate} of {self.episodes:,.0f} training episodes"
         return text + (f", {1000 * self.metres / self.episodes:.1f} mm at their end" if held else "")
 
@@ -124,7 +124,7 @@ class TrainDisplay(Bar):
 
     def _draw(self, progress: TrainProgress, first: TrainProgress) -> None:
         if self._ended.episodes >= SHOWN_EPISODES:
-            self._success, self._ended = self._ended.in_words(self._config.rules), _Ended()
+            self._success, self._ended = self._ended.in_words(self._config), _Ended()
         self._validated |= {name: x for name, x in progress.metrics.items() if name == "validation_success"}
         shown = replace(progress, metrics=progress.metrics | self._validated)
         total = None if self._config.loop.stop_early else progress.total_steps
@@ -135,7 +135,7 @@ class TrainDisplay(Bar):
         due = LINES * progress.steps // progress.total_steps
         if due > self._printed or "validation_success" in progress.metrics:
             self._printed = due
-            note(train_line(progress, first, self._config, self._ended.in_words(self._config.rules)))
+            note(train_line(progress, first, self._config, self._ended.in_words(self._config)))
             self._ended = _Ended()
 
 

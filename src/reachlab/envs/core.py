@@ -13,7 +13,7 @@ import numpy as np
 from jax import Array
 
 from reachlab.envs.functions import EnvFunctions, EnvState, Stepped, Transition
-from reachlab.envs.setup import make_setup
+from reachlab.envs.setup import make_setup, settled
 from reachlab.jax_setup import dispatch_inline, first_process, jit
 from reachlab.render.marks import NO_PATH, Marks
 from reachlab.render.view_randomisation import SAMPLES, develop, make_views
@@ -66,9 +66,9 @@ class Env:
         """
         dispatch_inline()
         first_process()  # JAX starts in this one
-        self.config, self.num_envs = config, num_envs
         dynamics = "dynamics" in config.randomise
         setup = make_setup(config)
+        self.config, self.num_envs = settled(config, setup), num_envs
         self.simulator = make_simulator(config.sim, setup.robot, config.physics, num_envs, randomise_dynamics=dynamics)
         self.setup = replace(setup, lag=self.simulator.lag)
         self.schema = OBSERVATIONS[config.rules.observation].schema(self.setup)
@@ -201,12 +201,12 @@ class Env:
 
     def render(self, state: EnvState, index: int = 0, path: np.ndarray = NO_PATH) -> np.ndarray:
         """Picture of one environment for people, `[height, width, 3]` uint8, with the tool's path `[k, 3]` [m]."""
-        marks = Marks(self.config.rules.success_distance, self.reached(state, index), path)
+        marks = Marks(self.setup.rules.success_distance, self.reached(state, index), path)
         return self.simulator.render(state.arm, state.goal, index, marks)
 
     def reached(self, state: EnvState, index: int = 0) -> bool:
         """Whether a goal is reached now: the tool is near enough and, where the task asks for it, was held there."""
-        return bool(np.asarray(state.progress.error)[index] < self.config.rules.success_distance)
+        return bool(np.asarray(state.progress.error)[index] < self.setup.rules.success_distance)
 
     def close(self) -> None:
         """Close the simulator."""

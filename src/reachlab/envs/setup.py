@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 from collections.abc import Mapping
 from typing import Any
 
 from reachlab.robots.loading import load_robot
-from reachlab.settings.config import RunConfig
+from reachlab.robots.robot import Robot
+from reachlab.settings.config import Rules, RunConfig, TaskConfig
 from reachlab.settings.consistency import Facts, check_consistency
 from reachlab.settings.json_form import flatten, override, to_json
 from reachlab.settings.presets import in_simulator, preset
@@ -72,10 +74,33 @@ def make_setup(config: RunConfig) -> TaskSetup:
     """
     check_names(config)
     task: Task = TASKS[config.task].load()
-    robot = load_robot(config.robot, config.rules.tool, kind=task.tool)
-    setup = TaskSetup(task, config.rules, robot, config.physics.control_period, (0.0,) * robot.chain.n)
+    robot = load_robot(
+        config.robot, config.rules.tool, kind=task.tool, base=config.base, packages=config.package
+    )
+    setup = TaskSetup(
+        task, _on_arm(config.rules, robot), robot, config.physics.control_period, (0.0,) * robot.chain.n
+    )
     task.check(setup)
     return setup
+
+
+def settled(config: RunConfig, setup: TaskSetup) -> RunConfig:
+    """The configuration with the lengths that its rules take from the arm."""
+    rules = {entry.name: getattr(setup.rules, entry.name) for entry in dataclasses.fields(TaskConfig)}
+    return dataclasses.replace(config, rules=TaskConfig(**rules))
+
+
+def _on_arm(rules: TaskConfig, robot: Robot) -> Rules:
+    """The rules with lengths in proportion to the arm's workspace where none are given."""
+    usual, scale = Rules(), robot.scale
+    lengths = {
+        "tool_scale": usual.tool_scale * scale,
+        "success_distance": usual.success_distance * scale,
+        "approach_weight": usual.approach_weight / scale,
+        "target_height": float(robot.workspace[0][2]) + usual.target_height * scale,
+    }
+    given = {name: value for name, value in vars(rules).items() if value is not None}
+    return Rules(**(lengths | given))
 
 
 def in_evaluation(trained: RunConfig, sim: str, **changed: Any) -> RunConfig:
@@ -109,7 +134,7 @@ def check_reach(config: RunConfig) -> None:
         limits = "" if config.rules.hold_steps else f" inside its workspace, {workspace} m"
         raise InputError(
             f"none of the targets, {_point(low)} to {_point(high)} m, can be reached: the tool comes to none within"
-            f" the success distance of {config.rules.success_distance:g} m{limits}."
+            f" the success distance of {setup.rules.success_distance:g} m{limits}."
         )
     lost = "; the others fail whatever is learnt" if found.reached < 1 - MOST_OUT_OF_REACH else ""
     log.warning("reachlab: the arm can reach %.3g %% of %d random targets%s.", 100 * found.reached, SAMPLES, lost)
@@ -127,7 +152,7 @@ def _places(config: RunConfig) -> tuple[Any, ...]:
     rules = config.rules
     box = (rules.target_low, rules.target_high) if rules.targets == "box" else rules.target_height
     starts = rules.start_noise if not rules.hold_steps else 0.0
-    return config.robot, rules.tool, rules.targets, box, rules.success_distance, not rules.hold_steps, starts
+    return config.robot, config.base, rules.tool, rules.targets, box, rules.success_distance, not rules.hold_steps, starts
 
 
 def _point(corner: Any) -> str:

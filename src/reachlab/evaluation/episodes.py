@@ -73,7 +73,7 @@ class Runner:
 
 def make_runner(env: Env, agent: str) -> Runner:
     """Runner for an agent of `agents.AGENTS`."""
-    period, within = env.config.physics.control_period, env.config.rules.success_distance
+    period, within = env.config.physics.control_period, env.setup.rules.success_distance
 
     def begin(keys: Array) -> tuple[EnvState, Episodes, Array]:
         state = env.init(keys)

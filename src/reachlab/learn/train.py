@@ -10,7 +10,7 @@ from typing import Any
 
 from reachlab.agents.policy import Policy
 from reachlab.envs.core import Env
-from reachlab.envs.setup import check, check_reach
+from reachlab.envs.setup import check, check_reach, make_setup, settled
 from reachlab.evaluation.report import Report, evaluate
 from reachlab.jax_setup import set_threads
 from reachlab.learn import METHODS
@@ -83,6 +83,7 @@ def train(
     start = time.perf_counter()
     inherited = resume or isinstance(config, DistilRunConfig)
     check(config, config if inherited else None)
+    asked, config = config, settled(config, make_setup(config))
     if tensorboard:
         event_writer()
     run = RunDirectory(Path(out))
@@ -94,7 +95,7 @@ def train(
     method: Method = METHODS[config.method].load()
     given = method.load(config, resume)
     if not resume:
-        check_reach(config)
+        check_reach(asked)
     env = Env(config, config.loop.num_envs)
     try:
         env.check_rendering()

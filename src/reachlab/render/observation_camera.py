@@ -21,7 +21,7 @@ SLICES, STACKS, QUADS = 10, 6, 1
 GROUND_SIZE = (4.0, 4.0, 0.01)
 """Half the size of the drawn ground [m]; it lies where the tutorial's does."""
 
-GROUND_HEIGHT = -0.66
+GROUND_PLACE = (0.0, 0.0, -0.66)
 """Middle of the drawn ground [m]."""
 
 TARGET_SHAPES: tuple[tuple[mujoco.mjtGeom, tuple[float, ...], tuple[float, ...], tuple[float, ...]], ...] = (
@@ -87,7 +87,7 @@ class _Painter:
         self._context.make_current()
         self._model = _model(robot)
         self._data = mujoco.MjData(self._model)
-        self._joints = self._model.jnt_qposadr[list(robot.chain.joints)]
+        self._joints = self._model.jnt_qposadr[: robot.chain.n]
         parts = [self._model.geom(name).id for name in (TABLE, GROUND)]
         self._table, self._ground = parts
         self._target = np.flatnonzero(self._model.geom_bodyid == self._model.body(TARGET).id)
@@ -144,20 +144,21 @@ TABLE, GROUND, TARGET = "reachlab_table", "reachlab_ground", "reachlab_target"
 
 def _model(robot: Robot) -> mujoco.MjModel:
     """The robot on a table, with the tutorial's object, a camera and a lamp; everything is grey."""
-    spec = mujoco.MjSpec.from_file(str(robot.file))
+    spec = robot.spec()
     world, quality = spec.worldbody, spec.visual.quality
     quality.numslices, quality.numstacks, quality.numquads = SLICES, STACKS, QUADS
     quality.offsamples = quality.shadowsize = 0
     visual = spec.visual
     visual.global_.offwidth = visual.global_.offheight = SIZE
     visual.headlight.diffuse = visual.headlight.specular = [0.0] * 3
-    add_table(spec).name = TABLE
+    add_table(spec, robot).name = TABLE
     drawn = {"contype": 0, "conaffinity": 0}
     box, directional = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
-    world.add_geom(name=GROUND, type=box, size=GROUND_SIZE, pos=[0.0, 0.0, GROUND_HEIGHT], **drawn)
+    world.add_geom(name=GROUND, type=box, size=robot.scale * np.array(GROUND_SIZE), pos=robot.placed(GROUND_PLACE), **drawn)
     target = world.add_body(name=TARGET, mocap=True)
     for kind, size, position, quaternion in TARGET_SHAPES:
-        target.add_geom(type=kind, size=[*size, 0.0][:3], pos=position, quat=quaternion, **drawn)
+        size, position = robot.scale * np.array([*size, 0.0][:3]), robot.scale * np.array(position)
+        target.add_geom(type=kind, size=size, pos=position, quat=quaternion, **drawn)
     world.add_camera(fovy=FIELD_OF_VIEW)
     for light in spec.lights:
         spec.delete(light)

@@ -38,7 +38,7 @@ class Camera:
         spec.visual.global_.offwidth, spec.visual.global_.offheight = width, height
         self._model = spec.compile()
         self._data = mujoco.MjData(self._model)
-        self._joints = self._model.jnt_qposadr[list(robot.chain.joints)]
+        self._joints = self._model.jnt_qposadr[: robot.chain.n]
         self._target, self._near = (self._model.geom(name).id for name in ("target", "near"))
         self._scene = mujoco.MjvScene(self._model, maxgeom=MAX_GEOMS)
         self._draw = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_150)

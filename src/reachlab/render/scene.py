@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import mujoco
+import numpy as np
 
 from reachlab.render.marks import BALL_OPACITY, TARGET_RADIUS, WAITING
 from reachlab.robots.robot import Robot
@@ -25,7 +26,7 @@ def scene_spec(robot: Robot, success_distance: float = TARGET_RADIUS) -> mujoco.
     The target's geoms are `target`, and `near`, the translucent ball in which the tool is near enough, where that is
     the larger one.
     """
-    spec = mujoco.MjSpec.from_file(str(robot.file))
+    spec = robot.spec()
     world, visual = spec.worldbody, spec.visual
     visual.global_.offwidth, visual.global_.offheight = WIDTH, HEIGHT
     visual.headlight.ambient, visual.headlight.diffuse = [0.4] * 3, [0.3] * 3
@@ -49,7 +50,7 @@ def scene_spec(robot: Robot, success_distance: float = TARGET_RADIUS) -> mujoco.
     )
     drawn: dict[str, Any] = {"contype": 0, "conaffinity": 0}
     capsule, sphere = mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_SPHERE
-    add_table(spec)
+    add_table(spec, robot)
     for start, end in robot.workspace_edges():
         world.add_site(type=capsule, fromto=[*start, *end], size=[EDGE_RADIUS, 0, 0], rgba=EDGE_COLOUR)
     target = world.add_body(name="target", mocap=True)
@@ -59,14 +60,14 @@ def scene_spec(robot: Robot, success_distance: float = TARGET_RADIUS) -> mujoco.
     return spec
 
 
-def add_table(spec: mujoco.MjSpec, *, solid: bool = False) -> mujoco.MjsGeom:
-    """Put a table under the arm; a solid one stops what touches it."""
+def add_table(spec: mujoco.MjSpec, robot: Robot, *, solid: bool = False) -> mujoco.MjsGeom:
+    """Put a table under the arm's workspace; a solid one stops what touches it."""
     touch = int(solid)
     return spec.worldbody.add_geom(
         type=mujoco.mjtGeom.mjGEOM_BOX,
         contype=touch,
         conaffinity=touch,
-        pos=TABLE_CENTRE,
-        size=TABLE_SIZE,
+        pos=robot.placed(TABLE_CENTRE),
+        size=robot.scale * np.array(TABLE_SIZE),
         rgba=TABLE_COLOUR,
     )

@@ -24,25 +24,57 @@ class Chain:
     Attributes:
         frames: the fixed transforms `F_0 ... F_n`, `n + 1` pairs of rotation and position [m].
         slides: for each joint, whether it slides.
-        lower, upper: joint limits [rad or m]; infinite where the joint has none.
-        joints: the joints' indices in the model, base to tool.
+        lower, upper: joint limits [rad or m].
+        approach: the axis of the tool's frame along which the tool points, a unit vector `[3]`.
     """
 
     frames: tuple[tuple[Rotation, Vec], ...]
     slides: tuple[bool, ...]
     lower: tuple[float, ...]
     upper: tuple[float, ...]
-    joints: tuple[int, ...]
+    approach: tuple[float, ...] = (0.0, 0.0, 1.0)
 
     @property
     def n(self) -> int:
         """Number of joints."""
         return len(self.slides)
 
-    def finite_limits(self) -> tuple[np.ndarray, np.ndarray]:
-        """Lower and upper limits `[n]`; a joint without any is taken to turn by ±π [rad] or slide by ±π [m]."""
-        lower, upper = np.array(self.lower), np.array(self.upper)
-        return np.where(np.isinf(lower), -np.pi, lower), np.where(np.isinf(upper), np.pi, upper)
+    @property
+    def poses(self) -> bool:
+        """Whether it has the six joints that an orientation takes; with fewer the tool's axis alone is held."""
+        return self.n >= JOINTS_OF_A_POSE
+
+
+JOINTS_OF_A_POSE = 6
+"""Joints that place a tool in any orientation."""
+
+AHEAD = 0.3
+"""The tool points along its last joint's axis if so much of the way from the joint before to the tool lies along it."""
+
+
+def path_joints(model: mujoco.MjModel, tool: str, base: int = 0) -> list[int]:
+    """Numbers of the joints between a body and the site or body `tool`, base to tool; without free ones.
+
+    Raises:
+        ValueError: no such site or body, or it is not moved by the body's joints.
+    """
+    body, _ = _tool_body(model, tool)
+    path = []
+    while body not in (0, base):
+        path.append(body)
+        body = int(model.body_parentid[body])
+    if body != base:
+        raise ValueError(f"tool {tool!r} is not held by base {model.body(base).name!r}")
+    free = int(mujoco.mjtJoint.mjJNT_FREE)
+    joints = [
+        joint
+        for one in reversed(path)
+        for joint in range(int(model.body_jntadr[one]), int(model.body_jntadr[one]) + int(model.body_jntnum[one]))
+        if model.jnt_type[joint] != free
+    ]
+    if not joints:
+        raise ValueError(f"no joint moves tool {tool!r}")
+    return joints
 
 
 def chain_from_model(model: mujoco.MjModel, tool: str) -> Chain:
@@ -56,7 +88,7 @@ def chain_from_model(model: mujoco.MjModel, tool: str) -> Chain:
     while body != 0:
         path.append(body)
         body = int(model.body_parentid[body])
-    frames, slides, lower, upper, joints = [], [], [], [], []
+    frames, slides, lower, upper = [], [], [], []
     transform = np.eye(4)
     for body in reversed(path):
         transform = transform @ _transform(model.body_pos[body], model.body_quat[body])
@@ -64,7 +96,7 @@ def chain_from_model(model: mujoco.MjModel, tool: str) -> Chain:
         for joint in range(first, first + int(model.body_jntnum[body])):
             kind, name = mujoco.mjtJoint(model.jnt_type[joint]), model.joint(joint).name
             if kind not in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
-                raise ValueError(f"joint {name!r} is a ball or free joint; a chain takes hinge and slide joints only")
+                raise ValueError(f"joint {name!r} is a ball joint; a chain takes hinge and slide joints only")
             slide = kind == mujoco.mjtJoint.mjJNT_SLIDE
             align = _align_z(model.jnt_pos[joint], model.jnt_axis[joint])
             back = np.linalg.inv(align)
@@ -75,11 +107,25 @@ def chain_from_model(model: mujoco.MjModel, tool: str) -> Chain:
             low, high = position_limits(model, joint)
             lower.append(low)
             upper.append(high)
-            joints.append(joint)
     if not slides:
         raise ValueError(f"no joint moves tool {tool!r}")
     frames.append(transform @ tip)
-    return Chain(tuple(map(_constants, frames)), tuple(slides), tuple(lower), tuple(upper), tuple(joints))
+    approach = _approach(frames, slides[-1])
+    return Chain(tuple(map(_constants, frames)), tuple(slides), tuple(lower), tuple(upper), approach)
+
+
+def _approach(frames: list[np.ndarray], slide: bool) -> tuple[float, ...]:
+    """The last joint's axis, away from the joint before it; of a wrist that does not turn about it, the way to the tool.
+
+    All in the frame of the last joint, then in the tool's.
+    """
+    before, last = frames[-2:]
+    to_tool = last[:3, 3]
+    way = to_tool + before[:3, :3].T @ before[:3, 3]
+    axis = np.array([0.0, 0.0, -1.0 if way[2] < 0 else 1.0])
+    if not slide and abs(way[2]) < AHEAD * np.linalg.norm(way) and np.linalg.norm(to_tool) > ROUND_TO_EXACT:
+        axis = to_tool / np.linalg.norm(to_tool)
+    return tuple((last[:3, :3].T @ axis).tolist())
 
 
 def _tool_body(model: mujoco.MjModel, tool: str) -> tuple[int, np.ndarray]:

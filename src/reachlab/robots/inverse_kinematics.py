@@ -11,10 +11,11 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from reachlab.robots.chain import Chain
-from reachlab.robots.kinematics import Pose, components, frames_at, jacobian_columns, stack
+from reachlab.robots.kinematics import Frames, Pose, components, frames_at, jacobian_columns, stack
 from reachlab.robots.scalar_algebra import (
     Rotation,
     Scalar,
@@ -70,7 +71,8 @@ def ik_step(chain: Chain, q: Array, target: Pose) -> Array:
     formulations and damped least-squares methods", IEEE Trans. SMC 16(1), 1986), shortened to
     `MAX_TURN` and `MAX_JOINT_STEP` and clipped to the joint limits. A second solve, for the position
     alone and with the joints that hit a limit held, gives back what clipping took: position outranks
-    orientation. `q` within the limits stays within them, and finite input gives finite output.
+    orientation. `q` within the limits stays within them, and finite input gives finite output. Of an arm with fewer
+    than six joints the tool's axis alone is held (`Chain.approach`), not the turn about it.
     """
     parts = components(q)
     linear, angular, columns = _error(chain, parts, target)
@@ -84,8 +86,8 @@ def ik_displace(chain: Chain, q: Array, displacement: Array, quaternion: Array) 
     """
     parts = components(q)
     frames = frames_at(chain, parts)
-    angular = _rotation_error(frames.rotation, rotation_from_quaternion(*components(quaternion)))
-    return _single_step(chain, q, parts, Vec(*components(displacement)), angular, jacobian_columns(chain, frames))
+    angular, columns = _orientation(chain, frames, quaternion)
+    return _single_step(chain, q, parts, Vec(*components(displacement)), angular, columns)
 
 
 def ik_point_step(chain: Chain, q: Array, command: Array, displacement: Array) -> Array:
@@ -148,8 +150,9 @@ def inverse_kinematics(
         position_tolerance: largest position error [m] of a converged pose.
         angle_tolerance: largest angle error [rad] of a converged pose.
     """
-    lower, upper = chain.finite_limits()
-    seeds = jax.random.uniform(key, (restarts, chain.n), minval=lower, maxval=upper)
+    seeds = jax.random.uniform(
+        key, (restarts, chain.n), minval=np.array(chain.lower), maxval=np.array(chain.upper)
+    )
     start = jnp.broadcast_to(start, (*target.position.shape[:-1], chain.n))
 
     def errors(q: Array) -> tuple[Vec, Vec, list[tuple[Scalar, ...]], Array, Array, Array]:
@@ -181,8 +184,22 @@ def _error(chain: Chain, q: Sequence[Array], target: Pose) -> tuple[Vec, Vec, li
     """Position error [m], rotation error [rad] from the tool to the target, and the Jacobian's columns."""
     frames = frames_at(chain, q)
     linear = Vec(*components(target.position)).minus(frames.position)
-    angular = _rotation_error(frames.rotation, rotation_from_quaternion(*components(target.quaternion)))
-    return linear, angular, jacobian_columns(chain, frames)
+    return linear, *_orientation(chain, frames, target.quaternion)
+
+
+def _orientation(chain: Chain, frames: Frames, quaternion: Array) -> tuple[Vec, list[tuple[Scalar, ...]]]:
+    """Rotation error [rad] from the tool to an orientation `[..., 4]`, and the Jacobian's columns to mend it.
+
+    Without the six joints of a pose both are without their part about the tool's axis.
+    """
+    target, columns = rotation_from_quaternion(*components(quaternion)), jacobian_columns(chain, frames)
+    if chain.poses:
+        return _rotation_error(frames.rotation, target), columns
+    axis = once(frames.rotation.apply(Vec(*chain.approach)))
+    across = [
+        (*column[:3], *Vec(*column[3:]).minus(axis.times(axis.dot(Vec(*column[3:]))))) for column in columns
+    ]
+    return once(axis.cross(target.apply(Vec(*chain.approach)))), once(across)
 
 
 def _rotation_error(current: Rotation, target: Rotation) -> Vec:

@@ -9,10 +9,17 @@ import numpy as np
 
 from reachlab.settings.validation import InputError
 
+TURNS, TRAVEL = 2 * np.pi, 1.0
+"""Position limits where a file states none, either way: of hinges [rad], and of slides [m]."""
+
+Limits = tuple[float | None, ...]
+"""A limit of each joint, None where the file states none."""
+
 
 def position_limits(model: mujoco.MjModel, joint: int) -> tuple[float, float]:
-    """Lower and upper limit of a joint [rad or m], infinite where it has none; as float32 numbers not beyond them."""
-    low, high = model.jnt_range[joint] if model.jnt_limited[joint] else (-np.inf, np.inf)
+    """Lower and upper limit of a joint [rad or m], as float32 numbers not beyond the file's."""
+    free = TRAVEL if model.jnt_type[joint] == int(mujoco.mjtJoint.mjJNT_SLIDE) else TURNS
+    low, high = model.jnt_range[joint] if model.jnt_limited[joint] else (-free, free)
     return _inward(low, np.inf), _inward(high, -np.inf)
 
 
@@ -23,25 +30,41 @@ def _inward(limit: float, inside: float) -> float:
     return float(np.nextafter(rounded, np.float32(inside)) if beyond else rounded)
 
 
-def speed_limits(model: mujoco.MjModel, n: int) -> tuple[float, ...] | None:
-    """Speed limits `[n]` [rad/s or m/s], which a file states as `<numeric name="speed_limit">`; None without it.
+def speed_limits(model: mujoco.MjModel, n: int) -> Limits:
+    """Speed limits `[n]` [rad/s or m/s], which MJCF has no place for but `<numeric name="speed_limit">`.
 
     Raises:
         InputError: it has another number of entries.
     """
     if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, "speed_limit") < 0:
-        return None
+        return (None,) * n
     speeds = model.numeric("speed_limit").data
     if len(speeds) != n:
         raise InputError(f"numeric 'speed_limit' has {len(speeds)} entries, the arm {n} joints; give one for each.")
     return tuple(float(speed) for speed in speeds)
 
 
-def torque_limits(model: mujoco.MjModel, ids: Sequence[int]) -> tuple[float, ...] | None:
-    """Torque limits of the joints' actuators; None where no joint has any."""
-    torques = dict.fromkeys(ids, float("inf"))
+def torque_limits(model: mujoco.MjModel, joints: Sequence[int]) -> Limits:
+    """Torque limits of joints [Nm or N]: of the joint itself, else what its actuators can give together."""
+    torques: dict[int, float | None] = dict.fromkeys(map(int, joints))
     for actuator in range(model.nu):
         joint = int(model.actuator_trnid[actuator, 0])
-        if joint in torques and model.actuator_forcelimited[actuator]:
-            torques[joint] = float(model.actuator_forcerange[actuator, 1])
-    return tuple(torques.values()) if np.isfinite(list(torques.values())).any() else None
+        if joint in torques and (most := _most(model, actuator)):
+            torques[joint] = (torques[joint] or 0.0) + most
+    for joint in torques:
+        if model.jnt_actfrclimited[joint]:
+            own = float(np.abs(model.jnt_actfrcrange[joint]).max())
+            torques[joint] = min(own, torques[joint] or own)
+    return tuple(torques.values())
+
+
+def _most(model: mujoco.MjModel, actuator: int) -> float | None:
+    """Largest torque of an actuator: its force range, else a motor's control range; times its gear."""
+    gear = abs(float(model.actuator_gear[actuator, 0]))
+    if model.actuator_forcelimited[actuator]:
+        return gear * float(np.abs(model.actuator_forcerange[actuator]).max())
+    motor = model.actuator_biastype[actuator] == int(mujoco.mjtBias.mjBIAS_NONE)
+    if motor and model.actuator_ctrllimited[actuator]:
+        gain = abs(float(model.actuator_gainprm[actuator, 0]))
+        return gear * gain * float(np.abs(model.actuator_ctrlrange[actuator]).max())
+    return None

@@ -22,6 +22,7 @@ from reachlab.robots.scalar_algebra import (
     Vec,
     once,
     quaternion_from_rotation,
+    rotation_from_quaternion,
 )
 
 
@@ -52,6 +53,21 @@ def jacobian(chain: Chain, q: Array) -> Array:
     columns = jacobian_columns(chain, frames_at(chain, components(q)))
     rows = [stack(row, q) for row in zip(*columns, strict=True)]
     return jnp.stack(rows, axis=-2)
+
+
+def approach_axis(chain: Chain, quaternion: Array) -> Array:
+    """The axis along which the tool points `[..., 3]`, in the world, in an orientation `[..., 4]`."""
+    rotation = rotation_from_quaternion(*components(quaternion))
+    return stack(rotation.apply(Vec(*chain.approach)), quaternion)
+
+
+def turned(chain: Chain, quaternion: Array, held: Array) -> Array:
+    """Angle `[...]` rad from one orientation to another; between the tool's axes where an arm holds no more."""
+    if not chain.poses:
+        apart = jnp.linalg.norm(approach_axis(chain, quaternion) - approach_axis(chain, held), axis=-1)
+        return 2 * jnp.arcsin(jnp.minimum(apart / 2, 1.0))
+    chords = [jnp.linalg.norm(held + sign * quaternion, axis=-1) for sign in (-1.0, 1.0)]
+    return 4 * jnp.arcsin(jnp.minimum(jnp.minimum(*chords) / 2, 1.0))
 
 
 def frames_at(chain: Chain, q: Sequence[Scalar]) -> Frames:

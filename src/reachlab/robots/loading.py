@@ -3,37 +3,51 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TypeVar
 
-import mujoco
+import numpy as np
 
+from reachlab.robots.arm import Arm, find_arm
 from reachlab.robots.catalogue import ROBOTS, KnownRobot
-from reachlab.robots.chain import Chain, chain_from_model
+from reachlab.robots.derivation import derived
+from reachlab.robots.isolation import own_servos
 from reachlab.robots.joint_limits import speed_limits, torque_limits
+from reachlab.robots.model_file import JointFacts, ModelFile, read_model_file
 from reachlab.robots.robot import CATALOGUE, DEFAULT, DERIVED, FILE, Robot
-from reachlab.robots.workspace import held_quaternion, reachable_box
+from reachlab.robots.servos import default_torques, find_loads, payload, servos
+from reachlab.robots.workspace import Derived, orientation
 from reachlab.settings.config import is_robot_file
 from reachlab.settings.validation import InputError, choose
 
 DEFAULT_SPEED = 1.5
 """Joint speed limit where none is known [rad/s or m/s]; slow for an industrial arm."""
 
-T = TypeVar("T")
+UNKNOWN = JointFacts(None, None, None)
+"""What a file says of a joint that it says nothing of."""
 
 
-def load_robot(name: str, tool: str | None = None, *, kind: str | None = None) -> Robot:
+def load_robot(
+    name: str,
+    tool: str | None = None,
+    *,
+    kind: str | None = None,
+    base: str | None = None,
+    packages: Sequence[str] = (),
+) -> Robot:
     """Robot of the catalogue, or of an MJCF (.xml) or URDF (.urdf) file, with a tool frame.
 
-    A file of one's own states what MuJoCo has no place for as `<numeric name="speed_limit">`, and its home
-    joints as keyframe `home`; without them, home is the middle of the joint limits. Its workspace is the box
-    around the middle 80 % of the points that the tool reaches, above the floor.
+    What neither the file nor the catalogue states is derived or a default; `Robot.sources` says which, and
+    `Robot.notices` what was guessed. Deriving takes seconds the first time, and is kept in the user's cache.
 
     Args:
         name: name in `ROBOTS` or path of a file.
-        tool: site or body; by default the catalogue's, or of a file its only site, else its last body.
+        tool: site or body; by default the catalogue's, or of a file the one that is named like a tool, see
+            `tool_frames`, else the last body before the gripper.
         kind: which of the catalogue's tool frames it is by default, see `KnownRobot.tools`; the first one without.
+        base: body that holds the arm; the joints before it are locked.
+        packages: where ROS packages are that the file names, each as `NAME=FOLDER`.
 
     Raises:
         InputError: unknown name or tool, missing or broken file, or an arm without hinge and slide joints.
@@ -43,83 +57,96 @@ def load_robot(name: str, tool: str | None = None, *, kind: str | None = None) -
         choose("robot", name, [*ROBOTS, "a path to an .xml or .urdf file"])
     if known and not tool:
         tool = known.tools.get(kind or "") or next(iter(known.tools.values()))
-    return _load(name, tool)
+    return _load(name, tool, base, tuple(packages))
+
+
+def _folders(packages: Sequence[str]) -> dict[str, Path]:
+    """Folders of packages by name, of `NAME=FOLDER`."""
+    pairs = [package.partition("=") for package in packages]
+    for name, _, folder in pairs:
+        if not name or not folder or not Path(folder).is_dir():
+            raise InputError(f"a package is NAME=FOLDER with a folder that exists, got {name}={folder}.")
+    return {name: Path(folder) for name, _, folder in pairs}
 
 
 @functools.cache
-def _load(name: str, tool: str | None) -> Robot:
+def _load(name: str, tool: str | None, base: str | None, packages: tuple[str, ...]) -> Robot:
     known = ROBOTS.get(name)
-    file = known.file if known else Path(name)
-    model = _compile(file)
-    tool = tool or _own_tool(model)
-    if not tool:
-        raise InputError(f"robot file {str(file)!r} does not name its last body: say which site or body is the --tool.")
+    file = read_model_file(known.file if known else Path(name), _folders(packages))
     try:
-        chain = chain_from_model(model, tool)
+        arm = find_arm(file, tool, base)
     except ValueError as error:
-        raise InputError(f"robot {name!r}: {error}.") from None
-    listed = known or KnownRobot(file, "", {})
-    sources: dict[str, str] = {}
-
-    def figure(what: str, listed: T | None, read: Callable[[], T | None], otherwise: tuple[str, Callable[[], T]]) -> T:
-        """What the catalogue lists, else what can be read in the file, else what is derived; the source is noted."""
-        if listed is not None:
-            sources[what] = CATALOGUE
-            return listed
-        found = read()
-        sources[what] = otherwise[0] if found is None else FILE
-        return otherwise[1]() if found is None else found
-
-    n = chain.n
-    home = figure("home", listed.home, lambda: _keyframe(model, chain), (DERIVED, lambda: _middle(chain)))
-    workspace = figure("workspace", listed.workspace, _not_in_files, (DERIVED, lambda: reachable_box(chain)))
+        raise InputError(f"robot {name!r}: {' '.join(str(error).split()).rstrip('.')}.") from None
+    listed = known or KnownRobot(file.file, "", {})
+    speed, torque, sources = _limits(file, arm, listed)
+    loads = find_loads(arm.model, range(arm.chain.n), arm.tool_body)
+    usable = np.where(np.isinf(torque), default_torques(loads), torque)
+    load = payload(loads, usable)
+    gains, servoed = servos(loads, usable, load), own_servos(arm.model, range(arm.chain.n))
+    added = {own: gains[i] for i, own in enumerate(arm.isolation.joints) if i not in servoed}
+    places, notices = _places(file, arm, listed, speed), [*file.notices, *arm.notices]
+    sources["home"] = CATALOGUE if listed.home else FILE if places.home == arm.home else DERIVED
+    if arm.home and sources["home"] == DERIVED:
+        notices.append("the file's home is not used: from there little can be reached on straight ways.")
+    for what in ("workspace", "goal_box", "held_quaternion"):
+        sources[what] = DERIVED if getattr(listed, what) is None else CATALOGUE
     return Robot(
-        name=name if known else file.stem,
-        file=file,
-        tool=tool,
-        chain=chain,
-        home=home,
-        speed=figure("speed", listed.speed, lambda: speed_limits(model, n), (DEFAULT, lambda: (DEFAULT_SPEED,) * n)),
-        torque=figure(
-            "torque", listed.torque, lambda: torque_limits(model, chain.joints), (DEFAULT, lambda: (float("inf"),) * n)
-        ),
-        workspace=workspace,
-        goal_box=figure("goal_box", listed.goal_box, _not_in_files, (DERIVED, lambda: workspace)),
-        held_quaternion=figure(
-            "held_quaternion", listed.held_quaternion, _not_in_files, (DERIVED, lambda: held_quaternion(chain, home))
-        ),
+        name=name if known else file.file.stem,
+        model=file,
+        tool=arm.tool,
+        joint_names=arm.names,
+        chain=arm.chain,
+        home=places.home,
+        speed=speed,
+        torque=torque,
+        workspace=places.workspace,
+        goal_box=places.goal_box,
+        held_quaternion=places.held_quaternion,
+        mass=float(arm.model.body_subtreemass[arm.model.jnt_bodyid[0]]),
+        payload=load,
+        isolation=replace(arm.isolation, servos=added),
         sources=sources,
+        shares=places.shares,
+        notices=tuple(notices),
         pybullet=listed.pybullet,
     )
 
 
-def _not_in_files() -> None:
-    """What no model file has a place for."""
+def _limits(
+    file: ModelFile, arm: Arm, listed: KnownRobot
+) -> tuple[tuple[float, ...], tuple[float, ...], dict[str, str | tuple[str, ...]]]:
+    """Speed and torque limits `[n]`, and where these and the position limits come from."""
+    n = arm.chain.n
+    facts = [file.joints.get(joint, UNKNOWN) for joint in arm.names]
+    stated = speed_limits(arm.whole, n)
+    speeds = [fact.speed or own for fact, own in zip(facts, stated, strict=True)]
+    torques = torque_limits(arm.whole, arm.isolation.joints)
+    torques = [own or fact.torque for own, fact in zip(torques, facts, strict=True)]
+    servoed = own_servos(arm.model, range(n))
+    defaults = default_torques(find_loads(arm.model, range(n), arm.tool_body))
+    unlimited = [float("inf") if joint in servoed else float(defaults[joint]) for joint in range(n)]
+    speed, speed_sources = _filled(listed.speed, speeds, [DEFAULT_SPEED] * n)
+    torque, torque_sources = _filled(listed.torque, torques, unlimited)
+    position = tuple(FILE if limited else DEFAULT for limited in arm.model.jnt_limited)
+    return speed, torque, {"position": position, "speed": speed_sources, "torque": torque_sources}
 
 
-def _own_tool(model: mujoco.MjModel) -> str:
-    """The only site of a model, else its last body; empty where that has no name."""
-    return str(model.site(0).name if model.nsite == 1 else "") or str(model.body(model.nbody - 1).name)
+def _filled(
+    listed: tuple[float, ...] | None, stated: Sequence[float | None], defaults: Sequence[float]
+) -> tuple[tuple[float, ...], tuple[str, ...]]:
+    """What the catalogue lists, else what the file states, else the default; and which it was, joint by joint."""
+    if listed is not None:
+        return listed, (CATALOGUE,) * len(listed)
+    figures = tuple(default if own is None else own for own, default in zip(stated, defaults, strict=True))
+    return figures, tuple(DEFAULT if own is None else FILE for own in stated)
 
 
-def _compile(file: Path) -> mujoco.MjModel:
-    if not file.is_file():
-        raise InputError(f"robot file {str(file)!r} does not exist: put it there, or train with another --robot.")
-    try:
-        return mujoco.MjSpec.from_file(str(file)).compile()
-    except ValueError as error:
-        why = " ".join(str(error).split())
-        if "package:" in why:
-            why += ": meshes named as package:// are not found yet; name them relative to the file"
-        raise InputError(f"robot file {str(file)!r} does not compile: {why.rstrip('.')}.") from None
-
-
-def _keyframe(model: mujoco.MjModel, chain: Chain) -> tuple[float, ...] | None:
-    """Joints of the keyframe `home`, if there is one."""
-    key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home")
-    return tuple(float(model.key_qpos[key, model.jnt_qposadr[i]]) for i in chain.joints) if key >= 0 else None
-
-
-def _middle(chain: Chain) -> tuple[float, ...]:
-    lower, upper = chain.finite_limits()
-    return tuple(((lower + upper) / 2).tolist())
+def _places(file: ModelFile, arm: Arm, listed: KnownRobot, speed: tuple[float, ...]) -> Derived:
+    """Home, boxes and the tool's orientation: what the catalogue lists, and what is derived where it does not."""
+    home = listed.home or arm.home
+    if home and listed.workspace and listed.goal_box:
+        held = listed.held_quaternion or orientation(arm.chain, home)
+        return Derived(home, held, listed.workspace, listed.goal_box, {})
+    found = derived(file, replace(arm, home=home), speed)
+    stated = {name: value for name in Derived._fields if (value := getattr(listed, name, None)) is not None}
+    return found._replace(**stated)

@@ -41,24 +41,28 @@ class TaskConfig(Checked):
     """Reward; see `reachlab list`."""
     clip_actions: bool = True
     """Clip actions to their box. The tutorial's own code does not."""
-    tool_scale: Positive = 0.005
-    """Displacement of the tool for an action of 1 with `tool_delta` [m]."""
+    tool_scale: Positive | None = None
+    """Displacement of the tool for an action of 1 with `tool_delta` [m]; by default the tutorial's 0.005 m, in
+    proportion to the arm's workspace."""
     joint_scale: Positive = 0.02
     """Displacement of a joint for an action of 1 with `joint_delta` [rad or m]."""
-    success_distance: Positive = 0.1
-    """Tool to target within this distance is a success [m]."""
+    success_distance: Positive | None = None
+    """Tool to target within this distance is a success [m]; by default the tutorial's 0.1 m, in proportion to the arm's
+    workspace."""
     at_goal: str = "end"
     """What happens at the target. `end`: success ends the episode. `continue`: the policy acts until the time limit,
     and success is judged on the last step. `hold`: as `continue`, but while the tool is within the success distance the
     joint command stays as it is, so that the arm rests there; it acts again when the tool is outside."""
     max_steps: Count = 1000
     """An episode is truncated on this step."""
-    approach_weight: NonNegative = 5.0
-    """Reward of the `dense` reward for each metre that the tool comes closer [1/m]."""
+    approach_weight: NonNegative | None = None
+    """Reward of the `dense` reward for each metre that the tool comes closer [1/m]; by default 5/m, in inverse
+    proportion to the arm's workspace."""
     targets: str = "table"
     """Where targets are sampled: on the `table`, or in a `box`."""
-    target_height: Annotated[float, Range(-10.0, 10.0)] = -0.0083
-    """Height of the targets on the table [m]; the tutorial's object settles there."""
+    target_height: Annotated[float, Range(-10.0, 10.0)] | None = None
+    """Height of the targets on the table [m]; by default the tutorial's -0.0083 m, where its object settles, in
+    proportion to the arm's workspace and from its floor."""
     target_low: Point | None = None
     """Lower corner of the box of targets [m]; by default the robot's own."""
     target_high: Point | None = None
@@ -76,6 +80,16 @@ class TaskConfig(Checked):
     """Distance at which that reward has fallen to about a half [m]."""
     effort_weight: NonNegative = 0.01
     """Penalty of the `precise` reward for a step with actions of 1."""
+
+
+@dataclass(frozen=True)
+class Rules(TaskConfig):
+    """The rules on an arm: with the lengths that follow from its workspace."""
+
+    tool_scale: Positive = 0.005
+    success_distance: Positive = 0.1
+    approach_weight: NonNegative = 5.0
+    target_height: Annotated[float, Range(-10.0, 10.0)] = -0.0083
 
 
 @dataclass(frozen=True)
@@ -189,7 +203,11 @@ class RunConfig(Checked):
     task: str = "tutorial"
     """Task preset; it sets the other defaults."""
     robot: str = "iiwa14"
-    """Robot: a name of `reachlab list`, or the path of an MJCF or URDF file."""
+    """Robot: a name of `reachlab list`, or the path of an MJCF or URDF file; see `reachlab robot`."""
+    base: str | None = None
+    """Body of the robot's file that holds the arm; joints before it are locked. By default its first."""
+    package: Annotated[tuple[str, ...], Length(64)] = ()
+    """Folders of the ROS packages that the robot's file names, each as NAME=FOLDER."""
     sim: str = "kinematic"
     """Simulator."""
     seed: Seed = 0

@@ -100,6 +100,12 @@ def hints(cls: type) -> dict[str, Any]:
 
 
 def _check(name: str, value: Any, hint: Any) -> None:
+    if typing.get_origin(hint) in UNIONS:
+        kinds = [kind for kind in typing.get_args(hint) if kind is not type(None)]
+        if len(kinds) == 1:
+            if value is not None:
+                _check(name, value, kinds[0])
+            return
     base, limits = (hint.__origin__, hint.__metadata__) if hasattr(hint, "__metadata__") else (hint, ())
     try:
         if isinstance(value, bool) and base is not bool:
@@ -111,10 +117,8 @@ def _check(name: str, value: Any, hint: Any) -> None:
         if isinstance(limit, Range | Length) and value not in limit:
             raise InputError(f"{name} must be {limit}, got {reprlib.repr(value)}.")
     if isinstance(value, tuple):
-        kinds = typing.get_args(base) if typing.get_origin(base) in UNIONS else (base,)
-        entry = next(typing.get_args(kind)[0] for kind in kinds if typing.get_origin(kind) is tuple)
         for item in value:
-            _check(f"each entry of {name}", item, entry)
+            _check(f"each entry of {name}", item, typing.get_args(base)[0])
 
 
 def _type_name(hint: Any) -> str:

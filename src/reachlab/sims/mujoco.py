@@ -11,6 +11,7 @@ from mujoco.batch import Batch
 
 from reachlab.jax_setup import jit
 from reachlab.render.scene import add_table
+from reachlab.robots.isolation import own_servos
 from reachlab.robots.kinematics import forward_kinematics
 from reachlab.robots.robot import Robot
 from reachlab.settings.config import SimConfig
@@ -19,12 +20,8 @@ from reachlab.sims import ArmState, BatchArray, Kind
 from reachlab.sims.rendering import Drawn
 from reachlab.tasks.task import Goal
 
-SERVO_STIFFNESS, SERVO_DAMPING = 2000.0, 200.0
-"""Gains of servos added to an arm whose file has none [Nm/rad, Nm s/rad]; those of MuJoCo Menagerie's iiwa."""
-
-
-GAIN_SPREAD, DAMPING_SPREAD, LARGEST_PAYLOAD = 0.15, 0.3, 2.0
-"""Where dynamics vary: relative spread of each joint's servo gains and of its damping, payload [kg]."""
+GAIN_SPREAD, DAMPING_SPREAD = 0.15, 0.3
+"""Where dynamics vary: relative spread of each joint's servo gains and of its damping."""
 
 PAYLOAD_RADIUS = 0.05
 """The payload is a ball of this radius about the tool point [m]."""
@@ -48,9 +45,10 @@ class MujocoSimulator(Drawn):
         self._substeps = config.physics_steps
         self._batch = Batch(self._model, nsim=num_envs, nthread=threads)
         self._qpos, self._qvel, self._ctrl = (self._batch.bind(name) for name in ("qpos", "qvel", "ctrl"))
-        joints = list(robot.chain.joints)
-        self._positions, self._speeds = self._model.jnt_qposadr[joints], self._model.jnt_dofadr[joints]
-        self._servos = _servos(self._model, robot)
+        n = robot.chain.n
+        self._positions, self._speeds = self._model.jnt_qposadr[:n], self._model.jnt_dofadr[:n]
+        servos = own_servos(self._model, range(n))
+        self._servos = np.array([servos[joint] for joint in range(n)])
         self.lag = _lag(self._model, self._servos, self._speeds)
         self._arms = _Arms(self._batch, self._servos, self._speeds) if randomise_dynamics else None
         self._begin = self._batch.state[0].copy()
@@ -144,11 +142,11 @@ PAYLOAD = "payload"
 """Name of the body that the payload is."""
 
 
-def _add_payload(spec: mujoco.MjSpec, tool: str) -> None:
+def _add_payload(spec: mujoco.MjSpec, tool: str, mass: float) -> None:
     site = spec.site(tool)
     body, place = (spec.body(tool), [0.0, 0.0, 0.0]) if site is None else (site.parent, site.pos)
-    inertia = [0.4 * LARGEST_PAYLOAD * PAYLOAD_RADIUS**2] * 3  # of a ball
-    body.add_body(name=PAYLOAD, pos=place, mass=LARGEST_PAYLOAD, inertia=inertia, ipos=[0, 0, 0], explicitinertial=True)
+    inertia = [0.4 * mass * PAYLOAD_RADIUS**2] * 3  # of a ball
+    body.add_body(name=PAYLOAD, pos=place, mass=mass, inertia=inertia, ipos=[0, 0, 0], explicitinertial=True)
 
 
 def physics_model(robot: Robot, config: SimConfig, *, payload: bool = False) -> mujoco.MjModel:
@@ -157,29 +155,20 @@ def physics_model(robot: Robot, config: SimConfig, *, payload: bool = False) -> 
     Raises:
         InputError: the robot file does not compile with these options.
     """
-    spec = mujoco.MjSpec.from_file(str(robot.file))
+    spec = robot.spec(pictures=config.collisions)
     spec.option.timestep = config.control_period / config.physics_steps
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     # A state that is not finite must be noticed, not silently set back.
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     if config.collisions:
-        add_table(spec, solid=True)
+        add_table(spec, robot, solid=True)
     else:
         spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     if config.gravity_compensation:
         for body in spec.bodies:
             body.gravcomp = 1.0
     if payload:
-        spec.compiler.fusestatic = False  # of a URDF MuJoCo makes one body of those that are fixed to each other
-        _add_payload(spec, robot.tool)
-    if not spec.actuators:
-        for number, torque in zip(robot.chain.joints, robot.torque, strict=True):
-            joint = spec.joints[number]
-            name = joint.name = joint.name or f"reachlab_joint_{number}"
-            servo = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-            servo.set_to_position(kp=SERVO_STIFFNESS, kv=SERVO_DAMPING)
-            if np.isfinite(torque):
-                servo.forcerange = [-torque, torque]
+        _add_payload(spec, robot.tool, robot.payload)
     try:
         return spec.compile()
     except ValueError as error:
@@ -190,18 +179,3 @@ def _lag(model: mujoco.MjModel, servos: np.ndarray, joints: np.ndarray) -> tuple
     """Time by which each joint follows its servo's moving command [s]: damping, the joint's own too, by stiffness."""
     damping = model.dof_damping[joints] - model.actuator_biasprm[servos, 2]
     return tuple((damping / model.actuator_gainprm[servos, 0]).tolist())
-
-
-def _servos(model: mujoco.MjModel, robot: Robot) -> np.ndarray:
-    """Index of the position servo of each joint."""
-    servo = {
-        int(model.actuator_trnid[i, 0]): i
-        for i in range(model.nu)
-        if model.actuator_biastype[i] == int(mujoco.mjtBias.mjBIAS_AFFINE)
-    }
-    for joint in robot.chain.joints:
-        if joint not in servo:
-            raise InputError(
-                f"robot {robot.name!r} has no position servo on its joint number {joint}: add a <position>."
-            )
-    return np.array([servo[joint] for joint in robot.chain.joints])

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from reachlab.settings.config import TaskConfig
+from reachlab.settings.config import Rules
 from reachlab.settings.validation import InputError
 from reachlab.tasks.task import Bounds, Goal, Outcome, Progress, Situation, Task, TaskSetup, outside_workspace
 
@@ -132,7 +132,7 @@ def _check(setup: TaskSetup) -> None:
 # --- words ----------------------------------------------------------------------------------------
 
 
-def _asks(rules: TaskConfig, period: float) -> str:
+def _asks(rules: Rules, period: float) -> str:
     steps = f"{rules.max_steps:,} steps ({rules.max_steps * period:.2g} s)"
     box = f"the box from {rules.target_low} to {rules.target_high} m" if rules.target_low else "the arm's box"
     where = f"in {box}" if rules.targets == "box" else f"on the {rules.targets}"
@@ -142,13 +142,13 @@ def _asks(rules: TaskConfig, period: float) -> str:
     return f"hold a point {where}: {_held(rules, period)}; an episode has {steps}"
 
 
-def _succeeds(rules: TaskConfig, period: float) -> str:
+def _succeeds(rules: Rules, period: float) -> str:
     if rules.hold_steps:
         return f"at the end {_held(rules, period)}"
     return f"the tool comes within {1000 * rules.success_distance:g} mm of the target, which ends the episode"
 
 
-def _held(rules: TaskConfig, period: float) -> str:
+def _held(rules: Rules, period: float) -> str:
     return (
         f"the tool has been within {1000 * rules.success_distance:g} mm for {rules.hold_steps} steps"
         f" ({rules.hold_steps * period:.2g} s), no joint faster than {rules.hold_speed:g} rad/s"

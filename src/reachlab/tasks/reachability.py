@@ -75,8 +75,7 @@ def _tool(robot: Robot, q: np.ndarray) -> np.ndarray:
 def _nearest(robot: Robot, aims: np.ndarray) -> np.ndarray:
     """Points `[B, 3]` m nearest to `aims [B, 3]` that the tool comes to."""
     chain = robot.chain
-    lower, upper = chain.finite_limits()
-    sampled = np.random.default_rng(1).uniform(lower, upper, (POSES, chain.n)).astype(np.float32)
+    sampled = np.random.default_rng(1).uniform(chain.lower, chain.upper, (POSES, chain.n)).astype(np.float32)
 
     def solve(aims: Array, poses: Array) -> Array:
         def step(_: int, q: Array) -> Array:

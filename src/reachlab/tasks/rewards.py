@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from jax import Array
 
-from reachlab.settings.config import TaskConfig
+from reachlab.settings.config import Rules
 from reachlab.tasks.task import Outcome
 
 OUTSIDE_REWARD = -0.1
@@ -19,7 +19,7 @@ SUCCESS_REWARD = 1.0
 """Reward of reaching the target (the tutorial's)."""
 
 
-def _sparse(config: TaskConfig, outcome: Outcome) -> dict[str, Array]:
+def _sparse(config: Rules, outcome: Outcome) -> dict[str, Array]:
     """1 for reaching the target, -0.1 for leaving the workspace or running out of time: the tutorial's.
 
     Where the episode continues at the target, losing it costs 1 again: a difference of potentials, so that coming and
@@ -33,13 +33,13 @@ def _sparse(config: TaskConfig, outcome: Outcome) -> dict[str, Array]:
     }
 
 
-def _dense(config: TaskConfig, outcome: Outcome) -> dict[str, Array]:
+def _dense(config: Rules, outcome: Outcome) -> dict[str, Array]:
     """As sparse, and for every metre that the tool comes closer."""
     approach = config.approach_weight * (outcome.distance_before - outcome.distance)
     return {**_sparse(config, outcome), "approach": approach}
 
 
-def _precise(config: TaskConfig, outcome: Outcome) -> dict[str, Array]:
+def _precise(config: Rules, outcome: Outcome) -> dict[str, Array]:
     """For coming closer, for being within millimetres, for being still there, and against effort."""
     close = config.closeness_scale / (config.closeness_scale + outcome.distance)
     still = config.hold_speed / (config.hold_speed + outcome.speed)
@@ -51,7 +51,7 @@ def _precise(config: TaskConfig, outcome: Outcome) -> dict[str, Array]:
     }
 
 
-REWARDS: dict[str, Callable[[TaskConfig, Outcome], dict[str, Array]]] = {
+REWARDS: dict[str, Callable[[Rules, Outcome], dict[str, Array]]] = {
     "sparse": _sparse,
     "dense": _dense,
     "precise": _precise,

@@ -16,7 +16,7 @@ import numpy as np
 from jax import Array
 
 from reachlab.robots.robot import Robot
-from reachlab.settings.config import TaskConfig
+from reachlab.settings.config import Rules
 
 Bounds = tuple[np.ndarray, np.ndarray]
 """Lower and upper bounds `[k]`."""
@@ -35,7 +35,7 @@ class TaskSetup:
     """
 
     task: Task
-    rules: TaskConfig
+    rules: Rules
     robot: Robot
     period: float
     lag: tuple[float, ...]
@@ -168,5 +168,5 @@ class Task:
     judge: Callable[[TaskSetup, Progress, Situation, Array], tuple[Progress, Outcome]]
     rests: Callable[[TaskSetup, Progress], Array | None]
     check: Callable[[TaskSetup], None]
-    asks: Callable[[TaskConfig, float], str]
-    succeeds: Callable[[TaskConfig, float], str]
+    asks: Callable[[Rules, float], str]
+    succeeds: Callable[[Rules, float], str]

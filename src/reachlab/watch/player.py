@@ -79,7 +79,7 @@ class Player:
         self._env, self._seed = env, seed
         self._advances: dict[str, Advance] = {}
         self._init = env.compile_whole(env.init)
-        rules = env.config.rules
+        rules = env.setup.rules
         self._knows_home_alone = not (rules.hold_steps or rules.start_noise or env.config.loop.chained_starts)
         self._nothing = np.full(env.setup.robot.chain.n, np.nan, np.float32)
         self._following = False
@@ -135,7 +135,7 @@ class Player:
 
         A tool near a target at the workspace's edge may be outside by the success distance: that is no failure.
         """
-        rules, (low, high) = self._env.config.rules, np.array(self._env.setup.robot.workspace)
+        rules, (low, high) = self._env.setup.rules, np.array(self._env.setup.robot.workspace)
         away = np.linalg.norm(self.moment.tool - np.clip(self.moment.tool, low, high))
         if not rules.hold_steps and away > rules.success_distance:
             return LEFT
@@ -169,7 +169,7 @@ class Player:
         """Put the target at `[3]` [m]; the arm continues from where it is, with all the time of an episode."""
         self.state = replace(self.state, goal=Goal(jnp.asarray(target, jnp.float32)[None]))
         self._renew()
-        away = float(self.state.distance[0]) >= self._env.config.rules.success_distance
+        away = float(self.state.distance[0]) >= self._env.setup.rules.success_distance
         self._going_back = self._knows_home_alone and away and bool(self._way)
         self._touched, self._at_home, self.over = True, False, bool(self.failed)
         self._look()
@@ -205,7 +205,7 @@ def make_advance(env: Env, agent: str) -> Advance:
 
     A joint command `[n]` that is a number is taken in place of the agent's.
     """
-    act, rules = make_act(env, agent), env.config.rules
+    act, rules = make_act(env, agent), env.setup.rules
 
     def advance(
         policy: Policy | None, state: EnvState, key: Array, following: bool, command: np.ndarray

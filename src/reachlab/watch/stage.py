@@ -75,7 +75,7 @@ class Stage:
         self._scene = server.scene
         self._model = scene_spec(robot, success_distance).compile()
         self._data = mujoco.MjData(self._model)
-        self._joints = self._model.jnt_qposadr[list(robot.chain.joints)]
+        self._joints = self._model.jnt_qposadr[: robot.chain.n]
         self._drawn_path = np.empty(0)
         self.path: viser.LineSegmentsHandle | None = None
         self.camera: viser.CameraFrustumHandle | None = None

@@ -65,7 +65,7 @@ class Viewer:
         self._policies: dict[int, Policy] = {}
         self._playing: int | None = None
         self._server = start_server(host, port)
-        self.stage = Stage(self._server, env.setup.robot, env.config.rules.success_distance)
+        self.stage = Stage(self._server, env.setup.robot, env.setup.rules.success_distance)
         self.panel = Panel(self._server.gui, agent, checkpoints, tuple(COMMANDS), pictured=env.pictured)
         self.panel.on_shadows(self.stage.cast_shadows)
         self._pace = Pace()

@@ -1,0 +1,102 @@
+"""Position servos for arms whose file has motors or no actuators: gains that follow from the arm's inertia."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from reachlab.robots.isolation import Servo
+from reachlab.robots.joint_limits import position_limits
+
+NATURAL_FREQUENCY, DAMPING_RATIO = 20.0, 1.0
+"""Of a joint on its servo with the largest inertia that it may have to move [rad/s]; joints that have less to move are
+damped more. Their quotient is the time by which joints follow a moving command, 2 × 1 / 20 = 0.1 s, as the iiwa's do."""
+
+LARGEST_SAG = 0.02
+"""A servo is at least so stiff that gravity displaces its joint by no more than this [rad or m]."""
+
+SATURATION = 0.02
+"""And at most so stiff that its torque is used up when the joint is this far from its command [rad or m]."""
+
+HOLDING = 3.0
+"""Torque limit where none is known, in torques that hold the arm against gravity in its hardest pose."""
+
+LEAST_TORQUE = 1.0
+"""The same where gravity does not pull at a joint [Nm or N]."""
+
+LARGEST_PAYLOAD = 2.0
+"""Payload that arms vary by at most [kg]."""
+
+SPARED = 0.7
+"""Share of a joint's torque that holding the arm and its largest payload may take, in half of all poses."""
+
+GRAVITY, TINY = 9.81, 1e-9
+"""Of the earth [m/s²]; and a number that divides in place of a smaller one."""
+
+BALL = 0.4 * 0.05**2
+"""Moment of inertia of a payload, a ball of 5 cm, about its middle [kg m² a kg]."""
+
+POSES = 256
+"""Random joint vectors at which inertia and gravity are computed."""
+
+
+@dataclass(frozen=True)
+class Loads:
+    """What an arm's joints have to move and to hold, at `POSES` random joint vectors.
+
+    Attributes:
+        inertia: what each joint moves, `[POSES, n]` [kg m² or kg].
+        gravity: torque that holds the arm, `[POSES, n]` [Nm or N].
+        lifting: torque that holds another kilogram at the tool, `[POSES, n]` [Nm/kg or N/kg].
+        arm: how far the tool moves when a joint does, `[POSES, n]` [m/rad or 1].
+    """
+
+    inertia: np.ndarray
+    gravity: np.ndarray
+    lifting: np.ndarray
+    arm: np.ndarray
+
+
+def find_loads(model: mujoco.MjModel, joints: Sequence[int], body: int) -> Loads:
+    """Loads of an arm with these joints, whose tool is held by a body."""
+    data, random = mujoco.MjData(model), np.random.default_rng(0)
+    lower, upper = np.array([position_limits(model, joint) for joint in joints]).T
+    addresses, dofs = model.jnt_qposadr[list(joints)], model.jnt_dofadr[list(joints)]
+    inertia, gravity, lifting, arm = (np.zeros((POSES, len(joints))) for _ in range(4))
+    full, linear = np.zeros((model.nv, model.nv)), np.zeros((3, model.nv))
+    for pose in range(POSES):
+        data.qpos[addresses] = random.uniform(lower, upper)
+        mujoco.mj_forward(model, data)
+        mujoco.mj_fullM(model, data, full)
+        mujoco.mj_jacBody(model, data, linear, None, body)
+        inertia[pose], gravity[pose], lifting[pose] = full.diagonal()[dofs], data.qfrc_bias[dofs], linear[2, dofs]
+        arm[pose] = np.linalg.norm(linear[:, dofs], axis=0)
+    return Loads(inertia, np.abs(gravity), GRAVITY * np.abs(lifting), arm)
+
+
+def default_torques(loads: Loads) -> np.ndarray:
+    """Torque limits `[n]` of joints of which none are known [Nm or N]."""
+    return np.maximum(HOLDING * loads.gravity.max(axis=0), LEAST_TORQUE)
+
+
+def payload(loads: Loads, torque: np.ndarray) -> float:
+    """Payload that an arm with these torque limits `[n]` can hold almost everywhere, at most `LARGEST_PAYLOAD` [kg]."""
+    spared = np.maximum(SPARED * torque - loads.gravity, 0.0) / np.maximum(loads.lifting, TINY)
+    return float(min(np.median(spared.min(axis=1)), LARGEST_PAYLOAD))
+
+
+def servos(loads: Loads, torque: np.ndarray, load: float) -> list[Servo]:
+    """Servos of all joints, for torque limits `[n]` and a payload [kg].
+
+    The stiffness is inertia × frequency², more where gravity would displace the joint too far, and no more than its
+    torque allows; the damping is 2 × ratio / frequency × stiffness.
+    """
+    held = (loads.gravity + load * loads.lifting).max(axis=0)
+    moved = (loads.inertia + load * (np.square(loads.arm) + BALL)).max(axis=0)
+    stiffness = np.maximum(moved * NATURAL_FREQUENCY**2, held / LARGEST_SAG)
+    stiffness = np.minimum(stiffness, torque / SATURATION)
+    lag = 2 * DAMPING_RATIO / NATURAL_FREQUENCY
+    return [Servo(float(k), float(lag * k), float(most)) for k, most in zip(stiffness, torque, strict=True)]
