@@ -7,12 +7,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import mujoco
 import numpy as np
 
 from reachlab.robots.chain import Chain
 
 Box = tuple[tuple[float, ...], tuple[float, ...]]
 """Lower and upper corner of a box [m]."""
+
+TUTORIAL_WORKSPACE: Box = ((0.2, -0.3, 0.0), (0.7, 0.3, 0.55))
+"""Workspace of the tutorial's iiwa, in whose metres table, object and cameras are given."""
 
 FILE, CATALOGUE, DERIVED, DEFAULT = "model file", "catalogue", "derived", "default"
 """Where a figure of a robot may come from."""
@@ -64,6 +68,16 @@ class Robot:
     held_quaternion: tuple[float, ...]
     sources: Mapping[str, str] = field(default_factory=dict)
     pybullet: PybulletModel | None = None
+
+    @property
+    def scale(self) -> float:
+        """Size of the workspace over that of the tutorial's."""
+        own, tutorial = (float(np.linalg.norm(np.subtract(*box))) for box in (self.workspace, TUTORIAL_WORKSPACE))
+        return own / tutorial
+
+    def spec(self) -> mujoco.MjSpec:
+        """The arm alone."""
+        return mujoco.MjSpec.from_file(str(self.file))
 
     def workspace_edges(self) -> list[tuple[np.ndarray, np.ndarray]]:
         """The twelve edges of the workspace box, each from one corner to another [m]."""
