@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from xml.etree.ElementTree import Element, ElementTree, SubElement
+from xml.etree.ElementTree import Element, ElementTree, SubElement, indent
 
 import mujoco
 import numpy as np
@@ -18,7 +18,7 @@ STL_HEADER, STL_FACET = bytes(80), np.dtype([("normal", "<f4", 3), ("corners", "
 """Binary STL: a header, the number of facets, and the facets."""
 
 UNIT_SPHERE = "sphere_smooth.obj"
-"""A mesh in PyBullet's data."""
+"""Mesh of a ball of radius 1 in PyBullet's data."""
 
 INERTIA = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
 """Where URDF's numbers are in the matrix of inertia."""
@@ -52,6 +52,7 @@ def write_arm(robot: Robot, folder: Path) -> PybulletModel:
     position, rotation = _tool_frame(data, robot.tool)
     _add_inertial(SubElement(urdf, "link", name=str(n + 1)), data, np.array([], int), position)
     _add_joint(urdf, n, "fixed", position - origins[n], rotation)
+    indent(urdf)  # PyBullet breaks lines of 1,024 characters, be it inside a number
     file = folder / "arm.urdf"
     ElementTree(urdf).write(file)
     return PybulletModel(str(file), n, {robot.tool: 0.0})
@@ -110,6 +111,8 @@ def _add_visual(link: Element, data: mujoco.MjData, geom: int, origin: np.ndarra
 
 def _shape(model: mujoco.MjModel, geom: int, folder: Path) -> tuple[str, dict[str, str]]:
     """URDF's name of a geom's shape, and its sizes [m]."""
+    import pybullet_data
+
     size = model.geom_size[geom]
     match mujoco.mjtGeom(model.geom_type[geom]):
         case mujoco.mjtGeom.mjGEOM_BOX:
@@ -121,7 +124,7 @@ def _shape(model: mujoco.MjModel, geom: int, folder: Path) -> tuple[str, dict[st
         case mujoco.mjtGeom.mjGEOM_CAPSULE:
             return "capsule", {"radius": _text(size[0]), "length": _text(2 * size[1])}
         case mujoco.mjtGeom.mjGEOM_ELLIPSOID:
-            return "mesh", {"filename": UNIT_SPHERE, "scale": _text(size)}
+            return "mesh", {"filename": str(Path(pybullet_data.getDataPath()) / UNIT_SPHERE), "scale": _text(size)}
     return "mesh", {"filename": _write_mesh(model, int(model.geom_dataid[geom]), folder)}
 
 
