@@ -53,7 +53,7 @@ class Robot:
         goal_box: box in which goals are asked for that are not on the table [m].
         held_quaternion: orientation in which the tool is held, wxyz.
         sources: where each of these figures comes from: `FILE`, `CATALOGUE`, `DERIVED` or `DEFAULT`.
-        pybullet: the same robot in PyBullet's data; None if it is not there.
+        pybullet: the same robot in PyBullet's data; without it, one is written for PyBullet from the robot's own model.
     """
 
     name: str
