@@ -74,12 +74,8 @@ def make_setup(config: RunConfig) -> TaskSetup:
     """
     check_names(config)
     task: Task = TASKS[config.task].load()
-    robot = load_robot(
-        config.robot, config.rules.tool, kind=task.tool, base=config.base, packages=config.package
-    )
-    setup = TaskSetup(
-        task, _on_arm(config.rules, robot), robot, config.physics.control_period, (0.0,) * robot.chain.n
-    )
+    robot = load_robot(config.robot, config.rules.tool, kind=task.tool, base=config.base, packages=config.package)
+    setup = TaskSetup(task, _on_arm(config.rules, robot), robot, config.physics.control_period, (0.0,) * robot.chain.n)
     task.check(setup)
     return setup
 
@@ -152,7 +148,16 @@ def _places(config: RunConfig) -> tuple[Any, ...]:
     rules = config.rules
     box = (rules.target_low, rules.target_high) if rules.targets == "box" else rules.target_height
     starts = rules.start_noise if not rules.hold_steps else 0.0
-    return config.robot, config.base, rules.tool, rules.targets, box, rules.success_distance, not rules.hold_steps, starts
+    return (
+        config.robot,
+        config.base,
+        rules.tool,
+        rules.targets,
+        box,
+        rules.success_distance,
+        not rules.hold_steps,
+        starts,
+    )
 
 
 def _point(corner: Any) -> str:

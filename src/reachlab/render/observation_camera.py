@@ -154,7 +154,9 @@ def _model(robot: Robot) -> mujoco.MjModel:
     add_table(spec, robot).name = TABLE
     drawn = {"contype": 0, "conaffinity": 0}
     box, directional = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
-    world.add_geom(name=GROUND, type=box, size=robot.scale * np.array(GROUND_SIZE), pos=robot.placed(GROUND_PLACE), **drawn)
+    world.add_geom(
+        name=GROUND, type=box, size=robot.scale * np.array(GROUND_SIZE), pos=robot.placed(GROUND_PLACE), **drawn
+    )
     target = world.add_body(name=TARGET, mocap=True)
     for kind, size, position, quaternion in TARGET_SHAPES:
         size, position = robot.scale * np.array([*size, 0.0][:3]), robot.scale * np.array(position)

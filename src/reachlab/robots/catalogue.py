@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from reachlab.robots.robot import Box, PybulletModel
+from reachlab.robots.robot import TUTORIAL_WORKSPACE, Box, PybulletModel
 
 ASSETS = Path(__file__).parent / "assets"
 
@@ -45,7 +45,7 @@ ROBOTS: dict[str, KnownRobot] = {
         file=ASSETS / "iiwa14" / "iiwa14.xml",
         sources="iiwa14/SOURCES.md",
         tools={"wrist": "link_7", "flange": "flange"},
-        workspace=((0.2, -0.3, 0.0), (0.7, 0.3, 0.55)),
+        workspace=TUTORIAL_WORKSPACE,
         goal_box=((0.3, -0.4, 0.1), (0.7, 0.4, 0.6)),
         # Euler angles (0, -π, π/2) of the tutorial: the tool points down, turned a quarter about the vertical.
         held_quaternion=(0.0, 0.5**0.5, -(0.5**0.5), 0.0),

@@ -150,9 +150,7 @@ def inverse_kinematics(
         position_tolerance: largest position error [m] of a converged pose.
         angle_tolerance: largest angle error [rad] of a converged pose.
     """
-    seeds = jax.random.uniform(
-        key, (restarts, chain.n), minval=np.array(chain.lower), maxval=np.array(chain.upper)
-    )
+    seeds = jax.random.uniform(key, (restarts, chain.n), minval=np.array(chain.lower), maxval=np.array(chain.upper))
     start = jnp.broadcast_to(start, (*target.position.shape[:-1], chain.n))
 
     def errors(q: Array) -> tuple[Vec, Vec, list[tuple[Scalar, ...]], Array, Array, Array]:
@@ -196,9 +194,7 @@ def _orientation(chain: Chain, frames: Frames, quaternion: Array) -> tuple[Vec, 
     if chain.poses:
         return _rotation_error(frames.rotation, target), columns
     axis = once(frames.rotation.apply(Vec(*chain.approach)))
-    across = [
-        (*column[:3], *Vec(*column[3:]).minus(axis.times(axis.dot(Vec(*column[3:]))))) for column in columns
-    ]
+    across = [(*column[:3], *Vec(*column[3:]).minus(axis.times(axis.dot(Vec(*column[3:]))))) for column in columns]
     return once(axis.cross(target.apply(Vec(*chain.approach)))), once(across)
 
 

@@ -62,7 +62,7 @@ class Robot:
             from joint to joint, of each.
         shares: of the boxes that are derived, which share of their points can be reached.
         notices: what was guessed, changed or left out, a sentence each.
-        pybullet: the same robot in PyBullet's data; None if it is not there.
+        pybullet: the same robot in PyBullet's data; without it, one is written for PyBullet from the robot's own model.
     """
 
     name: str

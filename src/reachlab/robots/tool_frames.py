@@ -80,9 +80,7 @@ class _Tree:
         """The chains that begin at a body, which is `depth` joints from the base."""
         own = [body] * (self._jointed[body] and body != 0)
         depth += len(own)
-        longer = [
-            found for child in self._children[body] if any(map(len, (found := self._below(child, depth))))
-        ]
+        longer = [found for child in self._children[body] if any(map(len, (found := self._below(child, depth))))]
         if not longer or (len(longer) > 1 and depth >= SHORTEST_ARM):
             return [own]
         return [own + chain for found in longer for chain in found]
@@ -101,7 +99,9 @@ class _Tree:
         rigid = [body]
         for one in rigid:
             rigid += [
-                child for child in self._children[one] if not self._jointed[child] and not self._model.body_jntnum[child]
+                child
+                for child in self._children[one]
+                if not self._jointed[child] and not self._model.body_jntnum[child]
             ]
         sites = [self._model.site(i).name for i in range(self._model.nsite) if int(self._model.site_bodyid[i]) in rigid]
         bodies = [self._model.body(one).name for one in rigid]

@@ -221,7 +221,9 @@ def _largest_box(
         sums = np.zeros((len(x) + 1, len(z) + 1), int)
         sums[1:, 1:] = inside[:, : side + 1].all(axis=1).cumsum(axis=0).cumsum(axis=1)
         (x0, x1), (z0, z1) = ((index[:, None] for index in lows), (index[None] for index in highs))
-        full = sums[x1 + 1, z1 + 1] - sums[x0, z1 + 1] - sums[x1 + 1, z0] + sums[x0, z0] == (x1 - x0 + 1) * (z1 - z0 + 1)
+        full = sums[x1 + 1, z1 + 1] - sums[x0, z1 + 1] - sums[x1 + 1, z0] + sums[x0, z0] == (x1 - x0 + 1) * (
+            z1 - z0 + 1
+        )
         if holds is not None:
             full &= (x[x0] <= holds[0]) & (x[x1] >= holds[0]) & (z[z0] <= holds[2]) & (z[z1] >= holds[2])
             full &= y[side] >= abs(holds[1])

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import tempfile
 import time
+from pathlib import Path
 from typing import Any, NoReturn, cast
 
 import jax
@@ -11,11 +13,11 @@ from jax import Array
 
 from reachlab.render.marks import Marks
 from reachlab.render.view_randomisation import Views
-from reachlab.robots.catalogue import ROBOTS
 from reachlab.robots.robot import Robot
 from reachlab.settings.config import SimConfig
 from reachlab.settings.validation import InputError
 from reachlab.sims import SIMULATORS, ArmState, BatchArray, Kind
+from reachlab.sims.pybullet_arm import write_arm
 from reachlab.sims.pybullet_world import World, import_pybullet
 from reachlab.tasks.observations import SIZE
 from reachlab.tasks.task import Goal
@@ -36,26 +38,23 @@ class PybulletSimulator:
         """Simulator of `num_envs` arms.
 
         Raises:
-            InputError: PyBullet is not installed, has no such robot or no display, or there are too many environments.
+            InputError: PyBullet is not installed or has no display, or there are too many environments.
         """
         del randomise_dynamics
         most = SIMULATORS["pybullet"].most_envs or num_envs  # each is a client of its own, of about 29 MB
         if num_envs > most:
             raise InputError(f"simulator 'pybullet' holds at most {most} environments, got {num_envs}: use --num-envs.")
-        urdf = robot.pybullet
-        if urdf is None or robot.tool not in urdf.tools:
-            known = ", ".join(name for name, one in ROBOTS.items() if one.pybullet)
-            raise InputError(
-                f"simulator 'pybullet' has no tool {robot.tool!r} of robot {robot.name!r}: it knows {known}."
-            )
         self._bullet = import_pybullet()
         self._period, self._pace = config.control_period, SLOW_STEP if config.slow else 0.0
-        self._offset = urdf.tools[robot.tool]
         self.lag = (0.0,) * robot.chain.n
-        self._worlds = [
-            World(self._bullet, robot, urdf, config.control_period, gui=config.gui and index == 0)
-            for index in range(num_envs)
-        ]
+        known = robot.pybullet
+        with tempfile.TemporaryDirectory() as folder:  # PyBullet reads the files once, as it loads them
+            urdf = known if known and robot.tool in known.tools else write_arm(robot, Path(folder))
+            self._offset = urdf.tools[robot.tool]
+            self._worlds = [
+                World(self._bullet, robot, urdf, config.control_period, gui=config.gui and index == 0)
+                for index in range(num_envs)
+            ]
 
     def __deepcopy__(self, memo: dict[int, Any]) -> NoReturn:
         """Refuse to be copied: the falling objects are in PyBullet alone."""

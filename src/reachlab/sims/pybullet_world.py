@@ -22,7 +22,7 @@ GRAVITY = -10.0
 """The tutorial's gravity [m/s²]."""
 
 GROUND, TABLE = (0.0, 0.0, -0.65), (0.5, 0.0, -0.65)
-"""Where the tutorial puts plane and table [m]."""
+"""Where the tutorial puts plane and table [m]; for an arm of another size the scene is scaled, see `Robot.placed`."""
 
 DROP = 0.0183
 """Height above the target from which the object is let go [m]: at z = 0.01, to settle at z = -0.0083."""
@@ -30,7 +30,12 @@ DROP = 0.0183
 SETTLED_SPEED, SETTLED_SPIN, SETTLED_STEPS = 0.01, 0.1, 10
 """An object slower than this [m/s, rad/s] for so many steps has settled; contact with it is most of a step's time."""
 
-CAMERA = {"cameraDistance": 1.5, "cameraYaw": 0.0, "cameraPitch": -40.0, "cameraTargetPosition": (0.55, -0.35, 0.2)}
+CAMERA: dict[str, Any] = {
+    "cameraDistance": 1.5,
+    "cameraYaw": 0.0,
+    "cameraPitch": -40.0,
+    "cameraTargetPosition": (0.55, -0.35, 0.2),
+}
 """The tutorial's viewer camera."""
 
 WIDTH, HEIGHT = 640, 480
@@ -41,28 +46,33 @@ LAMP_DISTANCE = 2.0
 
 
 class World:
-    """One client with the tutorial's scene."""
+    """One client with the tutorial's scene, in the arm's size."""
 
     def __init__(self, bullet: ModuleType, robot: Robot, urdf: PybulletModel, period: float, *, gui: bool) -> None:
         import pybullet_data
 
         self._bullet, self._urdf = bullet, urdf
         self._joints = list(range(robot.chain.n))
+        self._scale = robot.scale
+        self._camera = CAMERA | {
+            "cameraDistance": CAMERA["cameraDistance"] * robot.scale,
+            "cameraTargetPosition": robot.placed(CAMERA["cameraTargetPosition"]),
+        }
         self._still = 0
         self.client = _connect(bullet, gui=gui)
         here: dict[str, Any] = {"physicsClientId": self.client}
         bullet.setAdditionalSearchPath(pybullet_data.getDataPath(), **here)
         bullet.setGravity(0, 0, GRAVITY, **here)
         bullet.setTimeStep(period, **here)
-        bullet.loadURDF("plane.urdf", basePosition=GROUND, **here)
-        bullet.loadURDF("table/table.urdf", basePosition=TABLE, **here)
+        bullet.loadURDF("plane.urdf", basePosition=robot.placed(GROUND), globalScaling=robot.scale, **here)
+        bullet.loadURDF("table/table.urdf", basePosition=robot.placed(TABLE), globalScaling=robot.scale, **here)
         self._arm = bullet.loadURDF(urdf.file, useFixedBase=True, **here)
-        self._object = bullet.loadURDF("random_urdfs/000/000.urdf", **here)
+        self._object = bullet.loadURDF("random_urdfs/000/000.urdf", globalScaling=robot.scale, **here)
         # Nothing but set joints moves the arm: awake, its default motors would only cost time and blur them by 1e-6.
         self._sleep(self._arm)
         if gui:
             bullet.configureDebugVisualizer(bullet.COV_ENABLE_GUI, 0, **here)
-            bullet.resetDebugVisualizerCamera(**CAMERA, **here)
+            bullet.resetDebugVisualizerCamera(**self._camera, **here)
             for start, end in robot.workspace_edges():
                 bullet.addUserDebugLine(start, end, (1, 1, 1), **here)
 
@@ -76,7 +86,7 @@ class World:
         wake = self._bullet.ACTIVATION_STATE_WAKE_UP
         self._bullet.changeDynamics(self._object, -1, activationState=wake, physicsClientId=self.client)
         self._still = 0
-        position = target + np.array([0.0, 0.0, DROP])
+        position = target + np.array([0.0, 0.0, DROP * self._scale])
         self._bullet.resetBasePositionAndOrientation(self._object, position, (0, 0, 0, 1), physicsClientId=self.client)
         self._bullet.resetBaseVelocity(self._object, (0, 0, 0), (0, 0, 0), physicsClientId=self.client)
 
@@ -108,10 +118,10 @@ class World:
         """Picture of the tutorial's viewer camera, `[HEIGHT, WIDTH, 3]` uint8."""
         bullet = self._bullet
         view = bullet.computeViewMatrixFromYawPitchRoll(
-            CAMERA["cameraTargetPosition"],
-            CAMERA["cameraDistance"],
-            CAMERA["cameraYaw"],
-            CAMERA["cameraPitch"],
+            self._camera["cameraTargetPosition"],
+            self._camera["cameraDistance"],
+            self._camera["cameraYaw"],
+            self._camera["cameraPitch"],
             roll=0,
             upAxisIndex=2,
         )
