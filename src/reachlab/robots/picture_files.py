@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections import defaultdict
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 
@@ -66,7 +67,7 @@ class PictureFiles:
         except OSError as error:
             why = str(error) if error.errno is None else "they cannot be opened"
             return self._refuse(f"are not read because {why}", short.name)
-        if why := _unlike(head, size, suffix):
+        if suffix in UNLIKE and (why := UNLIKE[suffix](head, size)):
             return self._refuse(why, short.name)
         self._total += size
         if self._total > MOST_MESHES:
@@ -99,28 +100,29 @@ def _some(names: list[str]) -> str:
     return ", ".join(names[:MOST_NAMED]) + more
 
 
-def _unlike(head: bytes, size: int, suffix: str) -> str:
-    """Why a file is not what its suffix says; empty where it is."""
-    if suffix == ".stl":
-        if len(head) < HEAD:
-            return "are shorter than any STL file"
-        faces = struct.unpack_from("<I", head, 80)[0]
-        if size < HEAD + 50 * faces:
-            return "are text or cut short, while MuJoCo reads binary STL files"
-        if not 1 <= faces <= MOST_FACES:
-            return f"have no faces, or more than {MOST_FACES:,}"
-    if suffix == ".msh":
-        if len(head) < 16:
-            return "are shorter than any MSH file"
-        vertices, normals, texture, faces = struct.unpack_from("<4i", head)
-        if min(vertices, normals, texture, faces) < 0 or size != 16 + 4 * (
-            3 * vertices + 3 * normals + 2 * texture + 3 * faces
-        ):
-            return "are no MSH files of MuJoCo"
-    if suffix == ".png":
-        if head[:8] != b"\x89PNG\r\n\x1a\n" or head[12:16] != b"IHDR":
-            return "are no PNG images"
-        width, height = struct.unpack_from(">2I", head, 16)
-        if not 0 < width * height <= MOST_PIXELS:
-            return f"have more than {MOST_PIXELS:,} pixels"
-    return ""
+def _unlike_stl(head: bytes, size: int) -> str:
+    if len(head) < HEAD:
+        return "are shorter than any STL file"
+    faces = struct.unpack_from("<I", head, 80)[0]
+    if size < HEAD + 50 * faces:
+        return "are text or cut short, while MuJoCo reads binary STL files"
+    return "" if 1 <= faces <= MOST_FACES else f"have no faces, or more than {MOST_FACES:,}"
+
+
+def _unlike_msh(head: bytes, size: int) -> str:
+    if len(head) < 16:
+        return "are shorter than any MSH file"
+    vertices, normals, corners, faces = counts = struct.unpack_from("<4i", head)
+    fits = size == 16 + 4 * (3 * vertices + 3 * normals + 2 * corners + 3 * faces)
+    return "" if min(counts) >= 0 and fits else "are no MSH files of MuJoCo"
+
+
+def _unlike_png(head: bytes, size: int) -> str:
+    if size < HEAD // 2 or head[:8] != b"\x89PNG\r\n\x1a\n" or head[12:16] != b"IHDR":
+        return "are no PNG images"
+    width, height = struct.unpack_from(">2I", head, 16)
+    return "" if 0 < width * height <= MOST_PIXELS else f"have more than {MOST_PIXELS:,} pixels"
+
+
+UNLIKE: dict[str, Callable[[bytes, int], str]] = {".stl": _unlike_stl, ".msh": _unlike_msh, ".png": _unlike_png}
+"""Why a file, by its head and size, is not what its suffix says; empty where it is."""

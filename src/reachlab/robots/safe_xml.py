@@ -136,6 +136,8 @@ class XmlFiles:
         if prefixed or self.file.suffix == ".xacro":
             stem = self.file.name.removesuffix(".xacro").removesuffix(".urdf")
             raise InputError(f"{what} is a xacro file: expand it with `xacro {self.file.name} > {stem}_expanded.urdf`.")
+        if root.tag == "mujocoinclude":
+            raise InputError(f"{what} is a part that other files include: name the file that includes it.")
         if root.tag not in ("mujoco", "robot"):
             raise InputError(f"{what} is neither MJCF (<mujoco>) nor URDF (<robot>): its root is <{root.tag[:40]}>.")
         return root
