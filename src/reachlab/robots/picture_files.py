@@ -16,12 +16,16 @@ MESHES, TEXTURES = (".stl", ".obj", ".msh"), (".png",)
 """Kinds of files that MuJoCo reads."""
 MOST_MESH, MOST_MESHES = 100 * 2**20, 300 * 2**20
 """Size of one mesh and of all [bytes]."""
+MOST_FILES = 1000
+"""So many meshes and textures are looked for."""
 MOST_FACES = 200_000
 """Faces that MuJoCo reads from an STL file."""
 MOST_PIXELS = 4096 * 4096
 """Pixels of one texture."""
 MOST_NAMED = 6
 """So many files are named in a notice."""
+LONGEST_NAME = 200
+"""Letters of a name that are shown."""
 MISSING = "missing.stl"
 """Name of what cannot be drawn."""
 HEAD = 84
@@ -48,14 +52,18 @@ class PictureFiles:
         """The plain name under which MuJoCo gets a file, another for each scale; `MISSING` where it cannot be drawn.
 
         Raises:
-            InputError: all meshes together are too large.
+            InputError: there are too many, or all together are too large.
         """
         if (name, below, scale) not in self._seen:
+            if len(self._seen) == MOST_FILES:
+                raise InputError(
+                    f"robot file {str(self.folders.file)!r} names more than {MOST_FILES:,} meshes or textures."
+                )
             self._seen[name, below, scale] = self._add(name, below, kinds)
         return self._seen[name, below, scale]
 
     def _add(self, name: str, below: str, kinds: tuple[str, ...]) -> str:
-        short = PurePosixPath(name.replace("\\", "/"))
+        short = PurePosixPath(name.replace("\\", "/")[-LONGEST_NAME:])
         suffix = short.suffix.lower()
         if suffix not in kinds:
             return self._refuse(f"are {suffix or 'without suffix'}, which MuJoCo does not read", short.name)
@@ -65,8 +73,7 @@ class PictureFiles:
         try:
             head, size = read_regular(path, MOST_MESH, HEAD)
         except OSError as error:
-            why = str(error) if error.errno is None else "they cannot be opened"
-            return self._refuse(f"are not read because {why}", short.name)
+            return self._refuse(f"cannot be read ({error.strerror or error})", short.name)
         if suffix in UNLIKE and (why := UNLIKE[suffix](head, size)):
             return self._refuse(why, short.name)
         self._total += size

@@ -25,7 +25,7 @@ def leave_out(spec: mujoco.MjSpec, files: frozenset[str]) -> list[str]:
     _remove_unused(spec, shapes)
     light = []
     for body in bare:
-        if body.joints and not body.geoms:
+        if body.joints and not body.geoms and not body.explicitinertial:
             body.explicitinertial, body.mass, body.inertia = True, SMALL_MASS, [SMALL_INERTIA] * 3
             light.append(body.name)
     return light
