@@ -89,11 +89,12 @@ def big_meshes(path: Path) -> None:
 def chain(count: int) -> str:
     """An arm of many joints."""
     links = "".join(LINK.format(f"l{i}", "") for i in range(count))
-    return f"<robot>{links}{''.join(JOINT.format(f'l{i}', f'l{i + 1}', 'fixed', '1 0 0', '1') for i in range(count - 1))}</robot>"
+    joints = "".join(JOINT.format(f"l{i}", f"l{i + 1}", "fixed", "1 0 0", "1") for i in range(count - 1))
+    return f"<robot>{links}{joints}</robot>"
 
 
 Content = str | bytes | Callable[[Path], object]
-ENTITIES = '<!DOCTYPE r [<!ENTITY a "ha"><!ENTITY b "{0}">]>'.format("&a;" * 100)
+ENTITIES = '<!DOCTYPE r [<!ENTITY a "ha"><!ENTITY b "{}">]>'.format("&a;" * 100)
 OUTSIDE = f"../../{SECRET}"
 NOT_DRAWN = "read: 1 files of meshes or textures are not drawn"
 
@@ -221,7 +222,8 @@ HOSTILE: dict[str, tuple[dict[str, Content], str]] = {
     "searches length ranges without end": (
         {
             "arm.xml": mjcf(
-                top='<compiler><lengthrange mode="all" inttotal="1e9"/></compiler><actuator><motor joint="j"/></actuator>'
+                top='<compiler><lengthrange mode="all" inttotal="1e9"/></compiler>'
+                '<actuator><motor joint="j"/></actuator>'
             )
         },
         "is too large",
@@ -230,7 +232,11 @@ HOSTILE: dict[str, tuple[dict[str, Content], str]] = {
     "has infinity": ({"arm.xml": mjcf('<body pos="0 0 1e999"/>')}, "finite numbers"),
     "has no mass": ({"arm.xml": mjcf(geom="")}, "does not compile"),
     "names parts of parts": (
-        {"arm.xml": mjcf(top=f"<asset>{''.join(f"<model name='m{i}' file='arm.xml'/>" for i in range(20))}</asset>")},
+        {
+            "arm.xml": mjcf(
+                top="<asset>" + "".join(f'<model name="m{i}" file="arm.xml"/>' for i in range(20)) + "</asset>"
+            )
+        },
         "names more than 50 models",
     ),
     "has a mass that overflows": ({"arm.xml": mjcf(geom='<geom size="1e19" density="1e20"/>')}, "not finite"),
@@ -398,7 +404,9 @@ def main() -> None:
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
         outside = [path for path in map(Path, opened) if not path.is_relative_to(root / "robot")]
         outside = [str(path) for path in outside if path.name != "package.xml"]
-        print(json.dumps({"name": name, "said": said, "took": took, "peak": peak, "outside": outside}), flush=True)
+        line = {"name": name, "said": said, "took": took, "peak": peak, "outside": outside}
+        sys.stdout.write(json.dumps(line) + "\n")
+        sys.stdout.flush()
 
 
 if __name__ == "__main__":
