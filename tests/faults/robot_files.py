@@ -124,7 +124,7 @@ HOSTILE: dict[str, tuple[dict[str, Content], str]] = {
     "has a document type elsewhere": ({"arm.xml": f'<!DOCTYPE r SYSTEM "http://localhost/x.dtd">{mjcf()}'}, "DOCTYPE"),
     "is deep": ({"arm.xml": "<a>" * 100_000}, "deeper than 200"),
     "is deep in bodies": ({"arm.xml": mjcf("<body>" * 300 + "</body>" * 300)}, "deeper than 200"),
-    "has a million elements": ({"arm.xml": mjcf("<geom/>" * 1_000_000)}, "more than 50,000 XML elements"),
+    "has a million elements": ({"arm.xml": mjcf("<geom/>" * 1_000_000)}, "more than 10,000 XML elements"),
     "has a number of a million digits": ({"arm.urdf": urdf(speed="9" * 1_000_000)}, "finite numbers"),
     # --- MJCF -----------------------------------------------------------------------------------------
     "includes itself": ({"arm.xml": mjcf('<include file="arm.xml"/>')}, "includes 'arm.xml' twice"),
@@ -239,7 +239,7 @@ HOSTILE: dict[str, tuple[dict[str, Content], str]] = {
         },
         "names more than 50 models",
     ),
-    "has a mass that overflows": ({"arm.xml": mjcf(geom='<geom size="1e19" density="1e20"/>')}, "not finite"),
+    "has a mass that overflows": ({"arm.xml": mjcf(geom='<geom size="1e19" density="1e20"/>')}, "weighs more than"),
     "has two thousand bodies with shapes": (
         {
             "arm.xml": mjcf(
@@ -249,8 +249,8 @@ HOSTILE: dict[str, tuple[dict[str, Content], str]] = {
         },
         "read",
     ),
-    "has thirty thousand sites and tendons": (
-        {"arm.xml": mjcf("".join(f'<site name="s{i}"/>' for i in range(30_000)))},
+    "has thousands of sites": (
+        {"arm.xml": mjcf("".join(f'<site name="s{i}"/>' for i in range(9000)))},
         "read",
     ),
     # --- URDF -----------------------------------------------------------------------------------------
@@ -271,9 +271,9 @@ HOSTILE: dict[str, tuple[dict[str, Content], str]] = {
     ),
     "is a loop": ({"arm.urdf": urdf(JOINT.format("arm", "base", "fixed", "1 0 0", "1"))}, "part of a loop"),
     "has two links of a name": ({"arm.urdf": urdf(LINK.format("arm", ""))}, "two links named 'arm'"),
-    "has no links": ({"arm.urdf": "<robot/>"}, "has 0 links"),
+    "has no links": ({"arm.urdf": "<robot/>"}, "has no links."),
     "has a thousand links in a chain": ({"arm.urdf": chain(1000)}, "more than 200 joints from the base"),
-    "has ten thousand links": ({"arm.urdf": chain(5000)}, "from 1 to 2,000"),
+    "has thousands of links": ({"arm.urdf": urdf('<link name="x"/>' * 2100)}, "at most 2,000 are read"),
     "has a negative mass": ({"arm.urdf": urdf(child="").replace('mass value="1"', 'mass value="-1"')}, "is negative"),
     # --- files of meshes and textures -----------------------------------------------------------------
     "names a mesh outside": ({"arm.urdf": urdf(child=mesh_of(OUTSIDE))}, NOT_DRAWN),
@@ -297,7 +297,7 @@ HOSTILE: dict[str, tuple[dict[str, Content], str]] = {
     "names a mesh with a zero byte": ({"arm.urdf": urdf(child=mesh_of("a%00.stl"))}, NOT_DRAWN),
     "names a mesh of many letters": ({"arm.urdf": urdf(child=mesh_of("a" * 100_000 + ".stl"))}, NOT_DRAWN),
     "names thousands of meshes": (
-        {"arm.urdf": urdf(child="".join(mesh_of(f"package://p{i}/{i}.stl") for i in range(10_000)))},
+        {"arm.urdf": urdf(child="".join(mesh_of(f"package://p{i}/{i}.stl") for i in range(1100)))},
         "more than 1,000 meshes",
     ),
     "names a thousand packages": (

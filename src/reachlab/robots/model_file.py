@@ -31,6 +31,9 @@ REFUSALS = (ValueError, mujoco.FatalError, MemoryError)
 MOST_TRIED = 100
 """Up to so many meshes and textures are tried one by one where MuJoCo refuses one of them."""
 
+LARGEST_MASS = 1e6
+"""Largest mass of a body [kg]."""
+
 
 @dataclass(frozen=True, eq=False)
 class ModelFile:
@@ -158,8 +161,11 @@ def _checked(model: ModelFile) -> ModelFile:
             raise error if isinstance(error, InputError) else _refused(model.file, error) from None
         model = _noticed(model, "Inertias that no rigid body has are replaced by the mean of their moments.")
         return _checked(dataclasses.replace(model, balanced=True))
-    if not all(np.isfinite(part).all() for part in (compiled.body_mass, compiled.body_inertia, compiled.body_pos)):
-        raise InputError(f"robot file {str(model.file)!r} has a body whose mass, inertia or position is not finite.")
+    if not (np.isfinite(compiled.body_pos).all() and (compiled.body_mass <= LARGEST_MASS).all()):
+        raise InputError(
+            f"robot file {str(model.file)!r} has a body whose position is not finite or that weighs more than"
+            f" {LARGEST_MASS:g} kg."
+        )
     return model
 
 

@@ -17,7 +17,7 @@ from reachlab.settings.validation import InputError
 
 MOST_XML = 20 * 2**20
 """Size of all XML text of a robot [bytes]."""
-MOST_ELEMENTS, MOST_NESTING = 50_000, 200
+MOST_ELEMENTS, MOST_NESTING = 10_000, 200
 LARGEST_NUMBER = 1e20
 """Larger numbers overflow when MuJoCo multiplies them."""
 

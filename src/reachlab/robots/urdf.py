@@ -50,6 +50,8 @@ def rewrite_urdf(root: Element, pictures: PictureFiles) -> tuple[str, dict[str, 
     file = pictures.folders.file
     notices: list[str] = []
     links = _by_name(root, "link", file)
+    if not links:
+        raise InputError(f"robot file {str(file)!r} has no links.")
     joints = _by_name(root, "joint", file)
     for other in [child for child in root if child.tag not in ("link", "joint", "material", "mujoco")]:
         root.remove(other)
@@ -77,6 +79,8 @@ def some(names: Iterable[str], most: int = 6) -> str:
 
 def _by_name(root: Element, tag: str, file: Path) -> dict[str, Element]:
     elements = root.findall(tag)
+    if len(elements) > MOST_BODIES:
+        raise InputError(f"robot file {str(file)!r} has {len(elements):,} {tag}s; at most {MOST_BODIES:,} are read.")
     names = Counter(element.get("name", "") for element in elements)
     if "" in names:
         raise InputError(f"robot file {str(file)!r} has a {tag} without a name: give each its own.")
@@ -93,8 +97,6 @@ def _end(joint: Element, end: str) -> str:
 
 def _check_tree(links: Mapping[str, Element], joints: Mapping[str, Element], file: Path) -> None:
     what = f"robot file {str(file)!r}"
-    if not 1 <= len(links) <= MOST_BODIES:
-        raise InputError(f"{what} has {len(links):,} links; from 1 to {MOST_BODIES:,} are read.")
     parent_of: dict[str, str] = {}
     for name, joint in joints.items():
         parent, child = _end(joint, "parent"), _end(joint, "child")
