@@ -12,7 +12,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from faults.robot_files import HOSTILE, JOINT, LINK, mesh_of, mjcf, obj, stl, urdf
+from faults.robot_files import HOSTILE
+from faults.robot_parts import JOINT, LINK, mesh_of, mjcf, obj, stl, urdf
 from reachlab.robots.model_file import JointFacts, read_model_file
 from reachlab.robots.urdf import balance
 from reachlab.settings.validation import InputError
@@ -58,7 +59,7 @@ def assert_same_robot(model_file):
 @pytest.fixture(scope="module")
 def tried(tmp_path_factory):
     child = subprocess.run(
-        [sys.executable, "-m", "faults.robot_files", str(tmp_path_factory.mktemp("hostile"))],
+        [sys.executable, "-m", "faults.robot_trial", str(tmp_path_factory.mktemp("hostile"))],
         capture_output=True, text=True, timeout=120, check=False,
         env={"PYTHONPATH": f"{Path(__file__).parent}:{Path(__file__).parents[1] / 'src'}", "PATH": "", "HOME": "/root"},
     )  # fmt: skip
@@ -85,8 +86,9 @@ def foreign_files():
     """Robots of packages that are installed here, if any; none of them belongs to this project."""
     places = {"pybullet_data": ["franka_panda/panda.urdf", "xarm/xarm6_robot.urdf"]}
     for package, files in places.items():
-        if found := importlib.util.find_spec(package):
-            yield from (Path(found.origin).parent / file for file in files)
+        if (found := importlib.util.find_spec(package)) and found.origin:
+            origin = Path(found.origin)
+            yield from (origin.parent / file for file in files)
     robots = Path(mujoco.__file__).parents[1] / "cmeel.prefix/share/example-robot-data/robots"
     for file in (
         "panda_description/urdf/panda.urdf", "ur_description/urdf/ur3_robot.urdf", "ur_description/urdf/ur5_robot.urdf",

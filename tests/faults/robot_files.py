@@ -1,97 +1,27 @@
-"""Robot files that mean harm: none of them may hang, flood the memory, or open a file that is not the robot's."""
+"""Robot files that mean harm, and what is to be said of each."""
 
 from __future__ import annotations
 
-import json
 import os
-import resource
 import struct
-import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 
-from reachlab.robots.model_file import read_model_file
-from reachlab.settings.validation import InputError
-
-SECRET = "secret.stl"
-"""A mesh that lies outside of the robot's folders."""
-
-LINK = '<link name="{0}"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial>{1}</link>'
-JOINT = (
-    '<joint name="{0}_{1}" type="{2}"><parent link="{0}"/><child link="{1}"/><axis xyz="{3}"/>'
-    '<limit lower="-1" upper="1" effort="5" velocity="{4}"/></joint>'
+from faults.robot_parts import (
+    JOINT,
+    LINK,
+    SECRET,
+    big_meshes,
+    chain,
+    mesh_asset,
+    mesh_of,
+    mjcf,
+    obj,
+    png,
+    sparse,
+    stl,
+    urdf,
 )
-
-
-def urdf(*parts: str, child: str = "", kind: str = "revolute", axis: str = "0 0 1", speed: str = "2") -> str:
-    """An arm of one joint, with more parts."""
-    links = LINK.format("base", "") + LINK.format("arm", child)
-    return f'<robot name="r">{links}{JOINT.format("base", "arm", kind, axis, speed)}{"".join(parts)}</robot>'
-
-
-def mjcf(inside: str = "", top: str = "", geom: str = '<geom size="0.1"/>') -> str:
-    """An arm of one joint."""
-    return f'<mujoco>{top}<worldbody><body name="arm"><joint name="j"/>{geom}{inside}</body></worldbody></mujoco>'
-
-
-def mesh_of(name: str) -> str:
-    """A shape of a URDF link."""
-    return f'<visual><geometry><mesh filename="{name}"/></geometry></visual>'
-
-
-def mesh_asset(name: str) -> str:
-    """An arm whose only geom is a mesh."""
-    return mjcf(
-        '<inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/>',
-        f'<asset><mesh name="m" file="{name}"/></asset>',
-        '<geom type="mesh" mesh="m"/>',
-    )
-
-
-def stl(value: float = 0.0, faces: int | None = None) -> bytes:
-    """A tetrahedron."""
-    corners = [(value, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
-    data = bytes(80) + struct.pack("<I", 4 if faces is None else faces)
-    for face in ((0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)):
-        data += struct.pack("<12fH", 0, 0, 0, *(x for corner in face for x in corners[corner]), 0)
-    return data
-
-
-def obj(faces: str = "f 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n", more: str = "") -> str:
-    """A tetrahedron."""
-    return f"{more}v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n{faces}"
-
-
-def png(width: int, height: int) -> bytes:
-    """The head of an image."""
-    return b"\x89PNG\r\n\x1a\n" + struct.pack(">I4s2I", 13, b"IHDR", width, height) + bytes(60)
-
-
-def sparse(size: int) -> Callable[[Path], None]:
-    """A file of zeros."""
-
-    def make(path: Path) -> None:
-        with path.open("wb") as file:
-            file.truncate(size)
-
-    return make
-
-
-def big_meshes(path: Path) -> None:
-    """Four meshes of 90 MB."""
-    for number in range(4):
-        with (path.parent / f"{number}.stl").open("wb") as file:
-            file.write(bytes(80) + struct.pack("<I", 100))
-            file.truncate(90 * 2**20)
-
-
-def chain(count: int) -> str:
-    """An arm of many joints."""
-    links = "".join(LINK.format(f"l{i}", "") for i in range(count))
-    joints = "".join(JOINT.format(f"l{i}", f"l{i + 1}", "fixed", "1 0 0", "1") for i in range(count - 1))
-    return f"<robot>{links}{joints}</robot>"
-
 
 Content = str | bytes | Callable[[Path], object]
 ENTITIES = '<!DOCTYPE r [<!ENTITY a "ha"><!ENTITY b "{}">]>'.format("&a;" * 100)
@@ -357,57 +287,3 @@ HOSTILE: dict[str, tuple[dict[str, Content], str]] = {
     ),
 }
 """Files by name, and part of what is said: the refusal, or `read: ` and the notices."""
-
-
-def write(root: Path, files: dict[str, Content]) -> Path:
-    """Write the files in a folder two levels below the root; the first one's path."""
-    folder = root / "robot" / "urdf"
-    folder.mkdir(parents=True)
-    (root / SECRET).write_bytes(stl())
-    (root / "secret.xml").write_text("<m><body/></m>")
-    for name, content in files.items():
-        if callable(content):
-            content(folder / name)
-        else:
-            data = content if isinstance(content, bytes) else content.encode()
-            (folder / name).write_bytes(data.replace(b"{root}", bytes(root)))
-    return folder / next(name for name in files if name.startswith(("arm", "other")))
-
-
-def try_out(file: Path) -> str:
-    """What reading a robot file says."""
-    if file.name == "other.urdf":
-        file = file.with_name("arm.urdf")
-    try:
-        model = read_model_file(file)
-        model.spec(pictures=False).compile()
-        model.spec().compile()
-    except InputError as error:
-        return str(error)
-    left = ["Some files are not drawn."] if model._broken else []
-    return f"read: {' '.join([*model.notices, *left])}"
-
-
-def main() -> None:
-    """Try each hostile file in a folder of its own; one line of JSON for each."""
-    opened: list[str] = []
-    sys.addaudithook(
-        lambda event, args: opened.append(str(args[0])) if event == "open" and not isinstance(args[0], int) else None
-    )
-    for number, (name, (files, _)) in enumerate(HOSTILE.items()):
-        root = Path(sys.argv[1]) / str(number)
-        file = write(root, files)
-        opened.clear()
-        start = time.perf_counter()
-        said = try_out(file)
-        took = time.perf_counter() - start
-        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
-        outside = [path for path in map(Path, opened) if not path.is_relative_to(root / "robot")]
-        outside = [str(path) for path in outside if path.name != "package.xml"]
-        line = {"name": name, "said": said, "took": took, "peak": peak, "outside": outside}
-        sys.stdout.write(json.dumps(line) + "\n")
-        sys.stdout.flush()
-
-
-if __name__ == "__main__":
-    main()
