@@ -32,7 +32,7 @@ class Folders:
 
         Args:
             name: as the robot file writes it.
-            below: folder of the robot file's meshes or textures, relative to it, where names without one are looked for.
+            below: folder of the robot file's meshes or textures, relative to it.
         """
         for path, owners in self._candidates(name.strip().replace("\\", "/"), below.replace("\\", "/")):
             real = _real(path)

@@ -20,8 +20,8 @@ REFUSED = {
 }
 """Elements that are not read, and why."""
 
-MOST_PARTS = 5
-"""Depth to which sub-models may name sub-models."""
+MOST_INCLUDED, MOST_PARTS, DEEPEST_PART = 200, 50, 5
+"""Number of included files and of sub-models, and depth to which sub-models may name others."""
 
 LARGEST = {
     ("size", "nkey"): 10_000,
@@ -68,7 +68,6 @@ class _Document:
     pictures: PictureFiles
     parts: dict[str, bytes] = field(default_factory=dict)
     left_out: dict[str, None] = field(default_factory=dict)
-    included: set[str] = field(default_factory=set)
 
 
 def rewrite_mjcf(root: Element, texts: XmlFiles, pictures: PictureFiles) -> tuple[str, dict[str, bytes], list[str]]:
@@ -90,7 +89,7 @@ def _rewrite(root: Element, document: _Document, depth: int) -> int:
     file = document.texts.file
     if root.tag != "mujoco":
         raise InputError(f"robot file {str(file)!r} names a model of kind <{root.tag}>; <mujoco> is read.")
-    _include(root, document, 0)
+    _include(root, document, set(), 0)
     for element in root.iter():
         if element.tag in REFUSED:
             raise InputError(
@@ -108,7 +107,7 @@ def _rewrite(root: Element, document: _Document, depth: int) -> int:
     return elements
 
 
-def _include(parent: Element, document: _Document, depth: int) -> None:
+def _include(parent: Element, document: _Document, included: set[str], depth: int) -> None:
     """Put the content of included files in the place of their `<include>`."""
     if depth > MOST_NESTING:
         raise InputError(f"robot file {str(document.texts.file)!r} nests its includes too deep.")
@@ -116,21 +115,22 @@ def _include(parent: Element, document: _Document, depth: int) -> None:
     while position < len(parent):
         child = parent[position]
         if child.tag != "include":
-            _include(child, document, depth + 1)
+            _include(child, document, included, depth + 1)
             position += 1
             continue
         name = child.get("file", "")
-        if name in document.included:
+        if name in included:
             raise InputError(f"robot file {str(document.texts.file)!r} includes {name!r} twice; once is allowed.")
-        document.included.add(name)
+        included.add(name)
+        if len(included) > MOST_INCLUDED:
+            raise InputError(f"robot file {str(document.texts.file)!r} includes more than {MOST_INCLUDED} files.")
         parent[position : position + 1] = [*document.texts.part(name)]
 
 
 def _check_size(element: Element, document: _Document) -> None:
     for key, text in element.attrib.items():
         most = MOST_SAMPLES if key == "nsample" else LARGEST.get((element.tag, key), math.inf)
-        values = numbers(text, len(text.split()))
-        if values and max(values) > most:
+        if most < math.inf and max(numbers(text, len(text.split())), default=0.0) > most:
             raise InputError(
                 f"robot file {str(document.texts.file)!r}: {key}={text[:40]!r} of <{element.tag}> is too large;"
                 f" at most {most} is read."
@@ -156,8 +156,11 @@ def _unfolded(element: Element, tag: str, part: int) -> int:
 def _rewrite_part(model: Element, document: _Document, depth: int) -> int:
     """Give a sub-model a plain name; its number of elements."""
     name = model.get("file", "")
-    if depth == MOST_PARTS:
-        raise InputError(f"robot file {str(document.texts.file)!r} nests models deeper than {MOST_PARTS}.")
+    if depth == DEEPEST_PART or len(document.parts) == MOST_PARTS:
+        raise InputError(
+            f"robot file {str(document.texts.file)!r} names more than {MOST_PARTS} models, or nests them deeper than"
+            f" {DEEPEST_PART}."
+        )
     root = document.texts.part(name)
     plain = f"part_{len(document.parts)}.xml"
     document.parts[plain] = b""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import logging
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +15,7 @@ import numpy as np
 
 from reachlab.robots.mesh_search import Folders
 from reachlab.robots.mjcf import rewrite_mjcf
-from reachlab.robots.picture_files import MISSING, MOST_MESH, PictureFiles
+from reachlab.robots.picture_files import MOST_MESH, PictureFiles
 from reachlab.robots.pictures import leave_out, without_pictures
 from reachlab.robots.safe_xml import XmlFiles, read_regular
 from reachlab.robots.urdf import JointFacts, rewrite_urdf, some
@@ -26,6 +27,12 @@ logger = logging.getLogger(__name__)
 
 REFUSALS = (ValueError, mujoco.FatalError, MemoryError)
 """What MuJoCo raises for a model that it refuses."""
+
+MOST_TRIED = 100
+"""Up to so many meshes and textures are tried one by one where MuJoCo refuses one of them."""
+
+LARGEST_MASS = 1e6
+"""Largest mass of a body [kg]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,18 +96,26 @@ class ModelFile:
     @functools.cached_property
     def _broken(self) -> frozenset[str]:
         """Names of the meshes and textures that MuJoCo does not read although they are there."""
+        if self._error(frozenset()) is None:
+            return frozenset()
+        every = frozenset(self.pictures)
+        one_by_one = every if len(every) <= MOST_TRIED else frozenset()
+        broken = frozenset(name for name in one_by_one if self._error(every - {name})) or every
+        if error := self._error(broken):
+            raise _refused(self.file, error)
+        logger.warning("Robot file %s: MuJoCo does not read %s, not drawn.", self.file, some(sorted(broken)))
+        return broken
+
+    def _error(self, without: frozenset[str]) -> BaseException | None:
+        """What MuJoCo says of the robot without some of its meshes and textures."""
         spec = self.parsed()
-        leave_out(spec, frozenset())
-        spec.assets = {name: self._bytes(name) for name in self.pictures}
+        leave_out(spec, without)
+        spec.assets = {name: self._bytes(name) for name in self.pictures if name not in without}
         try:
-            spec.compile()
+            _compile(spec)
         except REFUSALS as error:
-            broken = frozenset(name for name in self.pictures if not _compiles_alone(name, self._bytes(name)))
-            if not broken:
-                raise _refused(self.file, error) from None
-            logger.warning("Robot file %s: MuJoCo does not read %s; not drawn.", self.file, some(sorted(broken)))
-            return broken
-        return frozenset()
+            return error
+        return None
 
     def _bytes(self, name: str) -> bytes:
         try:
@@ -140,15 +155,25 @@ def read_model_file(file: Path, packages: Mapping[str, Path] | None = None) -> M
 def _checked(model: ModelFile) -> ModelFile:
     """The model once MuJoCo compiles it without pictures, with inertias balanced where MuJoCo asks for that."""
     try:
-        compiled = model.spec(pictures=False).compile()
+        compiled = _compile(model.spec(pictures=False))
     except REFUSALS as error:
         if "balanceinertia" not in str(error) or model.balanced:
             raise error if isinstance(error, InputError) else _refused(model.file, error) from None
         model = _noticed(model, "Inertias that no rigid body has are replaced by the mean of their moments.")
         return _checked(dataclasses.replace(model, balanced=True))
-    if not all(np.isfinite(part).all() for part in (compiled.body_mass, compiled.body_inertia, compiled.body_pos)):
-        raise InputError(f"robot file {str(model.file)!r} has a body whose mass, inertia or position is not finite.")
+    if not (np.isfinite(compiled.body_pos).all() and (compiled.body_mass <= LARGEST_MASS).all()):
+        raise InputError(
+            f"robot file {str(model.file)!r} has a body whose position is not finite or that weighs more than"
+            f" {LARGEST_MASS:g} kg."
+        )
     return model
+
+
+def _compile(spec: mujoco.MjSpec) -> mujoco.MjModel:
+    """The compiled model; MuJoCo's warnings on texture coordinates concern nobody here."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return spec.compile()
 
 
 def _noticed(model: ModelFile, notice: str) -> ModelFile:

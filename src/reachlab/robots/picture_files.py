@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections import defaultdict
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 
@@ -15,12 +16,16 @@ MESHES, TEXTURES = (".stl", ".obj", ".msh"), (".png",)
 """Kinds of files that MuJoCo reads."""
 MOST_MESH, MOST_MESHES = 100 * 2**20, 300 * 2**20
 """Size of one mesh and of all [bytes]."""
+MOST_FILES = 1000
+"""So many meshes and textures are looked for."""
 MOST_FACES = 200_000
 """Faces that MuJoCo reads from an STL file."""
 MOST_PIXELS = 4096 * 4096
 """Pixels of one texture."""
 MOST_NAMED = 6
 """So many files are named in a notice."""
+LONGEST_NAME = 200
+"""Letters of a name that are shown."""
 MISSING = "missing.stl"
 """Name of what cannot be drawn."""
 HEAD = 84
@@ -47,14 +52,18 @@ class PictureFiles:
         """The plain name under which MuJoCo gets a file, another for each scale; `MISSING` where it cannot be drawn.
 
         Raises:
-            InputError: all meshes together are too large.
+            InputError: there are too many, or all together are too large.
         """
         if (name, below, scale) not in self._seen:
+            if len(self._seen) == MOST_FILES:
+                raise InputError(
+                    f"robot file {str(self.folders.file)!r} names more than {MOST_FILES:,} meshes or textures."
+                )
             self._seen[name, below, scale] = self._add(name, below, kinds)
         return self._seen[name, below, scale]
 
     def _add(self, name: str, below: str, kinds: tuple[str, ...]) -> str:
-        short = PurePosixPath(name.replace("\\", "/"))
+        short = PurePosixPath(name.replace("\\", "/")[-LONGEST_NAME:])
         suffix = short.suffix.lower()
         if suffix not in kinds:
             return self._refuse(f"are {suffix or 'without suffix'}, which MuJoCo does not read", short.name)
@@ -64,9 +73,8 @@ class PictureFiles:
         try:
             head, size = read_regular(path, MOST_MESH, HEAD)
         except OSError as error:
-            why = str(error) if error.errno is None else "they cannot be opened"
-            return self._refuse(f"are not read because {why}", short.name)
-        if why := _unlike(head, size, suffix):
+            return self._refuse(f"cannot be read ({error.strerror or error})", short.name)
+        if suffix in UNLIKE and (why := UNLIKE[suffix](head, size)):
             return self._refuse(why, short.name)
         self._total += size
         if self._total > MOST_MESHES:
@@ -99,28 +107,29 @@ def _some(names: list[str]) -> str:
     return ", ".join(names[:MOST_NAMED]) + more
 
 
-def _unlike(head: bytes, size: int, suffix: str) -> str:
-    """Why a file is not what its suffix says; empty where it is."""
-    if suffix == ".stl":
-        if len(head) < HEAD:
-            return "are shorter than any STL file"
-        faces = struct.unpack_from("<I", head, 80)[0]
-        if size < HEAD + 50 * faces:
-            return "are text or cut short, while MuJoCo reads binary STL files"
-        if not 1 <= faces <= MOST_FACES:
-            return f"have no faces, or more than {MOST_FACES:,}"
-    if suffix == ".msh":
-        if len(head) < 16:
-            return "are shorter than any MSH file"
-        vertices, normals, texture, faces = struct.unpack_from("<4i", head)
-        if min(vertices, normals, texture, faces) < 0 or size != 16 + 4 * (
-            3 * vertices + 3 * normals + 2 * texture + 3 * faces
-        ):
-            return "are no MSH files of MuJoCo"
-    if suffix == ".png":
-        if head[:8] != b"\x89PNG\r\n\x1a\n" or head[12:16] != b"IHDR":
-            return "are no PNG images"
-        width, height = struct.unpack_from(">2I", head, 16)
-        if not 0 < width * height <= MOST_PIXELS:
-            return f"have more than {MOST_PIXELS:,} pixels"
-    return ""
+def _unlike_stl(head: bytes, size: int) -> str:
+    if len(head) < HEAD:
+        return "are shorter than any STL file"
+    faces = struct.unpack_from("<I", head, 80)[0]
+    if size < HEAD + 50 * faces:
+        return "are text or cut short, while MuJoCo reads binary STL files"
+    return "" if 1 <= faces <= MOST_FACES else f"have no faces, or more than {MOST_FACES:,}"
+
+
+def _unlike_msh(head: bytes, size: int) -> str:
+    if len(head) < 16:
+        return "are shorter than any MSH file"
+    vertices, normals, corners, faces = counts = struct.unpack_from("<4i", head)
+    fits = size == 16 + 4 * (3 * vertices + 3 * normals + 2 * corners + 3 * faces)
+    return "" if min(counts) >= 0 and fits else "are no MSH files of MuJoCo"
+
+
+def _unlike_png(head: bytes, size: int) -> str:
+    if size < HEAD // 2 or head[:8] != b"\x89PNG\r\n\x1a\n" or head[12:16] != b"IHDR":
+        return "are no PNG images"
+    width, height = struct.unpack_from(">2I", head, 16)
+    return "" if 0 < width * height <= MOST_PIXELS else f"have more than {MOST_PIXELS:,} pixels"
+
+
+UNLIKE: dict[str, Callable[[bytes, int], str]] = {".stl": _unlike_stl, ".msh": _unlike_msh, ".png": _unlike_png}
+"""Why a file, by its head and size, is not what its suffix says; empty where it is."""

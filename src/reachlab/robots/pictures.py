@@ -13,9 +13,9 @@ INFERRED = mujoco.mjtInertiaFromGeom
 
 
 def leave_out(spec: mujoco.MjSpec, files: frozenset[str]) -> list[str]:
-    """Remove the meshes, height fields and textures of these files, and what they draw; bodies left without a mass.
+    """Remove the meshes, height fields and textures of these files and of missing ones, and what they draw.
 
-    Those that move get a small one.
+    Moving bodies that are left without a mass get a small one; their names come back.
     """
     files |= {MISSING}
     textures = {texture.name for texture in spec.textures if files & {texture.file, *texture.cubefiles}}
@@ -25,7 +25,7 @@ def leave_out(spec: mujoco.MjSpec, files: frozenset[str]) -> list[str]:
     _remove_unused(spec, shapes)
     light = []
     for body in bare:
-        if body.joints and not body.geoms:
+        if body.joints and not body.geoms and not body.explicitinertial:
             body.explicitinertial, body.mass, body.inertia = True, SMALL_MASS, [SMALL_INERTIA] * 3
             light.append(body.name)
     return light
@@ -36,7 +36,7 @@ def without_pictures(spec: mujoco.MjSpec) -> None:
     for skin in spec.skins:
         spec.delete(skin)
     _remove_textures(spec, {texture.name for texture in spec.textures})
-    drawn = [geom for geom in spec.geoms if geom.hfieldname or geom.meshname and not _weighs(spec, geom)]
+    drawn = [geom for geom in spec.geoms if geom.hfieldname or (geom.meshname and not _weighs(spec, geom))]
     _remove_shapes(spec, drawn)
     kept = {geom.meshname for geom in spec.geoms}
     _remove_unused(spec, {shape.name for shape in (*spec.meshes, *spec.hfields)} - kept)

@@ -17,7 +17,7 @@ from reachlab.settings.validation import InputError
 
 MOST_XML = 20 * 2**20
 """Size of all XML text of a robot [bytes]."""
-MOST_ELEMENTS, MOST_NESTING = 50_000, 200
+MOST_ELEMENTS, MOST_NESTING = 10_000, 200
 LARGEST_NUMBER = 1e20
 """Larger numbers overflow when MuJoCo multiplies them."""
 
@@ -34,9 +34,9 @@ def read_regular(file: Path, most: int, head: int | None = None) -> tuple[bytes,
     with os.fdopen(handle, "rb") as opened:
         status = os.fstat(handle)
         if not stat.S_ISREG(status.st_mode):
-            raise OSError("it is not a regular file")
+            raise OSError("not a regular file")
         if status.st_size > most:
-            raise OSError(f"it is larger than {most / 2**20:.0f} MB")
+            raise OSError(f"larger than {most / 2**20:.0f} MB")
         return opened.read(most if head is None else head), status.st_size
 
 
@@ -120,7 +120,7 @@ class XmlFiles:
 
     def __init__(self, file: Path, find: Callable[[str], Path | None]) -> None:
         self.file = file
-        self._find, self._left, self._hash = find, MOST_XML, hashlib.sha256()
+        self._find, self._left, self._elements, self._hash = find, MOST_XML, 0, hashlib.sha256()
 
     def root(self) -> Element:
         """Root of the robot file itself.
@@ -136,6 +136,8 @@ class XmlFiles:
         if prefixed or self.file.suffix == ".xacro":
             stem = self.file.name.removesuffix(".xacro").removesuffix(".urdf")
             raise InputError(f"{what} is a xacro file: expand it with `xacro {self.file.name} > {stem}_expanded.urdf`.")
+        if root.tag == "mujocoinclude":
+            raise InputError(f"{what} is a part that other files include: name the file that includes it.")
         if root.tag not in ("mujoco", "robot"):
             raise InputError(f"{what} is neither MJCF (<mujoco>) nor URDF (<robot>): its root is <{root.tag[:40]}>.")
         return root
@@ -165,4 +167,8 @@ class XmlFiles:
             raise InputError(f"robot file {str(file)!r} cannot be read: {error.strerror or error}.") from None
         self._left -= len(data)
         self._hash.update(data)
-        return parse_xml(data, file)
+        root = parse_xml(data, file)
+        self._elements += sum(1 for _ in root.iter())
+        if self._elements > MOST_ELEMENTS:
+            raise InputError(f"robot file {str(self.file)!r} includes more than {MOST_ELEMENTS:,} XML elements in all.")
+        return root

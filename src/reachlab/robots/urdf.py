@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -50,6 +50,8 @@ def rewrite_urdf(root: Element, pictures: PictureFiles) -> tuple[str, dict[str, 
     file = pictures.folders.file
     notices: list[str] = []
     links = _by_name(root, "link", file)
+    if not links:
+        raise InputError(f"robot file {str(file)!r} has no links.")
     joints = _by_name(root, "joint", file)
     for other in [child for child in root if child.tag not in ("link", "joint", "material", "mujoco")]:
         root.remove(other)
@@ -77,6 +79,8 @@ def some(names: Iterable[str], most: int = 6) -> str:
 
 def _by_name(root: Element, tag: str, file: Path) -> dict[str, Element]:
     elements = root.findall(tag)
+    if len(elements) > MOST_BODIES:
+        raise InputError(f"robot file {str(file)!r} has {len(elements):,} {tag}s; at most {MOST_BODIES:,} are read.")
     names = Counter(element.get("name", "") for element in elements)
     if "" in names:
         raise InputError(f"robot file {str(file)!r} has a {tag} without a name: give each its own.")
@@ -93,11 +97,6 @@ def _end(joint: Element, end: str) -> str:
 
 def _check_tree(links: Mapping[str, Element], joints: Mapping[str, Element], file: Path) -> None:
     what = f"robot file {str(file)!r}"
-    if not links:
-        raise InputError(f"{what} has no links.")
-    if len(links) > MOST_BODIES:
-        raise InputError(f"{what} has {len(links):,} links; at most {MOST_BODIES:,} are read.")
-    children: defaultdict[str, list[str]] = defaultdict(list)
     parent_of: dict[str, str] = {}
     for name, joint in joints.items():
         parent, child = _end(joint, "parent"), _end(joint, "child")
@@ -107,28 +106,25 @@ def _check_tree(links: Mapping[str, Element], joints: Mapping[str, Element], fil
         if child in parent_of:
             raise InputError(f"{what}: link {child!r} is the child of two joints; only trees of links are read.")
         parent_of[child] = parent
-        children[parent].append(child)
     roots = [link for link in links if link not in parent_of]
     if len(roots) > 1:
         raise InputError(f"{what} has {len(roots)} links without a parent ({some(roots)}): join them to one tree.")
-    reached, layer, depth = set(roots), roots, 0
-    while layer:
-        layer = [child for link in layer for child in children[link]]
-        reached |= set(layer)
-        depth += 1
-    if len(reached) < len(links):
-        raise InputError(
-            f"{what}: its joints form a loop with link {next(link for link in links if link not in reached)!r}."
-        )
-    if depth > MOST_NESTING:
-        raise InputError(f"{what} has a chain of {depth} links; at most {MOST_NESTING} are read.")
+    for link in links:
+        above, depth = link, 0
+        while above in parent_of and depth <= MOST_NESTING:
+            above, depth = parent_of[above], depth + 1
+        if depth > MOST_NESTING:
+            raise InputError(
+                f"{what}: link {link!r} is part of a loop of joints, or more than {MOST_NESTING} joints from the base."
+            )
 
 
 def _rewrite_joint(name: str, joint: Element, file: Path, notices: list[str]) -> JointFacts:
     kind = joint.get("type", "")
     if kind not in JOINT_TYPES:
         raise InputError(
-            f"robot file {str(file)!r}: joint {name!r} is of type {kind!r}, which is not one of: {', '.join(JOINT_TYPES)}."
+            f"robot file {str(file)!r}: joint {name!r} is of type {kind!r}, which is not one of:"
+            f" {', '.join(JOINT_TYPES)}."
         )
     if kind == "floating":
         joint.set("type", "fixed")
@@ -150,29 +146,33 @@ def _rewrite_joint(name: str, joint: Element, file: Path, notices: list[str]) ->
 def _rewrite_masses(links: Mapping[str, Element], moving: set[str], file: Path, notices: list[str]) -> None:
     massless, balanced = [], []
     for name, link in links.items():
-        inertial = link.find("inertial")
-        mass = 0.0 if inertial is None else numbers(_value(inertial, "mass"), 1)[0]
+        mass = _mass(link)
         if mass < 0.0:
             raise InputError(f"robot file {str(file)!r}: the mass of link {name!r} is negative.")
-        if mass == 0.0:
-            if inertial is not None:
-                link.remove(inertial)
-            if name in moving:
-                massless.append(name)
-                _set_inertia(_child(_child(link, "inertial"), "inertia"), SMALL_MASS * SMALL_RADIUS**2 * np.eye(3))
-                _child(_child(link, "inertial"), "mass").set("value", repr(SMALL_MASS))
-        elif inertial is not None:
-            element = _child(inertial, "inertia")
-            stated = _inertia(element)
-            used = balance(stated, mass)
-            if not np.array_equal(stated, used):
-                _set_inertia(element, used)
-            if np.abs(stated - used).max() > SAID * np.abs(stated).max():
+        if mass > 0.0:
+            inertia = _child(_child(link, "inertial"), "inertia")
+            stated = _inertia(inertia)
+            possible = balance(stated, mass)
+            _set_inertia(inertia, possible)
+            if np.abs(stated - possible).max() > SAID * np.abs(stated).max():
                 balanced.append(name)
+            continue
+        for inertial in link.findall("inertial"):
+            link.remove(inertial)
+        if name in moving:
+            massless.append(name)
+            inertial = _child(link, "inertial")
+            _child(inertial, "mass").set("value", repr(SMALL_MASS))
+            _set_inertia(_child(inertial, "inertia"), SMALL_MASS * SMALL_RADIUS**2 * np.eye(3))
     if massless:
         notices.append(f"Moving links without a mass get {SMALL_MASS:g} kg: {some(massless)}.")
     if balanced:
         notices.append(f"Inertias that no rigid body has are replaced by the nearest possible: {some(balanced)}.")
+
+
+def _mass(link: Element) -> float:
+    found = link.find("inertial/mass")
+    return 0.0 if found is None else numbers(found.get("value"), 1)[0]
 
 
 def balance(inertia: np.ndarray, mass: float) -> np.ndarray:
@@ -200,11 +200,6 @@ def _inertia(element: Element) -> np.ndarray:
 def _set_inertia(element: Element, inertia: np.ndarray) -> None:
     for key, row, column in TERMS:
         element.set(key, repr(float(inertia[row, column])))
-
-
-def _value(parent: Element, tag: str) -> str | None:
-    found = parent.find(tag)
-    return None if found is None else found.get("value")
 
 
 def _child(parent: Element, tag: str) -> Element:

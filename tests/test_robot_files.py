@@ -1,0 +1,310 @@
+"""Model files of robots: what is read in them, and that a hostile one does no harm."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from faults.robot_files import HOSTILE
+from faults.robot_parts import JOINT, LINK, mesh_of, mjcf, obj, stl, urdf
+from reachlab.robots.model_file import JointFacts, read_model_file
+from reachlab.robots.urdf import balance
+from reachlab.settings.validation import InputError
+
+SLOWEST, MOST_MEMORY = 2.0, 500 * 2**20
+"""A hostile file is refused within this time [s] and memory [bytes]."""
+
+
+@pytest.fixture
+def write(tmp_path):
+    def write(text, name="arm.urdf", **files):
+        folder = tmp_path / "robot" / "urdf"
+        folder.mkdir(parents=True, exist_ok=True)
+        for other, data in files.items():
+            path = tmp_path / "robot" / other.replace("__", "/").replace("_dot_", ".")
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(data if isinstance(data, bytes) else data.encode())
+        (folder / name).write_bytes(text if isinstance(text, bytes) else text.encode())
+        return folder / name
+
+    return write
+
+
+def names(model, kind):
+    return [
+        mujoco.mj_id2name(model, kind, i)
+        for i in range(model.nbody if kind == mujoco.mjtObj.mjOBJ_BODY else model.njnt)
+    ]
+
+
+def assert_same_robot(model_file):
+    bare, drawn = model_file.spec(pictures=False).compile(), model_file.spec().compile()
+    for kind in (mujoco.mjtObj.mjOBJ_BODY, mujoco.mjtObj.mjOBJ_JOINT):
+        assert names(bare, kind) == names(drawn, kind)
+    for part in ("body_mass", "body_inertia", "body_ipos", "body_pos", "jnt_axis", "jnt_range", "jnt_actfrcrange"):
+        np.testing.assert_allclose(getattr(bare, part), getattr(drawn, part), atol=1e-9)
+    return bare, drawn
+
+
+# --- files that mean harm ----------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def tried(tmp_path_factory):
+    child = subprocess.run(
+        [sys.executable, "-m", "faults.robot_trial", str(tmp_path_factory.mktemp("hostile"))],
+        capture_output=True, text=True, timeout=120, check=False,
+        env={"PYTHONPATH": f"{Path(__file__).parent}:{Path(__file__).parents[1] / 'src'}", "PATH": "", "HOME": "/root"},
+    )  # fmt: skip
+    found = {entry["name"]: entry for entry in map(json.loads, child.stdout.splitlines())}
+    assert child.returncode == 0, f"died after {list(found)[-1:]}: {child.stderr[-500:]}"
+    return found
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_hostile_file_is_refused_in_one_sentence_or_read_without_its_harm(name, tried):
+    entry = tried[name]
+    assert HOSTILE[name][1] in entry["said"]
+    assert "\n" not in entry["said"]
+    assert len(entry["said"]) < 700
+    assert entry["outside"] == []
+    assert entry["took"] < SLOWEST
+    assert entry["peak"] < MOST_MEMORY
+
+
+# --- foreign robots ----------------------------------------------------------------------------------
+
+
+def foreign_files():
+    """Robots of packages that are installed here, if any; none of them belongs to this project."""
+    places = {"pybullet_data": ["franka_panda/panda.urdf", "xarm/xarm6_robot.urdf"]}
+    for package, files in places.items():
+        if (found := importlib.util.find_spec(package)) and found.origin:
+            origin = Path(found.origin)
+            yield from (origin.parent / file for file in files)
+    robots = Path(mujoco.__file__).parents[1] / "cmeel.prefix/share/example-robot-data/robots"
+    for file in (
+        "panda_description/urdf/panda.urdf", "ur_description/urdf/ur3_robot.urdf", "ur_description/urdf/ur5_robot.urdf",
+        "ur_description/urdf/ur10_robot.urdf", "xarm_description/urdf/xarm7.urdf", "so_arm_description/urdf/so100.urdf",
+        "so_arm_description/urdf/so101.urdf", "kinova_description/robots/kinova.urdf", "z1_description/urdf/z1.urdf",
+    ):  # fmt: skip
+        if (robots / file).is_file():
+            yield robots / file
+
+
+@pytest.mark.parametrize("file", list(foreign_files()), ids=lambda file: f"{file.parts[-3]}-{file.stem}")
+def test_foreign_robot_reads(file):
+    model_file = read_model_file(file)
+    bare, _ = assert_same_robot(model_file)
+    assert bare.njnt >= 6
+    assert bare.nmesh == 0
+    speeds = [model_file.joints[name].speed for name in names(bare, mujoco.mjtObj.mjOBJ_JOINT)]
+    assert all(speed is None or speed > 0 for speed in speeds)
+
+
+# --- URDF --------------------------------------------------------------------------------------------
+
+
+def test_speeds_torques_and_followers_are_read_from_the_text(write):
+    more = LINK.format("tip", "") + (
+        '<joint name="finger" type="prismatic"><parent link="arm"/><child link="tip"/><limit lower="0" upper="1"/>'
+        '<mimic joint="base_arm"/></joint>'
+    )
+    model_file = read_model_file(write(urdf(more)))
+    assert model_file.kind == "URDF"
+    assert model_file.joints == {
+        "base_arm": JointFacts(speed=2.0, torque=5.0),
+        "finger": JointFacts(mimics="base_arm"),
+    }
+    assert model_file.notices == ()
+    bare, _ = assert_same_robot(model_file)
+    np.testing.assert_allclose(bare.jnt_actfrcrange[0], [-5, 5])
+    np.testing.assert_allclose(bare.jnt_axis[1], [1, 0, 0])
+
+
+def test_every_link_and_shape_of_a_urdf_is_kept(write):
+    text = urdf(LINK.format("tip", ""), JOINT.format("arm", "tip", "fixed", "1 0 0", "1"), child=mesh_of("../a.stl"))
+    model_file = read_model_file(write(text, a_dot_stl=stl()))
+    _, drawn = assert_same_robot(model_file)
+    assert names(drawn, mujoco.mjtObj.mjOBJ_BODY) == ["world", "base", "arm", "tip"]
+    assert (drawn.nmesh, drawn.ngeom) == (1, 1)
+
+
+@pytest.mark.parametrize(
+    ("name", "place"),
+    [
+        ("../a.stl", "a_dot_stl"),
+        ("..\\meshes\\a.stl", "meshes__a_dot_stl"),
+        ("package://robot/meshes/a.stl", "meshes__a_dot_stl"),
+        ("model://meshes/a.stl", "meshes__a_dot_stl"),
+        ("package://renamed/meshes/a.stl", "meshes__a_dot_stl"),
+        ("package://given/a.stl", "elsewhere__a_dot_stl"),
+        ("package://ros/a.stl", "ros1__ros__a_dot_stl"),
+        ("package://ament/a.stl", "ros2__share__ament__a_dot_stl"),
+    ],
+)
+def test_mesh_is_found(name, place, write, tmp_path, monkeypatch):
+    monkeypatch.setenv("ROS_PACKAGE_PATH", str(tmp_path / "robot/ros1"))
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path / "robot/ros2"))
+    files = {place: stl(), "package_dot_xml": "<package><name>renamed</name></package>"}
+    model_file = read_model_file(write(urdf(child=mesh_of(name)), **files), {"given": tmp_path / "robot/elsewhere"})
+    assert model_file.notices == ()
+    assert model_file.spec().compile().nmesh == 1
+
+
+def test_meshes_that_are_not_drawn_are_told_in_one_line(write):
+    child = "".join(mesh_of(name) for name in ("a.dae", "b.dae", "c.stl"))
+    child += '<collision><geometry><box size="1 1 1"/></geometry></collision>'
+    model_file = read_model_file(write(urdf(child=child)))
+    assert len(model_file.notices) == 2
+    assert model_file.notices[0].startswith(
+        "3 files of meshes or textures are not drawn: 2 are .dae, which MuJoCo does"
+    )
+    assert "c.stl" in model_file.notices[0]
+    assert model_file.notices[1] == "Drawn by their collision shapes instead: arm."
+    drawn = model_file.spec().compile()
+    assert sorted(drawn.geom_contype) == [0, 1]
+
+
+def test_two_meshes_of_one_name_and_of_two_scales_stay_apart(write):
+    shapes = [mesh_of(name) for name in ("../a/x.stl", "../b/x.stl")]
+    shapes.append(shapes[0].replace("/></g", ' scale="2 2 2"/></g'))
+    files = {"a__x_dot_stl": stl(), "b__x_dot_stl": stl(-1.0)}
+    drawn = read_model_file(write(urdf(child="".join(shapes)), **files)).spec().compile()
+    assert drawn.nmesh == 3
+    sizes = sorted(
+        np.ptp(drawn.mesh_vert[s : s + n], axis=0).max()
+        for s, n in zip(drawn.mesh_vertadr, drawn.mesh_vertnum, strict=True)
+    )
+    assert sizes[2] > sizes[0] * 1.3
+
+
+def test_moving_link_without_a_mass_gets_a_small_one(write):
+    text = urdf().replace('<mass value="1"/>', '<mass value="0"/>')
+    model_file = read_model_file(write(text))
+    assert model_file.notices == ("Moving links without a mass get 0.01 kg: arm.",)
+    bare, _ = assert_same_robot(model_file)
+    np.testing.assert_allclose(bare.body_mass, [0, 0, 0.01])
+
+
+def test_impossible_inertia_is_balanced_and_told(write):
+    text = urdf().replace('izz="1"', 'izz="5"', 1).replace('izz="1"', 'izz="2"')
+    model_file = read_model_file(write(text))
+    assert model_file.notices == ("Inertias that no rigid body has are replaced by the nearest possible: base.",)
+    bare, _ = assert_same_robot(model_file)
+    np.testing.assert_allclose(sorted(bare.body_inertia[1]), [2, 2, 4], rtol=1e-6)
+    np.testing.assert_allclose(sorted(bare.body_inertia[2]), [1, 1, 2], rtol=1e-6)
+
+
+def test_balanced_inertias_are_those_of_rigid_bodies_and_possible_ones_stay():
+    for inertia in np.random.default_rng(0).normal(size=(200, 3, 3)):
+        symmetric = inertia + inertia.T
+        a, b, c = np.linalg.eigvalsh(balance(symmetric, 1.0))
+        assert a > 0
+        assert a + b >= c * (1 - 1e-12)
+    possible = np.diag([2.0, 3.0, 4.0])
+    np.testing.assert_array_equal(balance(possible, 1.0), possible)
+
+
+def test_floating_base_stands_still(write):
+    model_file = read_model_file(write(urdf(kind="floating")))
+    assert model_file.notices == ("Joint 'base_arm' is floating and is taken as fixed: the arm stands on its base.",)
+    assert model_file.spec().compile().njnt == 0
+
+
+def test_extension_of_mujoco_of_urdf_is_kept(write):
+    text = urdf(
+        '<mujoco><compiler meshdir="../meshes" strippath="true"/><option timestep="0.5"/></mujoco>',
+        child=mesh_of("x/a.stl"),
+    )
+    model_file = read_model_file(write(text, meshes__a_dot_stl=stl()))
+    drawn = model_file.spec().compile()
+    assert (drawn.nmesh, drawn.opt.timestep) == (1, 0.5)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+def test_encodings_and_loose_comments_are_read(encoding, write):
+    text = "\n\n<!-- a -- b -->\n" * (encoding == "utf-8") + urdf().replace('name="r"', 'name="ä"')
+    assert read_model_file(write(text.encode(encoding))).spec().modelname == "ä"
+
+
+# --- MJCF --------------------------------------------------------------------------------------------
+
+
+def test_includes_folders_and_names_of_meshes_are_kept(write):
+    top = '<compiler assetdir="../assets"/><asset><mesh file="a/x.obj"/><include file="more.xml"/></asset>'
+    model_file = read_model_file(
+        write(mjcf('<geom type="mesh" mesh="x" mass="0"/><geom type="mesh" mesh="y" mass="0"/>', top), "arm.xml",
+              urdf__more_dot_xml='<mujocoinclude><mesh name="y" file="b/x.obj"/></mujocoinclude>',
+              assets__a__x_dot_obj=obj(), assets__b__x_dot_obj=obj())
+    )  # fmt: skip
+    assert (model_file.kind, model_file.notices, model_file.joints) == ("MJCF", (), {})
+    bare, drawn = assert_same_robot(model_file)
+    assert [drawn.mesh(i).name for i in range(2)] == ["x", "y"]
+    assert (bare.nmesh, bare.ngeom, drawn.ngeom) == (0, 1, 3)
+
+
+def test_mesh_that_gives_a_body_its_inertia_stays_without_pictures(write):
+    top = '<asset><mesh name="m" file="a.obj"/></asset>'
+    model_file = read_model_file(write(mjcf("", top, '<geom type="mesh" mesh="m"/>'), "arm.xml", urdf__a_dot_obj=obj()))
+    bare, _ = assert_same_robot(model_file)
+    assert bare.nmesh == 1
+    np.testing.assert_allclose(bare.body_mass[1], 1000 / 6, rtol=1e-6)
+
+
+def test_pairs_and_sensors_of_shapes_that_are_left_out_go_with_them(write):
+    shapes = (
+        '<inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/>'
+        '<geom name="ball" size="1"/><geom name="m" type="mesh" mesh="m"/>'
+    )
+    top = (
+        '<asset><texture name="t" type="2d" file="t.png"/><material name="s" texture="t"/>'
+        '<mesh name="m" file="a.dae"/></asset>'
+        '<contact><pair geom1="m" geom2="ball"/></contact>'
+        '<sensor><distance geom1="m" geom2="ball" cutoff="1"/><jointpos joint="j"/></sensor>'
+    )
+    model_file = read_model_file(write(mjcf(geom=shapes, top=top), "arm.xml"))
+    _, drawn = assert_same_robot(model_file)
+    assert (drawn.ngeom, drawn.npair, drawn.nsensor, drawn.ntex) == (1, 0, 1, 0)
+    assert "2 files of meshes or textures are not drawn" in model_file.notices[0]
+
+
+def test_sub_models_are_attached(write):
+    top = '<asset><model name="hand" file="hand.xml"/></asset>'
+    hand = mjcf(top='<asset><mesh name="m" file="a.obj"/></asset>', geom='<geom type="mesh" mesh="m"/>')
+    file = write(
+        mjcf('<attach model="hand" body="arm" prefix="hand_"/>', top),
+        "arm.xml",
+        urdf__hand_dot_xml=hand,
+        urdf__a_dot_obj=obj(),
+    )
+    bare, _ = assert_same_robot(read_model_file(file))
+    assert names(bare, mujoco.mjtObj.mjOBJ_JOINT) == ["j", "hand_j"]
+
+
+def test_impossible_inertia_of_mjcf_is_balanced_and_told(write):
+    text = mjcf('<inertial mass="1" pos="0 0 0" diaginertia="1 1 4"/>')
+    model_file = read_model_file(write(text, "arm.xml"))
+    assert model_file.notices == ("Inertias that no rigid body has are replaced by the mean of their moments.",)
+    bare, _ = assert_same_robot(model_file)
+    np.testing.assert_allclose(bare.body_inertia[1], [2, 2, 2])
+
+
+def test_specifications_are_fresh_and_the_digest_tells_texts_apart(write):
+    one = read_model_file(write(urdf()))
+    one.spec().body("arm").name = "other"
+    assert one.spec().body("arm") is not None
+    assert one.digest == read_model_file(write(urdf())).digest
+    assert one.digest != read_model_file(write(urdf(speed="3"))).digest
+
+
+def test_refusal_names_the_file(write):
+    with pytest.raises(InputError, match=r"robot file '.*arm\.urdf'"):
+        read_model_file(write("<robot>"))
