@@ -11,7 +11,7 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeEl
 from rich.table import Column
 
 from reachlab.cli.console import note, notes, print_reports, say, succeeded, success_mm
-from reachlab.settings.config import RunConfig, TaskConfig
+from reachlab.settings.config import RunConfig
 
 if TYPE_CHECKING:
     from reachlab.learn.loop import Progress as TrainProgress
@@ -61,7 +61,7 @@ class _Ended:
         """Their success rate in words; for a task that asks to hold a point, also the mean distance at their end."""
         if not self.episodes:
             return ""
-        held = "held " if rules.hold_steps else ""
+        held = "held " if config.rules.hold_steps else ""
         rate = f"success ({held}within {success_mm(config)}) {100 * self.successes / self.episodes:.1f} %"
         text = f"{rate} of {self.episodes:,.0f} training episodes"
         return text + (f", {1000 * self.metres / self.episodes:.1f} mm at their end" if held else "")

@@ -159,8 +159,8 @@ def _model(robot: Robot) -> mujoco.MjModel:
     )
     target = world.add_body(name=TARGET, mocap=True)
     for kind, size, position, quaternion in TARGET_SHAPES:
-        size, position = robot.scale * np.array([*size, 0.0][:3]), robot.scale * np.array(position)
-        target.add_geom(type=kind, size=size, pos=position, quat=quaternion, **drawn)
+        lengths = {"size": robot.scale * np.array([*size, 0.0][:3]), "pos": robot.scale * np.array(position)}
+        target.add_geom(type=kind, quat=quaternion, **lengths, **drawn)
     world.add_camera(fovy=FIELD_OF_VIEW)
     for light in spec.lights:
         spec.delete(light)

@@ -115,7 +115,7 @@ def chain_from_model(model: mujoco.MjModel, tool: str) -> Chain:
 
 
 def _approach(frames: list[np.ndarray], slide: bool) -> tuple[float, ...]:
-    """The last joint's axis, away from the joint before it; of a wrist that does not turn about it, the way to the tool.
+    """The last joint's axis, away from the joint before; of a wrist that does not turn about it, the way to the tool.
 
     All in the frame of the last joint, then in the tool's.
     """

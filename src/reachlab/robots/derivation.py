@@ -6,7 +6,6 @@ import contextlib
 import hashlib
 import json
 from collections.abc import Callable
-from pathlib import Path
 
 import mujoco
 import numpy as np

@@ -1,4 +1,4 @@
-"""The arm alone in its file: joints that are not its own are locked, and every joint of its own has a position servo."""
+"""The arm alone in its file: other joints are locked, and every joint of its own has a position servo."""
 
 from __future__ import annotations
 

@@ -51,10 +51,10 @@ def torque_limits(model: mujoco.MjModel, joints: Sequence[int]) -> Limits:
         joint = int(model.actuator_trnid[actuator, 0])
         if joint in torques and (most := _most(model, actuator)):
             torques[joint] = (torques[joint] or 0.0) + most
-    for joint in torques:
+    for joint, given in torques.items():
         if model.jnt_actfrclimited[joint]:
             own = float(np.abs(model.jnt_actfrcrange[joint]).max())
-            torques[joint] = min(own, torques[joint] or own)
+            torques[joint] = min(own, given or own)
     return tuple(torques.values())
 
 

@@ -12,8 +12,8 @@ from reachlab.robots.isolation import Servo
 from reachlab.robots.joint_limits import position_limits
 
 NATURAL_FREQUENCY, DAMPING_RATIO = 20.0, 1.0
-"""Of a joint on its servo with the largest inertia that it may have to move [rad/s]; joints that have less to move are
-damped more. Their quotient is the time by which joints follow a moving command, 2 × 1 / 20 = 0.1 s, as the iiwa's do."""
+"""Of a joint on its servo, with the largest inertia that it may have to move [rad/s]; with less it is damped more.
+Joints follow a moving command by 2 × ratio / frequency = 0.1 s, as the iiwa's do."""
 
 LARGEST_SAG = 0.02
 """A servo is at least so stiff that gravity displaces its joint by no more than this [rad or m]."""

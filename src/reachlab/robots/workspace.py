@@ -1,4 +1,4 @@
-"""What of an arm follows from its chain where nobody says it: home, the tool's orientation, and the boxes it works in."""
+"""What of an arm follows from its chain where nobody says it: home, how the tool is held, and the boxes it works in."""
 
 from __future__ import annotations
 
@@ -172,7 +172,7 @@ class _Search:
     ) -> tuple[Box, float]:
         """The box, made smaller until enough random points in it are reached, and their share."""
         low, high = np.array(box)
-        random = np.random.default_rng(1)
+        random, share = np.random.default_rng(1), 0.0
         for _ in range(SHRINKS):
             share = float(reached(random.uniform(low, high, (PROBES, 3))).mean())
             if share >= SHARE:
