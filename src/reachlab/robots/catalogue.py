@@ -50,6 +50,20 @@ ROBOTS: dict[str, KnownRobot] = {
         # Euler angles (0, -π, π/2) of the tutorial: the tool points down, turned a quarter about the vertical.
         held_quaternion=(0.0, 0.5**0.5, -(0.5**0.5), 0.0),
         pybullet=PybulletModel("kuka_iiwa/model.urdf", 6, {"link_7": 0.0, "flange": 0.045}),
-    )
+    ),
+    "panda": KnownRobot(
+        file=ASSETS / "panda" / "panda.xml",
+        sources="panda/SOURCES.md",
+        tools={"wrist": "link_7", "flange": "flange"},
+        workspace=((0.2, -0.3, 0.0), (0.65, 0.3, 0.6)),
+        goal_box=((0.3, -0.35, 0.1), (0.6, 0.35, 0.55)),
+    ),
+    "xarm7": KnownRobot(
+        file=ASSETS / "xarm7" / "xarm7.xml",
+        sources="xarm7/SOURCES.md",
+        tools={"wrist": "link_7", "flange": "flange"},
+        workspace=((0.2, -0.3, 0.0), (0.6, 0.3, 0.5)),
+        goal_box=((0.25, -0.3, 0.1), (0.5, 0.3, 0.45)),
+    ),
 }
 """Robots by name. Adding one takes its record here and its assets."""
