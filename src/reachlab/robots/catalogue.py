@@ -50,6 +50,13 @@ ROBOTS: dict[str, KnownRobot] = {
         # Euler angles (0, -π, π/2) of the tutorial: the tool points down, turned a quarter about the vertical.
         held_quaternion=(0.0, 0.5**0.5, -(0.5**0.5), 0.0),
         pybullet=PybulletModel("kuka_iiwa/model.urdf", 6, {"link_7": 0.0, "flange": 0.045}),
-    )
+    ),
+    "ur5e": KnownRobot(
+        file=ASSETS / "ur5e" / "ur5e.xml",
+        sources="ur5e/SOURCES.md",
+        tools={"wrist": "wrist_3", "flange": "flange"},
+        workspace=((0.2, -0.3, 0.0), (0.65, 0.3, 0.55)),
+        goal_box=((0.3, -0.35, 0.1), (0.65, 0.35, 0.5)),
+    ),
 }
 """Robots by name. Adding one takes its record here and its assets."""

@@ -1,0 +1,79 @@
+"""The catalogue's UR5e, Gen3 and SO-101 against what their makers publish, computed without our kinematics."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+from reachlab.robots.joint_limits import torque_limits
+from reachlab.robots.loading import load_robot
+from reachlab.robots.robot import Robot
+
+PI = np.pi
+
+UR5E = [(0, 0.1625, PI / 2), (-0.425, 0, 0), (-0.3922, 0, 0), (0, 0.1333, PI / 2), (0, 0.0997, -PI / 2), (0, 0.0996, 0)]
+"""DH parameters (a, d, alpha) of the UR5e: Universal Robots, "DH parameters for calculations of kinematics"."""
+
+
+def dh(theta: float, a: float, d: float, alpha: float) -> np.ndarray:
+    """Transform `[4, 4]` of one row of a classic DH table."""
+    ct, st, ca, sa = np.cos(theta), np.sin(theta), np.cos(alpha), np.sin(alpha)
+    return np.array(
+        [[ct, -st * ca, st * sa, a * ct], [st, ct * ca, -ct * sa, a * st], [0, sa, ca, d], [0, 0, 0, 1]], dtype=float
+    )
+
+
+def compiled(robot: Robot) -> mujoco.MjModel:
+    return mujoco.MjModel.from_xml_path(str(robot.file))
+
+
+def random_joints(robot: Robot, count: int = 300) -> np.ndarray:
+    lower, upper = robot.chain.finite_limits()
+    return np.random.default_rng(0).uniform(np.asarray(lower), np.asarray(upper), (count, robot.chain.n))
+
+
+def tool_frames(robot: Robot, joints: np.ndarray) -> np.ndarray:
+    """Frames `[B, 4, 4]` of the tool, by MuJoCo in float64."""
+    model = compiled(robot)
+    data, frames = mujoco.MjData(model), np.tile(np.eye(4), (len(joints), 1, 1))
+    for q, frame in zip(joints, frames, strict=True):
+        data.qpos[: len(q)] = q
+        mujoco.mj_kinematics(model, data)
+        frame[:3, :3] = data.site(robot.tool).xmat.reshape(3, 3)
+        frame[:3, 3] = data.site(robot.tool).xpos
+    return frames
+
+
+def dh_frames(table: list[tuple[float, float, float]], offsets: np.ndarray, first: np.ndarray, joints: np.ndarray):
+    """Frames `[B, 4, 4]` of the end of a DH table whose joints have angle offsets."""
+    frames = []
+    for q in joints:
+        frame = first
+        for theta, row in zip(q + offsets, table, strict=True):
+            frame = frame @ dh(theta, *row)
+        frames.append(frame)
+    return np.array(frames)
+
+
+# --- UR5e --------------------------------------------------------------------------------------------
+
+
+def test_ur5e_has_the_kinematics_of_its_makers_dh_table():
+    robot = load_robot("ur5e", kind="flange")
+    joints = random_joints(robot)
+    # The base is turned by half a turn, so that the stretched arm points along +x.
+    expected = dh_frames(UR5E, np.zeros(6), np.diag([-1.0, -1.0, 1.0, 1.0]), joints)
+    np.testing.assert_allclose(tool_frames(robot, joints), expected, atol=1e-12)
+
+
+def test_ur5e_has_its_makers_masses_and_limits():
+    robot = load_robot("ur5e")
+    model = compiled(robot)
+    np.testing.assert_allclose(model.body_mass[2:], [3.761, 8.058, 2.846, 1.37, 1.3, 0.365])
+    assert model.body_mass.sum() == pytest.approx(20.6)
+    np.testing.assert_allclose(np.rad2deg(robot.chain.upper), [360, 360, 180, 360, 360, 360])
+    np.testing.assert_allclose(robot.chain.lower, np.negative(robot.chain.upper))
+    np.testing.assert_allclose(robot.speed, PI)
+    np.testing.assert_allclose(robot.torque, [150, 150, 150, 28, 28, 28])
