@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
 
-from reachlab.robots.joint_limits import torque_limits
 from reachlab.robots.loading import load_robot
 from reachlab.robots.robot import Robot
 
