@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import re
+from importlib import metadata
+from pathlib import Path
+
 import mujoco
 import numpy as np
 import pytest
@@ -13,6 +17,9 @@ PI = np.pi
 
 UR5E = [(0, 0.1625, PI / 2), (-0.425, 0, 0), (-0.3922, 0, 0), (0, 0.1333, PI / 2), (0, 0.0997, -PI / 2), (0, 0.0996, 0)]
 """DH parameters (a, d, alpha) of the UR5e: Universal Robots, "DH parameters for calculations of kinematics"."""
+
+PUBLIC_ROBOTS = "cmeel.prefix/share/example-robot-data/robots"
+"""Where the Python package example-robot-data keeps its robots."""
 
 
 def dh(theta: float, a: float, d: float, alpha: float) -> np.ndarray:
@@ -75,3 +82,66 @@ def test_ur5e_has_its_makers_masses_and_limits():
     np.testing.assert_allclose(robot.chain.lower, np.negative(robot.chain.upper))
     np.testing.assert_allclose(robot.speed, PI)
     np.testing.assert_allclose(robot.torque, [150, 150, 150, 28, 28, 28])
+
+
+# --- SO-101 ------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def public_so101(tmp_path):
+    """The public URDF without its meshes, in PyBullet: client, robot and its joints and links by name."""
+    pybullet = pytest.importorskip("pybullet")
+    try:
+        package = metadata.distribution("example-robot-data")
+    except metadata.PackageNotFoundError:
+        pytest.skip("example-robot-data is not installed")
+    text = Path(str(package.locate_file(f"{PUBLIC_ROBOTS}/so_arm_description/urdf/so101.urdf"))).read_text()
+    file = tmp_path / "so101.urdf"
+    file.write_text(re.sub("<(visual|collision)>.*?</\\1>", "", text, flags=re.S))
+    client = pybullet.connect(pybullet.DIRECT)
+    robot = pybullet.loadURDF(str(file), useFixedBase=True, physicsClientId=client)
+    infos = [pybullet.getJointInfo(robot, i, client) for i in range(pybullet.getNumJoints(robot, client))]
+    yield pybullet, client, robot, infos
+    pybullet.disconnect(client)
+
+
+def test_so101_has_the_kinematics_of_its_public_model(public_so101):
+    pybullet, client, public, infos = public_so101
+    robot = load_robot("so101", kind="flange")
+    model = compiled(robot)
+    index = {info[1].decode(): info[0] for info in infos}
+    links = {info[12].decode(): info[0] for info in infos}
+    joints, expected = random_joints(robot), []
+    for q in joints:
+        for i, angle in enumerate(q):
+            pybullet.resetJointState(public, index[model.joint(i).name], angle, physicsClientId=client)
+        state = pybullet.getLinkState(
+            public, links["gripper_frame_link"], computeForwardKinematics=True, physicsClientId=client
+        )
+        frame = np.eye(4)
+        frame[:3, 3], frame[:3, :3] = state[4], np.reshape(pybullet.getMatrixFromQuaternion(state[5]), (3, 3))
+        expected.append(frame)
+    # The URDF rounds quarter turns to 1.5708 and 3.14159: up to 4e-6 rad a joint.
+    np.testing.assert_allclose(tool_frames(robot, joints), expected, atol=2e-5)
+    position = np.asarray(expected)[:, :3, 3]
+    np.testing.assert_allclose(tool_frames(robot, joints)[:, :3, 3], position, atol=5e-6)
+
+
+def test_so101_has_the_masses_and_position_limits_of_its_public_model(public_so101):
+    pybullet, client, public, infos = public_so101
+    robot = load_robot("so101")
+    model = compiled(robot)
+    masses = {info[12].decode(): pybullet.getDynamicsInfo(public, info[0], client)[0] for info in infos}
+    jaw = masses["moving_jaw_so101_v1_link"]
+    for name in ("shoulder", "upper_arm", "lower_arm", "wrist", "gripper"):
+        # The jaw is a part of the gripper here.
+        assert model.body(name).mass[0] == pytest.approx(masses[f"{name}_link"] + jaw * (name == "gripper"))
+    limits = {info[1].decode(): info[8:10] for info in infos}
+    expected = [limits[model.joint(i).name] for i in range(robot.chain.n)]
+    np.testing.assert_allclose(np.transpose([robot.chain.lower, robot.chain.upper]), expected, atol=1e-4)
+
+
+def test_so101_has_the_servos_speed_and_torque_at_12_volts():
+    robot = load_robot("so101")
+    np.testing.assert_allclose(robot.speed, 45 * 2 * PI / 60, atol=0.02)
+    np.testing.assert_allclose(robot.torque, 30 * 0.0980665, atol=0.005)

@@ -58,5 +58,12 @@ ROBOTS: dict[str, KnownRobot] = {
         workspace=((0.2, -0.3, 0.0), (0.65, 0.3, 0.55)),
         goal_box=((0.3, -0.35, 0.1), (0.65, 0.35, 0.5)),
     ),
+    "so101": KnownRobot(
+        file=ASSETS / "so101" / "so101.xml",
+        sources="so101/SOURCES.md",
+        tools={"wrist": "gripper", "flange": "gripper_frame"},
+        workspace=((0.12, -0.15, 0.0), (0.34, 0.15, 0.25)),
+        goal_box=((0.15, -0.16, 0.05), (0.34, 0.16, 0.25)),
+    ),
 }
 """Robots by name. Adding one takes its record here and its assets."""
