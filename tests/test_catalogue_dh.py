@@ -18,6 +18,28 @@ PI = np.pi
 UR5E = [(0, 0.1625, PI / 2), (-0.425, 0, 0), (-0.3922, 0, 0), (0, 0.1333, PI / 2), (0, 0.0997, -PI / 2), (0, 0.0996, 0)]
 """DH parameters (a, d, alpha) of the UR5e: Universal Robots, "DH parameters for calculations of kinematics"."""
 
+GEN3 = [
+    (-(0.1564 + 0.1284), PI / 2),
+    (-(0.0054 + 0.0064), PI / 2),
+    (-(0.2104 + 0.2104), PI / 2),
+    (-(0.0064 + 0.0064), PI / 2),
+    (-(0.2084 + 0.1059), PI / 2),
+    (0.0, PI / 2),
+    (-(0.1059 + 0.0615), PI),
+]
+"""DH parameters (d, alpha) of the Gen3, a is 0: Kinova, Gen3 user guide; all joints but the first are offset by pi."""
+
+GEN3_EXACT = [
+    0.15643 + 0.12838,
+    0.005375 + 0.006375,
+    2 * 0.21038,
+    2 * 0.006375,
+    0.20843 + 0.10593,
+    2 * 0.00017505,
+    0.10593 + 0.061525,
+]
+"""The same distances as Kinova's URDF has them, which the user guide rounds to 0.1 mm."""
+
 PUBLIC_ROBOTS = "cmeel.prefix/share/example-robot-data/robots"
 """Where the Python package example-robot-data keeps its robots."""
 
@@ -62,6 +84,28 @@ def dh_frames(table: list[tuple[float, float, float]], offsets: np.ndarray, firs
     return np.array(frames)
 
 
+# --- all three ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["ur5e", "gen3", "so101"])
+def test_each_joint_follows_a_step_without_overshoot(name):
+    model = compiled(load_robot(name))
+    data = mujoco.MjData(model)
+    for joint in range(model.nu):
+        mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
+        mujoco.mj_step(model, data, nstep=500)
+        rest = data.qpos.copy()
+        assert np.abs(rest - data.ctrl).max() < 0.03, "sag under gravity"
+        data.ctrl[joint] += 0.1
+        path = []
+        for _ in range(250):
+            mujoco.mj_step(model, data)
+            path.append(data.qpos[joint] - rest[joint])
+        assert max(path) - path[-1] < 1e-3
+        assert path[-1] == pytest.approx(0.1, abs=0.003)
+        assert 0.04 < model.opt.timestep * np.argmax(np.array(path) > 0.063) < 0.12
+
+
 # --- UR5e --------------------------------------------------------------------------------------------
 
 
@@ -82,6 +126,34 @@ def test_ur5e_has_its_makers_masses_and_limits():
     np.testing.assert_allclose(robot.chain.lower, np.negative(robot.chain.upper))
     np.testing.assert_allclose(robot.speed, PI)
     np.testing.assert_allclose(robot.torque, [150, 150, 150, 28, 28, 28])
+
+
+# --- Gen3 --------------------------------------------------------------------------------------------
+
+
+def gen3_frames(distances: list[float], joints: np.ndarray) -> np.ndarray:
+    table = [(0.0, d, alpha) for d, (_, alpha) in zip(distances, GEN3, strict=True)]
+    return dh_frames(table, np.array([0.0, PI, PI, PI, PI, PI, PI]), np.diag([1.0, -1.0, -1.0, 1.0]), joints)
+
+
+def test_gen3_has_the_kinematics_of_its_makers_dh_table():
+    robot = load_robot("gen3", kind="flange")
+    joints = random_joints(robot)
+    frames = tool_frames(robot, joints)
+    exact = gen3_frames([-d for d in GEN3_EXACT], joints)
+    np.testing.assert_allclose(frames, exact, atol=1e-12)
+    rounded = gen3_frames([d for d, _ in GEN3], joints)
+    np.testing.assert_allclose(frames, rounded, atol=6e-4)
+
+
+def test_gen3_has_its_makers_masses_and_limits():
+    robot = load_robot("gen3")
+    model = compiled(robot)
+    np.testing.assert_allclose(model.body_mass[1:], [1.697, 1.3773, 1.1636, 1.1636, 0.9302, 0.6781, 0.6781, 0.5006])
+    np.testing.assert_allclose(np.rad2deg(robot.chain.upper)[1::2], [128.9, 147.8, 120.3])
+    np.testing.assert_allclose(robot.chain.lower, np.negative(robot.chain.upper))
+    np.testing.assert_allclose(np.rad2deg(robot.speed), [80, 80, 80, 80, 70, 70, 70])
+    np.testing.assert_allclose(robot.torque, [39, 39, 39, 39, 9, 9, 9])
 
 
 # --- SO-101 ------------------------------------------------------------------------------------------

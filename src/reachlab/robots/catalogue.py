@@ -58,6 +58,13 @@ ROBOTS: dict[str, KnownRobot] = {
         workspace=((0.2, -0.3, 0.0), (0.65, 0.3, 0.55)),
         goal_box=((0.3, -0.35, 0.1), (0.65, 0.35, 0.5)),
     ),
+    "gen3": KnownRobot(
+        file=ASSETS / "gen3" / "gen3.xml",
+        sources="gen3/SOURCES.md",
+        tools={"wrist": "bracelet", "flange": "end_effector"},
+        workspace=((0.2, -0.3, 0.0), (0.65, 0.3, 0.55)),
+        goal_box=((0.3, -0.35, 0.1), (0.65, 0.35, 0.5)),
+    ),
     "so101": KnownRobot(
         file=ASSETS / "so101" / "so101.xml",
         sources="so101/SOURCES.md",
