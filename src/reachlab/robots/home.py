@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from reachlab.jax_setup import jit
 from reachlab.robots.chain import Chain
 from reachlab.robots.kinematics import approach_axis, forward_kinematics, jacobian
 
@@ -51,6 +50,18 @@ TRIED = 64
 """Best joint vectors that are looked at for it."""
 
 
+def turned_candidates(chain: Chain, base: np.ndarray, sampled: Array, tilt: Array) -> tuple[Array, ...]:
+    """Joint vectors `sampled [B, n]` with the tool turned to a tilt, for `Candidates`.
+
+    With them come the tool's position, the Gram matrix of its Jacobian, what is left of the turn, and where it was.
+    """
+    q = jax.lax.fori_loop(0, TURNS, lambda _, q: _turned(chain, base, q, tilt), sampled)
+    pose, columns = forward_kinematics(chain, q), jacobian(chain, q)[..., :3, :]
+    gram = jnp.einsum("bij,bkj->bik", columns, columns)
+    off = jnp.linalg.norm(_turn(chain, base, q, tilt)[0], axis=-1)
+    return q, pose.position, gram, off, forward_kinematics(chain, sampled).position
+
+
 class Candidates:
     """Joint vectors at which the tool points down, or tilted outward, of which one will be home.
 
@@ -58,23 +69,19 @@ class Candidates:
         reach: how far from its base the tool comes [m].
     """
 
-    def __init__(self, chain: Chain, base: np.ndarray, tilts: Sequence[float]) -> None:
-        """Candidates of an arm that stands at `base [3]` m, with the tool tilted by one of some angles [rad]."""
-        self._chain, self._base = chain, base
+    def __init__(
+        self, chain: Chain, base: np.ndarray, tilts: Sequence[float], find: Callable[..., tuple[Array, ...]]
+    ) -> None:
+        """Candidates of an arm that stands at `base [3]` m, with the tool tilted by one of some angles [rad].
+
+        `find` is `turned_candidates` of this arm, compiled.
+        """
+        self._base = base
         lower, upper = np.array(chain.lower), np.array(chain.upper)
         middle = (lower + upper) / 2
         lower, upper = np.maximum(lower, middle - WIDEST), np.minimum(upper, middle + WIDEST)
         sampled = np.random.default_rng(0).uniform(lower, upper, (SAMPLES, chain.n)).astype(np.float32)
-
-        def find(sampled: Array, tilt: Array) -> tuple[Array, ...]:
-            q = jax.lax.fori_loop(0, TURNS, lambda _, q: _turned(chain, base, q, tilt), sampled)
-            pose, columns = forward_kinematics(chain, q), jacobian(chain, q)[..., :3, :]
-            gram = jnp.einsum("bij,bkj->bik", columns, columns)
-            off = jnp.linalg.norm(_turn(chain, base, q, tilt)[0], axis=-1)
-            return q, pose.position, gram, off, forward_kinematics(chain, sampled).position
-
-        compiled = jit(find)
-        found = [[np.asarray(part, np.float64) for part in compiled(sampled, tilt)] for tilt in tilts]
+        found = [[np.asarray(part, np.float64) for part in find(sampled, np.float32(tilt))] for tilt in tilts]
         q, self._position, gram, off, anywhere = map(np.concatenate, zip(*found, strict=True))
         self._tilt = np.repeat(tilts, SAMPLES)
         self.reach = float(np.quantile(np.linalg.norm(anywhere - base, axis=1), REACH))

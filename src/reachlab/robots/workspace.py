@@ -12,9 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from reachlab.jax_setup import jit
+from reachlab.jax_setup import compile_together
 from reachlab.robots.chain import Chain
-from reachlab.robots.home import Candidates
+from reachlab.robots.home import SAMPLES, Candidates, turned_candidates
 from reachlab.robots.inverse_kinematics import ik_displace, ik_point_step
 from reachlab.robots.kinematics import forward_kinematics, turned
 from reachlab.robots.robot import TUTORIAL_WORKSPACE, Box
@@ -53,8 +53,8 @@ QUARTERS = (0.0, 0.5 * np.pi, -0.5 * np.pi, np.pi)
 TILTS = (0.0, np.pi / 6, np.pi / 3)
 """How the tool of an arm with fewer than six joints may be held: angles from straight down, outward [rad]."""
 
-HOMES = 6
-"""Homes that are tried for each direction; where there are several tilts, for all of them together."""
+HOMES, HOMES_ASIDE = 6, 2
+"""Homes that are tried with the front in x, and in each other direction; fewer where there are several tilts."""
 
 FAR_BETTER = 1.3
 """Another front or tilt, or a home that is not the file's, is taken if its box is so many times as large."""
@@ -94,12 +94,19 @@ def derive(
         free: whether the arm does not touch itself at a joint vector `[n]`.
     """
     tilts = TILTS[:1] if chain.poses else TILTS
-    candidates = Candidates(chain, base, tilts)
-    search = _Search(chain, speed, base, candidates.reach)
+    vectors, points = (np.zeros((PROBES, size), np.float32) for size in (chain.n, 3))
+    held, anyhow, find = compile_together(
+        (functools.partial(_held, chain), (vectors[0], points)),
+        (functools.partial(_anyhow, chain), (vectors, points)),
+        (functools.partial(turned_candidates, chain, base), (np.zeros((SAMPLES, chain.n), np.float32), np.float32(0))),
+    )
+    candidates = Candidates(chain, base, tilts, find)
+    search = _Search(chain, speed, base, candidates.reach, held, anyhow)
     tried = [(np.array(home), turn, FAR_BETTER**2) for turn in QUARTERS] if home else []
     for turn, tilt in itertools.product(QUARTERS, tilts):
         favour = FAR_BETTER ** ((turn == 0.0) + (tilt == 0.0))
-        tried += [(q, turn, favour) for q in candidates.best(turn, tilt, free, HOMES // len(tilts))]
+        most = -(-(HOMES_ASIDE if turn else HOMES) // len(tilts))
+        tried += [(q, turn, favour) for q in candidates.best(turn, tilt, free, most)]
     found = [(favour * box.size, q, turn, box) for q, turn, favour in tried if (box := search.workspace(q, turn))]
     if not found:
         return _around(chain, base, candidates.any(home))
@@ -131,14 +138,22 @@ class _Found(NamedTuple):
 class _Search:
     """Boxes of points that an arm reaches from a home."""
 
-    def __init__(self, chain: Chain, speed: np.ndarray, base: np.ndarray, reach: float) -> None:
+    def __init__(
+        self,
+        chain: Chain,
+        speed: np.ndarray,
+        base: np.ndarray,
+        reach: float,
+        held: Callable[..., tuple[Array, Array]],
+        anyhow: Callable[..., tuple[Array, Array]],
+    ) -> None:
+        self._held, self._anyhow = held, anyhow
         self._chain, self._speed, self._base, self._reach = chain, speed, base, reach
         self._axes = (
             np.linspace(NEAREST, 1.0, NODES[0]) * reach,
             np.linspace(-WIDEST, WIDEST, 2 * NODES[1] - 1) * reach,
             np.linspace(0.0, HIGHEST, NODES[2]) * reach,
         )
-        self._held, self._anyhow = jit(functools.partial(_held, chain)), jit(functools.partial(_anyhow, chain))
 
     def held(self, q: np.ndarray, points: np.ndarray) -> np.ndarray:
         """Which of `points [m, 3]` the tool reaches from home `q`, held as it is there."""
