@@ -216,10 +216,12 @@ def _print(facts: dict[str, Any]) -> None:
     say(f"Tool frame: {facts['tool']} ({facts['tool_found']}){f', of {kinds}' if kinds else ''}.")
     if facts["tool_frames"]:
         say(f"Other frames for --tool: {some(facts['tool_frames'], MOST_FRAMES)}.")
-    headings = ("joint", "limits", "speed", "torque", "stiffness, damping", "follows", "home")
+    headings = ("joint", "limits", "speed", "torque", "stiffness, damping", "frequency, lag", "home")
     print_table("", headings, [_row(joint) for joint in facts["joints"]])
-    say("f model file, c catalogue, d derived, * a default: check it. Stiffness [Nm/rad or N/m] and damping [Nm s/rad or")
-    say("N s/m] are the servo's; it follows with that natural frequency, at its largest inertia, and that lag.")
+    say(
+        "f model file, c catalogue, d derived, * a default: check it. Servos: stiffness [Nm/rad or N/m], damping"
+        " [Nm s/rad or N s/m],\nnatural frequency at the largest inertia, and lag behind a moving command."
+    )
     say(f"Moved mass {facts['mass']:.3g} kg; payload up to {facts['payload']:.2g} kg, which is derived.")
     for name, box in (("Workspace", facts["workspace"]), ("Box of goals", facts["goal_box"])):
         share = "" if box["share"] is None else f"; {100 * box['share']:.4g} % of it can be reached"

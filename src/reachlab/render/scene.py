@@ -78,14 +78,14 @@ def front(robot: Robot) -> float:
 
 
 def in_front(robot: Robot, point: tuple[float, ...]) -> np.ndarray:
-    """Where a point `[3]` m of the tutorial's scene lies from the arm's view: as `Robot.placed`, turned to its front."""
+    """Where a point `[3]` m of the tutorial's scene lies for this arm: as `Robot.placed`, and turned to its front."""
     cos, sin = np.cos(front(robot)), np.sin(front(robot))
     turn, ground = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]), robot.placed(GROUND)
     return robot.scale * turn @ point + (ground - robot.scale * turn @ GROUND)
 
 
 def drawn_spec(robot: Robot) -> mujoco.MjSpec:
-    """The robot's spec; where its file shows nothing that moves, as without its meshes, with rods between its bodies."""
+    """The robot's spec, with rods between its bodies where nothing that moves would be seen, as without meshes."""
     spec = robot.spec()
     model = spec.compile()
     moved = [geom for geom in range(model.ngeom) if model.body_weldid[model.geom_bodyid[geom]]]

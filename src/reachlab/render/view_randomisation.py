@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from reachlab.robots.robot import Robot
+from reachlab.robots.robot import TUTORIAL_WORKSPACE, Robot
 from reachlab.tasks.observations import SIZE
 
 LOOKS_AT, DISTANCE, PITCH = (0.55, 0.0, 0.05), 0.7, -70.0
@@ -141,11 +141,13 @@ def develop(pictures: np.ndarray, views: Views) -> np.ndarray:
 
 
 def tutorial_pose(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
-    """Position `[3]` m and rotation `[3, 3]` of the tutorial's camera, moved in proportion to the arm's workspace."""
+    """Position `[3]` m and rotation `[3, 3]` of the tutorial's camera, so far away that it sees the arm's workspace."""
     pitch = np.radians(PITCH)
     back = np.array([np.cos(pitch), 0.0, -np.sin(pitch)])
     right = np.array([0.0, 1.0, 0.0])
-    return robot.placed(np.array(LOOKS_AT) + DISTANCE * back), np.stack([right, np.cross(back, right), back], axis=1)
+    sides, usual = (np.subtract(*box[::-1])[:2] for box in (robot.workspace, TUTORIAL_WORKSPACE))
+    distance = DISTANCE * float(max(robot.scale, *(sides / usual)))
+    return robot.placed(LOOKS_AT) + distance * back, np.stack([right, np.cross(back, right), back], axis=1)
 
 
 def greys(pictures: np.ndarray) -> np.ndarray:

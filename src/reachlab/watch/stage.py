@@ -130,7 +130,11 @@ class Stage:
 
     def _set_view(self, server: viser.ViserServer) -> None:
         camera, robot = server.initial_camera, self._robot
-        camera.position, camera.look_at, camera.fov = in_front(robot, VIEW_FROM), in_front(robot, VIEW_TO), FIELD_OF_VIEW
+        camera.position, camera.look_at, camera.fov = (
+            in_front(robot, VIEW_FROM),
+            in_front(robot, VIEW_TO),
+            FIELD_OF_VIEW,
+        )
         self._scene.world_axes.visible = False
         # Without a graphics card an environment map or shadows take longer to draw than all the rest.
         self._scene.configure_environment_map(None)
@@ -193,7 +197,9 @@ class Stage:
         corners = np.array([path[0], *path], np.float32)
         points = np.stack([corners[:-1], corners[1:]], axis=1)
         if self.path is None:
-            self.path = self._scene.add_line_segments("/path", points, _bytes(PATH), thickness=PATH_WIDTH * self._robot.scale)
+            self.path = self._scene.add_line_segments(
+                "/path", points, _bytes(PATH), thickness=PATH_WIDTH * self._robot.scale
+            )
         else:
             self.path.points = points
 
