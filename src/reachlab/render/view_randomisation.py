@@ -145,7 +145,7 @@ def tutorial_pose(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
     pitch = np.radians(PITCH)
     back = np.array([np.cos(pitch), 0.0, -np.sin(pitch)])
     right = np.array([0.0, 1.0, 0.0])
-    sides, usual = (np.subtract(*box[::-1])[:2] for box in (robot.workspace, TUTORIAL_WORKSPACE))
+    sides, usual = (np.subtract(high, low)[:2] for low, high in (robot.workspace, TUTORIAL_WORKSPACE))
     distance = DISTANCE * float(max(robot.scale, *(sides / usual)))
     return robot.placed(LOOKS_AT) + distance * back, np.stack([right, np.cross(back, right), back], axis=1)
 
