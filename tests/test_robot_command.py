@@ -16,6 +16,7 @@ from PIL import Image
 from reachlab import Robot, RunConfig, load_robot
 from reachlab.cli.robot_command import MARKS
 from reachlab.envs.setup import make_setup
+from reachlab.jax_setup import cache_folder
 from reachlab.render.scene import drawn_spec, in_front, scene_spec
 from reachlab.render.view_randomisation import FIELD_OF_VIEW, SAMPLES, make_views
 from reachlab.robots.catalogue import ROBOTS
@@ -102,6 +103,7 @@ def arms(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     (folder / "lib").mkdir()
     (folder / "lib" / "tetrahedron.stl").write_bytes(tetrahedron())
     with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("JAX_COMPILATION_CACHE_DIR", str(cache_folder() / "jax"))
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
         yield folder
 
