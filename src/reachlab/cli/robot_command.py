@@ -35,6 +35,7 @@ def robot(arguments: ShowRobot) -> None:
     Raises:
         InputError: no robot is named, it cannot be used, or the picture cannot be written.
     """
+    prepare()
     from reachlab.robots.catalogue import ROBOTS
 
     if not arguments.robot:
@@ -43,7 +44,6 @@ def robot(arguments: ShowRobot) -> None:
         choose("task", arguments.task, TASKS)
     if arguments.out:
         _check_picture(arguments.out)
-    prepare()
     from reachlab.cli.console import note, say
     from reachlab.robots.loading import load_robot
 
