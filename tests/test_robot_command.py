@@ -258,7 +258,7 @@ def test_deriving_is_told_once(arms: Path, caplog: pytest.LogCaptureFixture) -> 
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        ((), "robot needs one: name iiwa14, or the path of an MJCF or URDF file"),
+        ((), "robot needs one: name iiwa14, .*or the path of an MJCF or URDF file"),
         (("iiwa15",), "Did you mean 'iiwa14'"),
         (("iiwa14", "--task", "precis"), "Did you mean 'precise'"),
         (("iiwa14", "--out", "arm.gif"), "'arm.gif': name a file that ends in .png"),

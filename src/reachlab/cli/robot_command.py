@@ -39,7 +39,7 @@ def robot(arguments: ShowRobot) -> None:
     from reachlab.robots.catalogue import ROBOTS
 
     if not arguments.robot:
-        raise InputError(f"robot needs one: name {' or '.join(ROBOTS)}, or the path of an MJCF or URDF file.")
+        raise InputError(f"robot needs one: name {', '.join(ROBOTS)}, or the path of an MJCF or URDF file.")
     if arguments.task:
         choose("task", arguments.task, TASKS)
     if arguments.out:
