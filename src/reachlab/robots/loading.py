@@ -57,7 +57,7 @@ def load_robot(
         choose("robot", name, [*ROBOTS, "a path to an .xml or .urdf file"])
     if known and not tool:
         tool = known.tools.get(kind or "") or next(iter(known.tools.values()))
-    return _load(name, tool, base, tuple(packages))
+    return _load(name if known else str(Path(name).absolute()), tool, base, tuple(packages))
 
 
 def _folders(packages: Sequence[str]) -> dict[str, Path]:
@@ -76,7 +76,8 @@ def _load(name: str, tool: str | None, base: str | None, packages: tuple[str, ..
     try:
         arm = find_arm(file, tool, base)
     except ValueError as error:
-        raise InputError(f"robot {name!r}: {' '.join(str(error).split()).rstrip('.')}.") from None
+        found = f"; `reachlab robot {name}` shows the frame that is found by itself" if tool else ""
+        raise InputError(f"robot {name!r}: {' '.join(str(error).split()).rstrip('.')}{found}.") from None
     listed = known or KnownRobot(file.file, "", {})
     speed, torque, sources = _limits(file, arm, listed)
     loads = find_loads(arm.model, range(arm.chain.n), arm.tool_body)

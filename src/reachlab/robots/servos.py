@@ -88,6 +88,11 @@ def payload(loads: Loads, torque: np.ndarray) -> float:
     return float(min(np.median(spared.min(axis=1)), LARGEST_PAYLOAD))
 
 
+def largest_inertia(loads: Loads, load: float) -> np.ndarray:
+    """The most that each joint has to move with a payload [kg], `[n]` [kg m² or kg]."""
+    return (loads.inertia + load * (np.square(loads.arm) + BALL)).max(axis=0)
+
+
 def servos(loads: Loads, torque: np.ndarray, load: float) -> list[Servo]:
     """Servos of all joints, for torque limits `[n]` and a payload [kg].
 
@@ -95,8 +100,7 @@ def servos(loads: Loads, torque: np.ndarray, load: float) -> list[Servo]:
     torque allows; the damping is 2 × ratio / frequency × stiffness.
     """
     held = (loads.gravity + load * loads.lifting).max(axis=0)
-    moved = (loads.inertia + load * (np.square(loads.arm) + BALL)).max(axis=0)
-    stiffness = np.maximum(moved * NATURAL_FREQUENCY**2, held / LARGEST_SAG)
+    stiffness = np.maximum(largest_inertia(loads, load) * NATURAL_FREQUENCY**2, held / LARGEST_SAG)
     stiffness = np.minimum(stiffness, torque / SATURATION)
     lag = 2 * DAMPING_RATIO / NATURAL_FREQUENCY
     return [Servo(float(k), float(lag * k), float(most)) for k, most in zip(stiffness, torque, strict=True)]
