@@ -82,7 +82,8 @@ def _load(name: str, tool: str | None, base: str | None, packages: tuple[str, ..
     speed, torque, sources = _limits(file, arm, listed)
     loads = find_loads(arm.model, range(arm.chain.n), arm.tool_body)
     usable = np.where(np.isinf(torque), default_torques(loads), torque)
-    load = payload(loads, usable)
+    mass = float(arm.model.body_subtreemass[arm.model.jnt_bodyid[0]])
+    load = payload(loads, usable, mass)
     gains, servoed = servos(loads, usable, load), own_servos(arm.model, range(arm.chain.n))
     added = {own: gains[i] for i, own in enumerate(arm.isolation.joints) if i not in servoed}
     places, notices = _places(file, arm, listed, speed), [*file.notices, *arm.notices]
@@ -103,7 +104,7 @@ def _load(name: str, tool: str | None, base: str | None, packages: tuple[str, ..
         workspace=places.workspace,
         goal_box=places.goal_box,
         held_quaternion=places.held_quaternion,
-        mass=float(arm.model.body_subtreemass[arm.model.jnt_bodyid[0]]),
+        mass=mass,
         payload=load,
         isolation=replace(arm.isolation, servos=added),
         sources=sources,

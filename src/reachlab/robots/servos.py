@@ -27,8 +27,8 @@ HOLDING = 3.0
 LEAST_TORQUE = 1.0
 """The same where gravity does not pull at a joint [Nm or N]."""
 
-LARGEST_PAYLOAD = 2.0
-"""Payload that arms vary by at most [kg]."""
+LARGEST_PAYLOAD, OF_MASS = 2.0, 0.1
+"""Payload that arms vary by at most [kg], and in shares of the mass that the joints move."""
 
 SPARED = 0.7
 """Share of a joint's torque that holding the arm and its largest payload may take, in half of all poses."""
@@ -82,10 +82,10 @@ def default_torques(loads: Loads) -> np.ndarray:
     return np.maximum(HOLDING * loads.gravity.max(axis=0), LEAST_TORQUE)
 
 
-def payload(loads: Loads, torque: np.ndarray) -> float:
-    """Payload that an arm with these torque limits `[n]` can hold almost everywhere, at most `LARGEST_PAYLOAD` [kg]."""
+def payload(loads: Loads, torque: np.ndarray, mass: float) -> float:
+    """Payload [kg] that joints with torque limits `[n]`, which move a mass [kg], can hold almost everywhere."""
     spared = np.maximum(SPARED * torque - loads.gravity, 0.0) / np.maximum(loads.lifting, TINY)
-    return float(min(np.median(spared.min(axis=1)), LARGEST_PAYLOAD))
+    return float(min(np.median(spared.min(axis=1)), LARGEST_PAYLOAD, OF_MASS * mass))
 
 
 def largest_inertia(loads: Loads, load: float) -> np.ndarray:
