@@ -35,6 +35,9 @@ shares of the reach."""
 NEAREST, LOWEST, ASIDE = 0.2, 0.05, 0.5
 """Where it has to be: so far in front of the base and above it, and aside by no more than this share of the way."""
 
+LEAST = 1e-2
+"""Where a joint speed of 1 rad/s moves the tool slower than this in some direction, it is singular [reach/s]."""
+
 COMFORTABLE = 0.3
 """Share of half a joint's range from its limit that is far enough."""
 
@@ -64,21 +67,22 @@ class Candidates:
 
         def find(sampled: Array) -> tuple[Array, ...]:
             q = jax.lax.fori_loop(0, TURNS, lambda _, q: _turned_down(chain, q), sampled)
+            down = jnp.linalg.norm(_tilt(chain, forward_kinematics(chain, q).quaternion)[0], axis=-1) < DOWN
+            q = jnp.where(down.any(), q, sampled)  # of an arm that cannot any orientation will do
+            down |= ~down.any()
             pose, columns = forward_kinematics(chain, q), jacobian(chain, q)[..., :3, :]
             gram = jnp.einsum("bij,bkj->bik", columns, columns)
-            tilt = jnp.linalg.norm(_tilt(chain, pose.quaternion)[0], axis=-1)
-            return q, pose.position, gram, tilt, forward_kinematics(chain, sampled).position
+            return q, pose.position, gram, down, forward_kinematics(chain, sampled).position
 
-        q, position, gram, tilt, anywhere = (np.asarray(x, np.float64) for x in jit(find)(sampled))
+        q, position, gram, down, anywhere = (np.asarray(x, np.float64) for x in jit(find)(sampled))
         self.reach = float(np.quantile(np.linalg.norm(anywhere - base, axis=1), REACH))
         self._chain, self._base = chain, base
-        down = tilt < DOWN
-        if not down.any():  # an arm that cannot: any orientation will do
-            down[:] = True
-        self._q, self._position = q[down], position[down]
+        down = down.astype(bool)
+        self._q, self._position, self._middle = q[down], position[down], middle
         half = np.maximum((np.array(chain.upper) - np.array(chain.lower)) / 2, 1e-9)
         to_limit = np.minimum(self._q - chain.lower, chain.upper - self._q) / half
         able = np.sqrt(np.linalg.eigvalsh(gram[down])[:, 0].clip(0)) / self.reach
+        able[able < LEAST] = 0.0
         bent = np.square((self._q - middle) / (BENT * np.pi)).mean(axis=1)
         self._worth = np.clip(to_limit.min(axis=1) / COMFORTABLE, 0.0, 1.0) * able / (1 + bent)
 
@@ -103,8 +107,10 @@ class Candidates:
         return max(turns, key=lambda turn: np.round(x * np.cos(turn) + y * np.sin(turn), 3))
 
     def any(self, home: tuple[float, ...] | None) -> np.ndarray:
-        """The given home, else the most comfortable joint vector."""
-        return self._q[self._worth.argmax()] if home is None else np.array(home)
+        """The given home, else the most comfortable joint vector, or the middle of the limits if all are singular."""
+        if home is not None:
+            return np.array(home)
+        return self._q[self._worth.argmax()] if self._worth.any() else self._middle
 
 
 def _tilt(chain: Chain, quaternion: Array) -> tuple[Array, Array]:

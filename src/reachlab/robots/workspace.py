@@ -243,6 +243,9 @@ def _about_z(angle: float) -> np.ndarray:
     return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
 
 
+MARGIN = 0.01
+"""By which such an arm's box is larger: its plane lies inside, not on the box's faces [m]."""
+
 QUANTILES = (0.1, 0.9)
 """Of an arm that moves its tool in a plane or on a line: shares of the points that it reaches below the box's faces."""
 
@@ -252,9 +255,10 @@ def _around(chain: Chain, base: np.ndarray, home: np.ndarray) -> Derived:
     q = np.random.default_rng(0).uniform(chain.lower, chain.upper, (PROBES, chain.n)).astype(np.float32)
     points = np.asarray(forward_kinematics(chain, jnp.asarray(q)).position)
     pose = forward_kinematics(chain, jnp.asarray(home, jnp.float32))
+    tool = np.asarray(pose.position, np.float64)
     low, high = np.quantile(points, QUANTILES, axis=0)
-    low[2] = min(max(low[2], base[2]), high[2])
-    low, high = np.minimum(low, pose.position), np.maximum(high, pose.position)
+    low, high = np.minimum(low, tool) - MARGIN, np.maximum(high, tool) + MARGIN
+    low[2] = min(max(low[2], base[2]), tool[2] - MARGIN)
     box = tuple(low.tolist()), tuple(high.tolist())
     there = tuple(home.tolist())
     return Derived(there, orientation(chain, there), box, box, {})
