@@ -257,6 +257,7 @@ def test_joints_without_limits_turn_once_and_slide_a_metre_either_way():
     chain = chain_from_model(arm_of(OTHER_ARMS["slides along every axis"]), "tool")
     np.testing.assert_allclose(chain.lower, [-0.5, -0.5, -2 * np.pi, -1.0], rtol=1e-7)
     np.testing.assert_allclose(chain.upper, [0.5, 0.5, 2 * np.pi, 1.0], rtol=1e-7)
+    assert -2 * np.pi <= chain.lower[2] < chain.upper[2] <= 2 * np.pi
 
 
 @pytest.mark.parametrize("limit", ["0.1", "1.3", "2.9670597283903604"])
