@@ -6,6 +6,7 @@ import functools
 import os
 import sys
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,12 @@ def jit(function: Callable[..., Any], *, donate: tuple[int, ...] = ()) -> Wrappe
     """
     options: dict[str, str | int] | None = CPU_OPTIONS if jax.default_backend() == "cpu" else None
     return jax.jit(function, donate_argnums=donate, compiler_options=options)
+
+
+def compile_together(*calls: tuple[Callable[..., Any], tuple[Any, ...]]) -> list[Callable[..., Any]]:
+    """Functions compiled at the same time, each for arguments like those that stand beside it."""
+    with ThreadPoolExecutor() as pool:
+        return list(pool.map(lambda call: jit(call[0]).lower(*call[1]).compile(), calls))
 
 
 def cache_folder() -> Path:

@@ -50,6 +50,41 @@ ROBOTS: dict[str, KnownRobot] = {
         # Euler angles (0, -π, π/2) of the tutorial: the tool points down, turned a quarter about the vertical.
         held_quaternion=(0.0, 0.5**0.5, -(0.5**0.5), 0.0),
         pybullet=PybulletModel("kuka_iiwa/model.urdf", 6, {"link_7": 0.0, "flange": 0.045}),
-    )
+    ),
+    "panda": KnownRobot(
+        file=ASSETS / "panda" / "panda.xml",
+        sources="panda/SOURCES.md",
+        tools={"wrist": "link_7", "flange": "flange"},
+        workspace=((0.2, -0.3, 0.0), (0.65, 0.3, 0.6)),
+        goal_box=((0.3, -0.35, 0.1), (0.6, 0.35, 0.55)),
+    ),
+    "xarm7": KnownRobot(
+        file=ASSETS / "xarm7" / "xarm7.xml",
+        sources="xarm7/SOURCES.md",
+        tools={"wrist": "link_7", "flange": "flange"},
+        workspace=((0.2, -0.3, 0.0), (0.6, 0.3, 0.5)),
+        goal_box=((0.25, -0.3, 0.1), (0.5, 0.3, 0.45)),
+    ),
+    "ur5e": KnownRobot(
+        file=ASSETS / "ur5e" / "ur5e.xml",
+        sources="ur5e/SOURCES.md",
+        tools={"wrist": "wrist_3", "flange": "flange"},
+        workspace=((0.2, -0.3, 0.0), (0.65, 0.3, 0.55)),
+        goal_box=((0.3, -0.35, 0.1), (0.65, 0.35, 0.5)),
+    ),
+    "gen3": KnownRobot(
+        file=ASSETS / "gen3" / "gen3.xml",
+        sources="gen3/SOURCES.md",
+        tools={"wrist": "bracelet", "flange": "end_effector"},
+        workspace=((0.2, -0.3, 0.0), (0.65, 0.3, 0.55)),
+        goal_box=((0.3, -0.35, 0.1), (0.65, 0.35, 0.5)),
+    ),
+    "so101": KnownRobot(
+        file=ASSETS / "so101" / "so101.xml",
+        sources="so101/SOURCES.md",
+        tools={"wrist": "gripper", "flange": "gripper_frame"},
+        workspace=((0.12, -0.15, 0.0), (0.34, 0.15, 0.25)),
+        goal_box=((0.15, -0.16, 0.05), (0.34, 0.16, 0.25)),
+    ),
 }
 """Robots by name. Adding one takes its record here and its assets."""

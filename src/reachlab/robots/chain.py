@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -41,8 +42,18 @@ class Chain:
 
     @property
     def poses(self) -> bool:
-        """Whether it has the six joints that an orientation takes; with fewer the tool's axis alone is held."""
+        """Whether it has the six joints that an orientation takes; with fewer the tool's tilt alone is held."""
         return self.n >= JOINTS_OF_A_POSE
+
+    def tool_at(self, q: Sequence[float] | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Position `[3]` m and quaternion `[4]` wxyz of the tool at one joint vector `[n]`, without JAX."""
+        transform = np.eye(4)
+        for (rotation, offset), slide, value in zip(self.frames[:-1], self.slides, q, strict=True):
+            transform = transform @ _matrix(rotation, offset) @ _joint_transform(slide, float(value))
+        transform = transform @ _matrix(*self.frames[-1])
+        quaternion = np.zeros(4)
+        mujoco.mju_mat2Quat(quaternion, transform[:3, :3].ravel())
+        return transform[:3, 3], quaternion
 
 
 JOINTS_OF_A_POSE = 6
@@ -165,6 +176,12 @@ def _joint_transform(slide: bool, value: float) -> np.ndarray:
     if slide:
         return _transform(np.array([0.0, 0.0, value]), np.array([1.0, 0.0, 0.0, 0.0]))
     return _transform(np.zeros(3), np.array([np.cos(value / 2), 0.0, 0.0, np.sin(value / 2)]))
+
+
+def _matrix(rotation: Rotation, offset: Vec) -> np.ndarray:
+    transform = np.eye(4)
+    transform[:3, :3], transform[:3, 3] = np.array(rotation).T, offset
+    return transform
 
 
 def _constants(transform: np.ndarray) -> tuple[Rotation, Vec]:

@@ -16,7 +16,7 @@ from reachlab.robots.isolation import apply
 from reachlab.robots.model_file import ModelFile
 from reachlab.robots.workspace import Derived, derive
 
-VERSION = 2
+VERSION = 3
 """Of the derivation: what an older one left in the cache is derived again."""
 
 RANDOM_POSES = 30

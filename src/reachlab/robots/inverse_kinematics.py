@@ -52,6 +52,10 @@ MAX_JOINT_STEP = 0.2
 """Largest joint displacement of one linearised step [rad or m], beyond which J has changed."""
 
 
+TINY = 1e-6
+"""Added to a length that divides [m]."""
+
+
 class IKSolution(NamedTuple):
     """Joint vectors `q [..., n]`, whether each `converged [...]`, and what is left of the error.
 
@@ -72,7 +76,7 @@ def ik_step(chain: Chain, q: Array, target: Pose) -> Array:
     `MAX_TURN` and `MAX_JOINT_STEP` and clipped to the joint limits. A second solve, for the position
     alone and with the joints that hit a limit held, gives back what clipping took: position outranks
     orientation. `q` within the limits stays within them, and finite input gives finite output. Of an arm with fewer
-    than six joints the tool's axis alone is held (`Chain.approach`), not the turn about it.
+    than six joints the tool's tilt alone is held: the angle of `Chain.approach` from straight down, outward.
     """
     parts = components(q)
     linear, angular, columns = _error(chain, parts, target)
@@ -188,14 +192,20 @@ def _error(chain: Chain, q: Sequence[Array], target: Pose) -> tuple[Vec, Vec, li
 def _orientation(chain: Chain, frames: Frames, quaternion: Array) -> tuple[Vec, list[tuple[Scalar, ...]]]:
     """Rotation error [rad] from the tool to an orientation `[..., 4]`, and the Jacobian's columns to mend it.
 
-    Without the six joints of a pose both are without their part about the tool's axis.
+    Without the six joints of a pose both are cut down to the tilt, in the upright plane of first joint and tool.
     """
     target, columns = rotation_from_quaternion(*components(quaternion)), jacobian_columns(chain, frames)
     if chain.poses:
         return _rotation_error(frames.rotation, target), columns
-    axis = once(frames.rotation.apply(Vec(*chain.approach)))
-    across = [(*column[:3], *Vec(*column[3:]).minus(axis.times(axis.dot(Vec(*column[3:]))))) for column in columns]
-    return once(axis.cross(target.apply(Vec(*chain.approach)))), once(across)
+    approach = Vec(*chain.approach)
+    axis, down = frames.rotation.apply(approach), target.apply(approach).z
+    out = frames.position.minus(frames.origins[0])
+    length = jnp.sqrt(out.x**2 + out.y**2) + TINY
+    across = once(Vec(-out.y / length, out.x / length, 0.0))
+    aside = jnp.sqrt(jnp.maximum(1.0 - down**2, 0.0))
+    wanted = once(Vec(mul(aside, across.y), mul(-aside, across.x), down))
+    angular = once(across.times(across.dot(axis.cross(wanted))))
+    return angular, once([(*column[:3], *across.times(across.dot(Vec(*column[3:])))) for column in columns])
 
 
 def _rotation_error(current: Rotation, target: Rotation) -> Vec:

@@ -61,11 +61,16 @@ def approach_axis(chain: Chain, quaternion: Array) -> Array:
     return stack(rotation.apply(Vec(*chain.approach)), quaternion)
 
 
+def tilt(chain: Chain, quaternion: Array) -> Array:
+    """Angle `[...]` rad of the axis along which the tool points from straight down."""
+    axis = approach_axis(chain, quaternion)
+    return jnp.arctan2(jnp.linalg.norm(axis[..., :2], axis=-1), -axis[..., 2])
+
+
 def turned(chain: Chain, quaternion: Array, held: Array) -> Array:
-    """Angle `[...]` rad from one orientation to another; between the tool's axes where an arm holds no more."""
+    """Angle `[...]` rad from one orientation to another; of their tilts where an arm holds no more."""
     if not chain.poses:
-        apart = jnp.linalg.norm(approach_axis(chain, quaternion) - approach_axis(chain, held), axis=-1)
-        return 2 * jnp.arcsin(jnp.minimum(apart / 2, 1.0))
+        return jnp.abs(tilt(chain, quaternion) - tilt(chain, held))
     chords = [jnp.linalg.norm(held + sign * quaternion, axis=-1) for sign in (-1.0, 1.0)]
     return 4 * jnp.arcsin(jnp.minimum(jnp.minimum(*chords) / 2, 1.0))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
@@ -11,12 +12,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from reachlab.jax_setup import jit
+from reachlab.jax_setup import compile_together
 from reachlab.robots.chain import Chain
-from reachlab.robots.home import Candidates
+from reachlab.robots.home import SAMPLES, Candidates, turned_candidates
 from reachlab.robots.inverse_kinematics import ik_displace, ik_point_step
 from reachlab.robots.kinematics import forward_kinematics, turned
-from reachlab.robots.robot import Box
+from reachlab.robots.robot import TUTORIAL_WORKSPACE, Box
 
 SHARE = 0.999
 """A derived box holds at most one point in a thousand that the tool cannot reach."""
@@ -40,8 +41,8 @@ TRAVEL = 1.2
 NOISE = 0.3
 """Starts from which points in the air have to be reached: every joint within this of home [rad or m]."""
 
-PROBES = 4000
-"""Random points of which the share is measured."""
+PROBES = NODES[0] * (2 * NODES[1] - 1) * NODES[2]
+"""Random points of which the share is measured: as many as the grid has, so that nothing is compiled twice."""
 
 SHRINK, SHRINKS = 0.04, 15
 """A box that holds too many points out of reach is made smaller by this share, so many times at most."""
@@ -49,11 +50,17 @@ SHRINK, SHRINKS = 0.04, 15
 QUARTERS = (0.0, 0.5 * np.pi, -0.5 * np.pi, np.pi)
 """Directions that may be the front, as turns about the vertical from x [rad]; x unless another is far better."""
 
-HOMES = 6
-"""Homes that are tried for each of them."""
+TILTS = (0.0, np.pi / 6, np.pi / 3)
+"""How the tool of an arm with fewer than six joints may be held: angles from straight down, outward [rad]."""
 
-FAR_BETTER = 1.5
-"""Another front, or a home that is not the file's, is taken if its box is so many times as large."""
+HOMES, HOMES_ASIDE = 6, 2
+"""Homes that are tried with the front in x, and in each other direction; fewer where there are several tilts."""
+
+FAR_BETTER = 1.3
+"""Another front or tilt, or a home that is not the file's, is taken if its box is so many times as large."""
+
+START = (0.65, 0.5, 0.88)
+"""Where in the workspace the tool is at home, in shares of its sides: about where the tutorial's is."""
 
 
 class Derived(NamedTuple):
@@ -75,8 +82,9 @@ def derive(
 ) -> Derived:
     """Home and boxes of an arm.
 
-    The workspace is the largest box in front of and above the base that the tool can be displaced to from home on
-    straight ways, held as it is at home; the box of goals in the air the largest that it comes to in any orientation.
+    The workspace is the largest box of the tutorial's proportions, in front of and above the base, that the tool can be
+    displaced to from home on straight ways, held as it is at home. The box of goals in the air is the largest that it
+    comes to in any orientation.
 
     Args:
         chain: the arm.
@@ -85,55 +93,78 @@ def derive(
         home: the file's.
         free: whether the arm does not touch itself at a joint vector `[n]`.
     """
-    candidates = Candidates(chain, base)
-    search = _Search(chain, speed, base, candidates.reach)
-    best: tuple[float, np.ndarray, float, Box] | None = None
-    if home is not None:
-        q = np.array(home)
-        found = search.workspace(q, turn := candidates.front(q, QUARTERS))
-        best = (search.volume(found) * FAR_BETTER, q, turn, found) if found else None
-    for turn in QUARTERS:
-        for q in candidates.best(turn, free, HOMES):
-            found = search.workspace(q, turn)
-            if found and (size := search.volume(found) * (FAR_BETTER if turn == 0.0 else 1.0)) > (best or (0.0,))[0]:
-                best = size, q, turn, found
-    if best is None:
+    tilts = TILTS[:1] if chain.poses else TILTS
+    vectors, points = (np.zeros((PROBES, size), np.float32) for size in (chain.n, 3))
+    held, anyhow, find = compile_together(
+        (functools.partial(_held, chain), (vectors[0], points)),
+        (functools.partial(_anyhow, chain), (vectors, points)),
+        (functools.partial(turned_candidates, chain, base), (np.zeros((SAMPLES, chain.n), np.float32), np.float32(0))),
+    )
+    candidates = Candidates(chain, base, tilts, find)
+    search = _Search(chain, speed, base, candidates.reach, held, anyhow)
+    tried = [(np.array(home), turn, FAR_BETTER**2) for turn in QUARTERS] if home else []
+    for turn, tilt in itertools.product(QUARTERS, tilts):
+        favour = FAR_BETTER ** ((turn == 0.0) + (tilt == 0.0))
+        most = -(-(HOMES_ASIDE if turn else HOMES) // len(tilts))
+        tried += [(q, turn, favour) for q in candidates.best(turn, tilt, free, most)]
+    found = [(favour * box.size, q, turn, box) for q, turn, favour in tried if (box := search.workspace(q, turn))]
+    if not found:
         return _around(chain, base, candidates.any(home))
-    _, q, turn, box = best
-    workspace, share = search.verified(box, functools.partial(search.held, q), search.tool(q))
-    goals = search.goal_box(q, turn) or workspace
-    goal_box, goal_share = search.verified(goals, functools.partial(search.anyhow, q), None)
-    home, shares = tuple(q.tolist()), {"workspace": share, "goal_box": goal_share}
-    return Derived(home, orientation(chain, home), workspace, goal_box, shares)
+    _, q, turn, box = max(found, key=lambda one: one[0])
+    if home is None or not np.array_equal(q, home):
+        moved = search.start(q, box, turn)
+        q = moved if free(moved) else q
+    workspace, share = search.verified(box.corners, functools.partial(search.held, q), chain.tool_at(q)[0])
+    goals = search.goal_box(q, turn)
+    goal_box, goal_share = search.verified(
+        goals.corners if goals else workspace, functools.partial(search.anyhow, q), None
+    )
+    there, shares = tuple(q.tolist()), {"workspace": share, "goal_box": goal_share}
+    return Derived(there, orientation(chain, there), workspace, goal_box, shares)
 
 
 def orientation(chain: Chain, home: tuple[float, ...]) -> tuple[float, ...]:
     """Orientation wxyz of the tool at home."""
-    return tuple(np.asarray(forward_kinematics(chain, jnp.asarray(home, jnp.float32)).quaternion).tolist())
+    return tuple(chain.tool_at(home)[1].tolist())
+
+
+class _Found(NamedTuple):
+    """A box, and its size."""
+
+    corners: Box
+    size: float
 
 
 class _Search:
     """Boxes of points that an arm reaches from a home."""
 
-    def __init__(self, chain: Chain, speed: np.ndarray, base: np.ndarray, reach: float) -> None:
+    def __init__(
+        self,
+        chain: Chain,
+        speed: np.ndarray,
+        base: np.ndarray,
+        reach: float,
+        held: Callable[..., tuple[Array, Array]],
+        anyhow: Callable[..., tuple[Array, Array]],
+    ) -> None:
+        self._held, self._anyhow = held, anyhow
         self._chain, self._speed, self._base, self._reach = chain, speed, base, reach
         self._axes = (
             np.linspace(NEAREST, 1.0, NODES[0]) * reach,
             np.linspace(-WIDEST, WIDEST, 2 * NODES[1] - 1) * reach,
             np.linspace(0.0, HIGHEST, NODES[2]) * reach,
         )
-        self._held, self._anyhow = jit(functools.partial(_held, chain)), jit(functools.partial(_anyhow, chain))
-
-    def tool(self, q: np.ndarray) -> np.ndarray:
-        return np.asarray(forward_kinematics(self._chain, jnp.asarray(q, jnp.float32)).position, np.float64)
-
-    @staticmethod
-    def volume(box: Box) -> float:
-        return float(np.prod(np.subtract(box[1], box[0])))
 
     def held(self, q: np.ndarray, points: np.ndarray) -> np.ndarray:
         """Which of `points [m, 3]` the tool reaches from home `q`, held as it is there."""
-        return np.asarray(self._held(q.astype(np.float32), points.astype(np.float32)))
+        return np.asarray(self._held(q.astype(np.float32), points.astype(np.float32))[0])
+
+    def start(self, q: np.ndarray, box: _Found, turn: float) -> np.ndarray:
+        """Home `[n]` from which the tool starts in its place in the box."""
+        low, high = np.sort((np.array(box.corners) - self._base) @ _about_z(turn), axis=0)
+        point = self._base + (low + np.array(START) * (high - low)) @ _about_z(turn).T
+        points = np.broadcast_to(point, (PROBES, 3)).astype(np.float32)
+        return np.asarray(self._held(q.astype(np.float32), points)[1][0], np.float64)
 
     def anyhow(self, q: np.ndarray, points: np.ndarray) -> np.ndarray:
         """Which of them it reaches from starts about home in any orientation, and in time."""
@@ -142,30 +173,30 @@ class _Search:
         reached, ends = self._anyhow(starts, points.astype(np.float32))
         return np.asarray(reached) & (np.abs(np.asarray(ends) - q) <= TRAVEL * self._speed).all(axis=1)
 
-    def workspace(self, q: np.ndarray, turn: float) -> Box | None:
-        """Largest box of points that are reached with the tool held, and that holds the tool at home."""
-        return self._largest(functools.partial(self.held, q), turn, self.tool(q), 0)
+    def workspace(self, q: np.ndarray, turn: float) -> _Found | None:
+        """Largest box in the tutorial's proportions of points reached with the tool held, the tool at home in it."""
+        return self._largest(functools.partial(self.held, q), turn, self._chain.tool_at(q)[0], 0)
 
-    def goal_box(self, q: np.ndarray, turn: float) -> Box | None:
+    def goal_box(self, q: np.ndarray, turn: float) -> _Found | None:
         """Largest box of points above the ground that are reached in any orientation."""
         lowest = int(np.searchsorted(self._axes[2], LOWEST_GOAL * self._reach))
         return self._largest(functools.partial(self.anyhow, q), turn, None, lowest)
 
     def _largest(
         self, reached: Callable[[np.ndarray], np.ndarray], turn: float, holds: np.ndarray | None, lowest: int
-    ) -> Box | None:
+    ) -> _Found | None:
         grid = np.stack(np.meshgrid(*self._axes, indexing="ij"), axis=-1)
-        points = grid.reshape(-1, 3) @ _about_z(turn).T + self._base
-        inside = reached(points).reshape(grid.shape[:3]).copy()
+        inside = reached(grid.reshape(-1, 3) @ _about_z(turn).T + self._base).reshape(grid.shape[:3]).copy()
         inside[:, :, :lowest] = False
         half = NODES[1] - 1
         both = inside[:, half:] & inside[:, half::-1]  # [x, |y|, z]
         home = None if holds is None else (holds - self._base) @ _about_z(turn)
-        found = _largest_box(both, self._axes[0], self._axes[1][half:], self._axes[2], home)
+        found = largest_box(both, self._axes[0], self._axes[1][half:], self._axes[2], home)
         if found is None:
             return None
-        corners = np.array(found) @ _about_z(turn).T + self._base
-        return tuple(corners.min(axis=0).tolist()), tuple(corners.max(axis=0).tolist())
+        corners, size = found
+        corners = corners @ _about_z(turn).T + self._base
+        return _Found((tuple(corners.min(axis=0).tolist()), tuple(corners.max(axis=0).tolist())), size)
 
     def verified(
         self, box: Box, reached: Callable[[np.ndarray], np.ndarray], holds: np.ndarray | None
@@ -185,7 +216,7 @@ class _Search:
         return (tuple(low.tolist()), tuple(high.tolist())), share
 
 
-def _held(chain: Chain, home: Array, points: Array) -> Array:
+def _held(chain: Chain, home: Array, points: Array) -> tuple[Array, Array]:
     start = forward_kinematics(chain, home)
     quaternion = jnp.broadcast_to(start.quaternion, (len(points), 4))
 
@@ -197,7 +228,7 @@ def _held(chain: Chain, home: Array, points: Array) -> Array:
     q = jax.lax.fori_loop(0, STEPS + SETTLING, step, jnp.broadcast_to(home, (len(points), chain.n)))
     pose = forward_kinematics(chain, q)
     apart = jnp.linalg.norm(pose.position - points, axis=-1)
-    return (apart < CLOSE) & (turned(chain, pose.quaternion, quaternion) < TURNED)
+    return (apart < CLOSE) & (turned(chain, pose.quaternion, quaternion) < TURNED), q
 
 
 def _anyhow(chain: Chain, starts: Array, points: Array) -> tuple[Array, Array]:
@@ -211,31 +242,39 @@ def _anyhow(chain: Chain, starts: Array, points: Array) -> tuple[Array, Array]:
     return jnp.linalg.norm(forward_kinematics(chain, q).position - points, axis=-1) < CLOSE, q
 
 
-def _largest_box(
+def largest_box(
     inside: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray, holds: np.ndarray | None
-) -> tuple[tuple[float, ...], tuple[float, ...]] | None:
-    """Corners of the largest box, even about the plane y = 0, all of whose nodes `[x, |y|, z]` are inside."""
+) -> tuple[np.ndarray, float] | None:
+    """Corners `[2, 3]` and size of the largest box, even about the plane y = 0, all of whose nodes are `inside`.
+
+    `inside [x, |y|, z]` are nodes on the axes. The size is the volume; of a box that `holds` a point it is the
+    shortest side, in proportion to those of the tutorial's workspace, to which the others are cut.
+    """
+    sides = np.subtract(TUTORIAL_WORKSPACE[1], TUTORIAL_WORKSPACE[0])
+    (i0, i1), (k0, k1) = np.triu_indices(len(x), 1), np.triu_indices(len(z), 1)
+    i0, i1, k0, k1 = i0[:, None], i1[:, None], k0[None], k1[None]
     best, found = 0.0, None
-    lows, highs = np.triu_indices(len(x), 1), np.triu_indices(len(z), 1)
     for side in range(1, len(y)):
         sums = np.zeros((len(x) + 1, len(z) + 1), int)
         sums[1:, 1:] = inside[:, : side + 1].all(axis=1).cumsum(axis=0).cumsum(axis=1)
-        (x0, x1), (z0, z1) = ((index[:, None] for index in lows), (index[None] for index in highs))
-        full = sums[x1 + 1, z1 + 1] - sums[x0, z1 + 1] - sums[x1 + 1, z0] + sums[x0, z0] == (x1 - x0 + 1) * (
-            z1 - z0 + 1
-        )
-        if holds is not None:
-            full &= (x[x0] <= holds[0]) & (x[x1] >= holds[0]) & (z[z0] <= holds[2]) & (z[z1] >= holds[2])
+        nodes = sums[i1 + 1, k1 + 1] - sums[i0, k1 + 1] - sums[i1 + 1, k0] + sums[i0, k0]
+        full = nodes == (i1 - i0 + 1) * (k1 - k0 + 1)
+        deep, wide, high = x[i1] - x[i0], 2 * y[side], z[k1] - z[k0]
+        if holds is None:
+            size = deep * wide * high
+        else:
+            size = np.minimum(np.minimum(deep / sides[0], wide / sides[1]), high / sides[2])
+            full &= (x[i0] <= holds[0]) & (x[i1] >= holds[0]) & (z[k0] <= holds[2]) & (z[k1] >= holds[2])
             full &= y[side] >= abs(holds[1])
-        size = np.where(full, (x[x1] - x[x0]) * (z[z1] - z[z0]) * 2 * y[side], 0.0)
-        if size.max() > best:
+        size = np.where(full, size, 0.0)
+        if size.max() > best * (1 + 1e-9):
             best = float(size.max())
             i, k = np.unravel_index(size.argmax(), size.shape)
-            found = (
-                (float(x[lows[0][i]]), -float(y[side]), float(z[highs[0][k]])),
-                (float(x[lows[1][i]]), float(y[side]), float(z[highs[1][k]])),
-            )
-    return found
+            found = np.array([[x[i0[i, 0]], -y[side], z[k0[0, k]]], [x[i1[i, 0]], y[side], z[k1[0, k]]]])
+    if found is None or holds is None:
+        return None if found is None else (found, best)
+    extra = (found[1] - found[0] - best * sides).clip(0)
+    return found + np.array([extra * (0.5, 0.5, 0.0), -extra * (0.5, 0.5, 1.0)]), best
 
 
 def _about_z(angle: float) -> np.ndarray:
@@ -244,7 +283,7 @@ def _about_z(angle: float) -> np.ndarray:
 
 
 MARGIN = 0.01
-"""By which such an arm's box is larger: its plane lies inside, not on the box's faces [m]."""
+"""By which such an arm's box is larger, so that its plane is not on the box's faces [m]."""
 
 QUANTILES = (0.1, 0.9)
 """Of an arm that moves its tool in a plane or on a line: shares of the points that it reaches below the box's faces."""
@@ -252,13 +291,10 @@ QUANTILES = (0.1, 0.9)
 
 def _around(chain: Chain, base: np.ndarray, home: np.ndarray) -> Derived:
     """Of an arm that reaches no box: that around the middle of the points it reaches above its base, and home."""
-    q = np.random.default_rng(0).uniform(chain.lower, chain.upper, (PROBES, chain.n)).astype(np.float32)
-    points = np.asarray(forward_kinematics(chain, jnp.asarray(q)).position)
-    pose = forward_kinematics(chain, jnp.asarray(home, jnp.float32))
-    tool = np.asarray(pose.position, np.float64)
-    low, high = np.quantile(points, QUANTILES, axis=0)
-    low, high = np.minimum(low, tool) - MARGIN, np.maximum(high, tool) + MARGIN
-    low[2] = min(max(low[2], base[2]), tool[2] - MARGIN)
-    box = tuple(low.tolist()), tuple(high.tolist())
-    there = tuple(home.tolist())
-    return Derived(there, orientation(chain, there), box, box, {})
+    random = np.random.default_rng(0).uniform(chain.lower, chain.upper, (PROBES, chain.n))
+    low, high = np.quantile([chain.tool_at(q)[0] for q in random], QUANTILES, axis=0)
+    there = chain.tool_at(home)[0]
+    low, high = np.minimum(low, there) - MARGIN, np.maximum(high, there) + MARGIN
+    low[2] = min(max(low[2], base[2]), there[2] - MARGIN)
+    box, start = (tuple(low.tolist()), tuple(high.tolist())), tuple(home.tolist())
+    return Derived(start, orientation(chain, start), box, box, {})
