@@ -214,12 +214,12 @@ def _needs(now: Callable[[str], Any]) -> dict[str, bool]:
 def _misplaced(now: Callable[[str], Any], low: Sequence[float], high: Sequence[float]) -> str | None:
     """Why targets make no sense: the longest arm here reaches less than 2 m."""
     if now("targets") == "table":
-        far = abs(float(now("target-height")))
+        far = abs(float(now("target-height") or 0.0))
     else:
         if any(a > b for a, b in zip(low, high, strict=True)):
             return "a crossed box"
         far = sum(max(a, -b, 0.0) ** 2 for a, b in zip(low, high, strict=True)) ** 0.5
-    return "targets out of reach" if far > 2.0 + float(now("success-distance")) else None
+    return "targets out of reach" if far > 2.0 + float(now("success-distance") or 0.1) else None
 
 
 def _flags(words: Sequence[str]) -> dict[str, list[str]]:

@@ -24,6 +24,7 @@ from reachlab.cli import main as cli
 from reachlab.cli.flags import Train
 from reachlab.cli.verbs import VERBS
 from reachlab.envs.core import Env
+from reachlab.envs.setup import make_setup, settled
 from reachlab.learn.ppo_method import initial_state
 from reachlab.robots.catalogue import ROBOTS
 from reachlab.runs.directory import RunDirectory
@@ -340,7 +341,7 @@ def test_train_prints_one_json_object_and_nothing_else(trained: tuple[Path, Said
 
 def test_flags_reach_the_configuration(trained: tuple[Path, Said]) -> None:
     config = RunDirectory(trained[0]).read_config()
-    assert config == configure(
+    asked = configure(
         seed=4,
         reward="sparse",
         action_repeat=1,
@@ -352,6 +353,7 @@ def test_flags_reach_the_configuration(trained: tuple[Path, Said]) -> None:
         stop_early=False,
         report_episodes=10,
     )
+    assert config == settled(asked, make_setup(asked))
 
 
 def test_without_flags_the_tutorials_task_is_trained() -> None:

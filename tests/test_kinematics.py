@@ -118,7 +118,7 @@ def robot():
 
 @pytest.fixture(scope="module")
 def model(robot):
-    return mujoco.MjModel.from_xml_path(str(robot.file))
+    return mujoco.MjModel.from_xml_path(str(robot.model.file))
 
 
 @pytest.fixture(scope="module")
@@ -238,7 +238,7 @@ def test_any_chain_of_hinges_and_slides_moves_as_in_mujoco(body, tool):
     q = arm.sample(np.random.default_rng(5), 50)
     there = jit(functools.partial(forward_kinematics, chain))(q)
     position, orientation = mujoco_pose(model, q, tool)
-    assert chain.joints == tuple(range(model.njnt))
+    assert chain.n == model.njnt
     assert np.linalg.norm(there.position - position, axis=1).max() <= POSITION_ROUNDING
     assert angle_between(there.quaternion, orientation).max() <= ANGLE_ROUNDING
 
@@ -253,10 +253,19 @@ def test_jacobian_of_any_chain_is_the_derivative_of_its_pose(body):
     assert np.abs(given_ - numeric).max() <= 1e-4 * np.abs(numeric).max()
 
 
-def test_joints_without_limits_are_unbounded():
+def test_joints_without_limits_turn_once_and_slide_a_metre_either_way():
     chain = chain_from_model(arm_of(OTHER_ARMS["slides along every axis"]), "tool")
-    assert chain.lower == (-0.5, -0.5, -np.inf, -np.inf)
-    assert chain.upper == (0.5, 0.5, np.inf, np.inf)
+    np.testing.assert_allclose(chain.lower, [-0.5, -0.5, -2 * np.pi, -1.0], rtol=1e-7)
+    np.testing.assert_allclose(chain.upper, [0.5, 0.5, 2 * np.pi, 1.0], rtol=1e-7)
+    assert -2 * np.pi <= chain.lower[2] < chain.upper[2] <= 2 * np.pi
+
+
+@pytest.mark.parametrize("limit", ["0.1", "1.3", "2.9670597283903604"])
+def test_limits_are_float32_numbers_not_beyond_the_models(limit):
+    model = arm_of(f'<body name="end"><joint range="-{limit} {limit}"/><geom size="0.1"/></body>')
+    chain = chain_from_model(model, "end")
+    assert float(np.float32(chain.upper[0])) == chain.upper[0] == -chain.lower[0]
+    assert 0 <= float(limit) - chain.upper[0] < 3e-7
 
 
 # --- one inverse-kinematics step ---------------------------------------------------------------------
@@ -409,8 +418,8 @@ def test_equal_keys_give_equal_solutions(mixed):
 @pytest.mark.parametrize(
     ("joint", "tool", "message"),
     [
-        ('<joint name="wrist" type="ball"/>', "end", "'wrist' is a ball or free joint"),
-        ('<freejoint name="float"/>', "end", "'float' is a ball or free joint"),
+        ('<joint name="wrist" type="ball"/>', "end", "'wrist' is a ball joint"),
+        ('<freejoint name="float"/>', "end", "'float' is a free joint"),
         ('<joint name="a"/>', "gripper", "'gripper' is neither a site nor a body"),
         ("", "end", "no joint moves tool 'end'"),
     ],

@@ -17,7 +17,7 @@ from reachlab.robots.robot import PybulletModel
 from reachlab.settings.presets import configure
 from reachlab.sims import make_simulator
 from reachlab.sims.pybullet_arm import write_arm
-from reachlab.sims.pybullet_world import GROUND, TABLE, World, placed
+from reachlab.sims.pybullet_world import GROUND, TABLE, World
 from reachlab.tasks.task import Goal
 
 pybullet = pytest.importorskip("pybullet")
@@ -101,7 +101,7 @@ def nowhere() -> Goal:
 
 
 def joints(robot, count: int) -> np.ndarray:
-    low, high = robot.chain.finite_limits()
+    low, high = robot.chain.lower, robot.chain.upper
     return np.random.default_rng(0).uniform(low, high, (count, robot.chain.n)).astype(np.float32)
 
 
@@ -150,9 +150,7 @@ def test_limits_are_the_models(crane, loaded):
     robot = crane("grip")
     arm, client = loaded(robot)
     limits = [pybullet.getJointInfo(arm, joint, physicsClientId=client)[8:10] for joint in range(3)]
-    np.testing.assert_allclose(limits[:2], np.transpose([robot.chain.lower, robot.chain.upper])[:2], rtol=1e-12)
-    low, high = limits[2]
-    assert low > high or low == -np.inf, "PyBullet's sign of a joint without limits"
+    np.testing.assert_allclose(limits, np.transpose([robot.chain.lower, robot.chain.upper]), rtol=1e-12)
 
 
 OBJECT = 3
@@ -229,14 +227,14 @@ def test_scene_of_the_tutorials_arm_is_the_tutorials():
     for tool in ("link_7", "flange"):
         robot = load_robot("iiwa14", tool)
         assert robot.scale == 1.0
-        assert [placed(robot, point) for point in (GROUND, TABLE)] == [GROUND, TABLE]
+        assert [tuple(robot.placed(point).tolist()) for point in (GROUND, TABLE)] == [GROUND, TABLE]
 
 
 @pytest.mark.parametrize("scale", [0.4, 2.0])
 def test_object_of_an_arm_of_another_size_settles_on_the_target_on_its_table(iiwa, tmp_path, scale):
     low, size = np.array([-0.3, 0.5, 0.25]), scale * np.array([0.5, 0.6, 0.55])
     robot = replace(iiwa, workspace=(tuple(low), tuple(low + size)))
-    target = np.array(placed(robot, (0.45, 0.1, -0.0083)))
+    target = robot.placed((0.45, 0.1, -0.0083))
     np.testing.assert_allclose(target, low + size * [0.5, 0.5, 0] + scale * np.array([0, 0.1, -0.0083]))
     world = World(pybullet, robot, write_arm(robot, tmp_path), configure().physics.control_period, gui=False)
     world.drop(target)

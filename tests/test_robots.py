@@ -97,15 +97,18 @@ def test_own_file_loads_with_its_keyframe_and_a_default_speed(write):
     extra = '<keyframe><key name="rest" qpos="0 0"/><key name="home" qpos="0.3 -0.4"/></keyframe>'
     robot = load_robot(write(extra), "grip")
     assert robot.name == "two_links"
-    assert robot.chain.joints == (0, 1)
+    assert robot.joint_names == ("shoulder", "elbow")
     assert robot.home == (0.3, -0.4)
+    assert robot.sources["home"] == "model file"
     assert len(robot.speed) == 2
     assert all(0 < speed < np.inf for speed in robot.speed)
-    assert robot.torque == (np.inf, np.inf)
+    assert robot.sources["speed"] == robot.sources["torque"] == ("default", "default")
 
 
-def test_own_file_without_a_keyframe_starts_in_the_middle_of_its_limits(write):
-    assert load_robot(write(), "grip").home == (-0.5, 0.25)
+def test_own_arm_of_two_joints_without_a_keyframe_starts_in_the_middle_of_its_limits(write):
+    robot = load_robot(write(), "grip")
+    np.testing.assert_allclose(robot.home, (-0.5, 0.25), atol=1e-6)
+    assert robot.sources["home"] == "derived"
 
 
 def test_own_file_holds_the_tool_as_it_is_at_home(write):
@@ -121,7 +124,18 @@ def test_own_file_states_its_speeds_and_torques(write):
     )
     robot = load_robot(write(extra), "grip")
     assert robot.speed == (0.5, 2.0)
-    assert robot.torque == (np.inf, 7.0)
+    assert robot.torque[1] == 7.0
+    assert robot.sources["torque"] == ("default", "model file")
+
+
+def test_torque_that_no_file_states_is_three_times_what_holds_the_arm_in_its_hardest_pose(write):
+    """The elbow holds most when the lower arm is level.
+
+    The shoulder turns about the vertical and holds nothing; it gets what accelerates the stretched arm by 20 rad/s².
+    """
+    shoulder, elbow = load_robot(write(text=TWO_LINKS.replace("size", 'mass="2" size'))).torque
+    np.testing.assert_allclose(shoulder, 20 * 2 * (0.4**2 + 0.7**2), rtol=0.02)
+    np.testing.assert_allclose(elbow, 3 * 2 * 9.81 * 0.3, rtol=0.01)
 
 
 @pytest.mark.parametrize("height", ["0.5", "0.2"], ids=["above the floor", "reaching below it"])
@@ -135,17 +149,23 @@ def test_workspace_of_an_own_file_is_a_box_the_tool_can_be_in(write, height):
     assert (high <= points.max(0) + 1e-3).all()
     assert low[2] >= 0.0
     assert ((points >= low) & (points <= high)).all(1).mean() > 0.2
+    home = np.asarray(forward_kinematics(robot.chain, jnp.asarray(robot.home)).position)
+    assert ((low < home) & (home < high)).all()
 
 
-def test_tool_of_an_own_file_is_by_default_its_only_site(write):
-    assert load_robot(write()).tool == "grip"
-
-
-def test_tool_of_an_own_file_without_one_site_is_by_default_its_last_body(write):
-    robot = load_robot(write(text=re.sub("<site[^>]*/>", "", TWO_LINKS)))
-    assert robot.tool == "hand"
-    position = forward_kinematics(robot.chain, jnp.zeros(2)).position
-    np.testing.assert_allclose(position, [0.7, 0, 0.5], atol=1e-6)
+@pytest.mark.parametrize(
+    ("text", "tool", "at"),
+    [
+        (TWO_LINKS, "grip", [0.8, 0, 0.5]),
+        (re.sub("<site[^>]*/>", "", TWO_LINKS), "hand", [0.7, 0, 0.5]),
+        (re.sub("<site[^>]*/>", "", TWO_LINKS).replace('"hand"', '"cover"'), "lower", [0.4, 0, 0.5]),
+    ],
+    ids=["a site named like a tool", "a body named like one", "the last body that is moved"],
+)
+def test_tool_of_an_own_file_is_by_default_what_is_named_like_one_at_its_end(write, text, tool, at):
+    robot = load_robot(write(text=text))
+    assert robot.tool == tool
+    np.testing.assert_allclose(forward_kinematics(robot.chain, jnp.zeros(2)).position, at, atol=1e-6)
 
 
 @pytest.mark.parametrize("limits", ["4 6", "-6 -4", "-1 5"])
@@ -172,7 +192,8 @@ def test_urdf_loads(write):
         <axis xyz="0 0 1"/><limit lower="-1" upper="2" effort="5" velocity="3"/></joint>
     </robot>"""
     robot = load_robot(write(text=urdf, name="one.urdf"), "arm")
-    assert robot.chain.joints == (0,)
+    assert robot.joint_names == ("turn",)
+    assert (robot.speed, robot.torque) == ((3.0,), (5.0,))
     np.testing.assert_allclose((robot.chain.lower[0], robot.chain.upper[0]), (-1, 2))
     np.testing.assert_allclose(forward_kinematics(robot.chain, jnp.ones(1)).position, [0.1, 0.2, 0.3], atol=1e-7)
 
@@ -208,8 +229,11 @@ def test_unknown_tool_is_refused():
 
 
 def test_arm_that_cannot_move_its_tool_is_refused(write):
+    file = write(text='<mujoco><worldbody><body name="base"><geom size="1"/></body></worldbody></mujoco>')
     with pytest.raises(InputError, match="no joint moves tool 'base'"):
-        load_robot(write(text='<mujoco><worldbody><body name="base"><geom size="1"/></body></worldbody></mujoco>'))
+        load_robot(file, "base")
+    with pytest.raises(InputError, match="nothing in it has a name that is moved by a joint"):
+        load_robot(file)
 
 
 def test_speed_limits_of_another_number_of_joints_are_refused(write):

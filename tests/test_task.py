@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from jax import Array
 from scipy.spatial.transform import Rotation
 
-from reachlab.envs.setup import check, make_setup
+from reachlab.envs.setup import check, make_setup, settled
 from reachlab.robots.kinematics import forward_kinematics
-from reachlab.settings.config import RunConfig, TaskConfig
+from reachlab.settings.config import Rules, RunConfig, TaskConfig
 from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError
 from reachlab.tasks.actions import ACTIONS, bounded, command
@@ -65,7 +65,7 @@ def flags(outcome: Outcome) -> tuple[bool, bool, bool]:
 
 
 def sparse_reward(outcome: Outcome) -> float:
-    return float(sum(np.asarray(term)[0] for term in REWARDS["sparse"](TaskConfig(), outcome).values()))
+    return float(sum(np.asarray(term)[0] for term in REWARDS["sparse"](Rules(), outcome).values()))
 
 
 # --- end and reward of a step ---------------------------------------------------------------------
@@ -132,7 +132,7 @@ def test_the_dense_reward_is_the_sparse_one_and_the_metres_gained(
     ends = {name: jnp.array([name == which]) for name in ("outside", "success", "timeout")}
     rest = dict.fromkeys(("error", "speed", "effort", "terminated"), jnp.zeros(1))
     outcome = Outcome(jnp.array([before]), jnp.array([after]), **rest, **ends, gained=1.0 * ends["success"])
-    config = TaskConfig(approach_weight=weight)
+    config = Rules(approach_weight=weight)
     sparse, dense = REWARDS["sparse"](config, outcome), REWARDS["dense"](config, outcome)
     assert {name: float(dense[name][0]) for name in sparse} == {name: float(sparse[name][0]) for name in sparse}
     gained = sum(float(term[0]) for term in dense.values()) - sum(float(term[0]) for term in sparse.values())
@@ -165,9 +165,41 @@ def test_holding_for_the_policy_and_asking_it_to_hold_do_not_go_together() -> No
         check(configure(at_goal="hold", hold_steps=10))
 
 
-def test_coming_closer_by_a_metre_is_worth_five_by_default() -> None:
-    assert TaskConfig().approach_weight == 5.0
-    assert TaskConfig().reward == "dense"
+def test_coming_closer_by_a_metre_is_worth_five_by_default(setup: TaskSetup) -> None:
+    assert setup.rules.approach_weight == 5.0
+    assert setup.rules.reward == "dense"
+
+
+LENGTHS = ("tool_scale", "success_distance", "approach_weight", "target_height")
+
+
+def test_lengths_of_the_tutorials_task_are_the_tutorials_on_its_arm(setup: TaskSetup) -> None:
+    assert [getattr(TaskConfig(), name) for name in LENGTHS] == [None] * len(LENGTHS)
+    assert [getattr(setup.rules, name) for name in LENGTHS] == [0.005, 0.1, 5.0, -0.0083]
+
+
+@pytest.mark.parametrize("scale", [0.4, 2.0])
+def test_lengths_are_in_proportion_to_the_workspace_of_another_arm(
+    setup: TaskSetup, scale: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    low, high = np.array(setup.robot.workspace)
+    floor = np.array([-0.3, 0.5, 0.25])
+    robot = replace(setup.robot, workspace=(tuple(floor), tuple(floor + scale * (high - low))))
+    monkeypatch.setattr("reachlab.envs.setup.load_robot", lambda *_, **__: robot)
+    rules = make(configure()).rules
+    np.testing.assert_allclose(
+        [getattr(rules, name) for name in LENGTHS], [0.005 * scale, 0.1 * scale, 5 / scale, 0.25 - 0.0083 * scale]
+    )
+    given_ = {"tool_scale": 0.01, "success_distance": 0.02, "approach_weight": 3.0, "target_height": 0.3}
+    rules = make(configure(**given_)).rules
+    assert {name: getattr(rules, name) for name in LENGTHS} == given_
+
+
+def test_settled_settings_state_every_length_and_are_settled() -> None:
+    config = configure()
+    stated = settled(config, make_setup(config))
+    assert vars(stated.rules) == vars(config.rules) | vars(Rules()) | {"tool": None}
+    assert settled(stated, make_setup(stated)) == stated
 
 
 # --- targets and starts ---------------------------------------------------------------------------

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from reachlab.envs.core import Env
+from reachlab.envs.setup import make_setup, settled
 from reachlab.evaluation.episodes import BATCH
 from reachlab.evaluation.report import evaluate
 from reachlab.learn.load import load_policy
@@ -192,8 +193,9 @@ def test_a_run_directory_holds_checkpoint_configuration_metrics_and_report(tutor
 
 def test_the_configuration_and_the_report_are_on_disk(tutorial: Trained) -> None:
     saved = json.loads((tutorial.out / "config.json").read_text())
-    assert saved == json.loads(json.dumps(to_json(configure())))
-    assert RunDirectory(tutorial.out).read_config() == configure()
+    config = settled(configure(), make_setup(configure()))
+    assert saved == json.loads(json.dumps(to_json(config)))
+    assert RunDirectory(tutorial.out).read_config() == config
     report = json.loads((tutorial.out / "report.json").read_text())
     assert report == json.loads(json.dumps(tutorial.result.to_json()))
     extra = {"steps", "train_wall_s", "total_wall_s", "steps_per_second", "validated"}

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import itertools
 import logging
+import re
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -14,7 +16,7 @@ from reachlab.cli import main as cli
 from reachlab.envs.core import Env
 from reachlab.envs.gymnasium_single import ReachEnv
 from reachlab.envs.random_streams import env_keys
-from reachlab.envs.setup import check, check_reach, in_evaluation, make_setup
+from reachlab.envs.setup import check, check_reach, in_evaluation, make_setup, settled
 from reachlab.learn import train as training
 from reachlab.robots.loading import load_robot
 from reachlab.runs.directory import RunDirectory
@@ -27,6 +29,7 @@ from reachlab.tasks import TASKS
 from reachlab.tasks.observations import OBSERVATIONS
 from reachlab.tasks.reachability import survey
 from reachlab.tasks.rewards import REWARDS
+from reference import Arm
 
 ARM = """
 <mujoco>
@@ -186,7 +189,7 @@ def test_settings_of_an_older_run_are_not_asked_about_when_it_goes_on(tmp_path: 
         "max_steps": 20,
     }
     config = configure(**small, collisions=True)
-    RunDirectory(tmp_path / "run").create(config)
+    RunDirectory(tmp_path / "run").create(settled(config, make_setup(config)))
     assert training.train(config, tmp_path / "run", resume=True).steps == 256
 
 
@@ -239,10 +242,16 @@ def test_a_box_out_of_reach_is_refused_and_a_share_is_said(caplog: pytest.LogCap
     assert wholly.endswith("the arm can reach 100 % of 256 random targets.")
 
 
-def test_a_home_outside_the_workspace_is_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    (tmp_path / "arm.xml").write_text(ARM)  # stretched at home: its workspace is what it reaches mostly, and nearer
-    check_reach(configure(robot=str(tmp_path / "arm.xml"), targets="box", target_low=(0.4, -0.2, 0.4), max_steps=50))
-    assert "100 % of the episodes begin with the tool outside its workspace" in said(caplog)[-1]
+def test_the_share_of_starts_outside_the_workspace_is_said(caplog: pytest.LogCaptureFixture) -> None:
+    check_reach(configure(start_noise=0.5))
+    found = re.search(r"([0-9.]+) % of the episodes begin with the tool outside its workspace", said(caplog)[-1])
+    robot = load_robot("iiwa14")
+    starts = robot.home + np.random.default_rng(3).uniform(-0.5, 0.5, (4000, robot.chain.n))
+    starts = np.clip(starts, robot.chain.lower, robot.chain.upper)
+    tools, _ = Arm(mujoco.MjModel.from_xml_path(str(robot.model.file)), robot.tool).forward(starts)
+    truth = ((tools < robot.workspace[0]) | (tools > robot.workspace[1])).any(axis=1).mean()
+    assert found
+    assert float(found[1]) == pytest.approx(100 * truth, abs=10)
 
 
 # --- files of one's own ---------------------------------------------------------------------------
@@ -261,11 +270,13 @@ def test_a_robot_file_is_found_from_any_folder(tmp_path: Path, monkeypatch: pyte
         load_robot(config.robot, "base")
 
 
-def test_meshes_named_as_packages_are_told(tmp_path: Path) -> None:
-    link = '<link name="a"><collision><geometry><mesh filename="package://x/y.obj"/></geometry></collision></link>'
-    (tmp_path / "arm.urdf").write_text(f'<robot name="r">{link}</robot>')
-    with pytest.raises(InputError, match=r"meshes named as package:// are not found yet"):
-        load_robot(str(tmp_path / "arm.urdf"))
+def test_a_mesh_of_a_package_that_is_missing_is_left_out_and_told(tmp_path: Path) -> None:
+    mesh = '<visual><geometry><mesh filename="package://x/y.obj"/></geometry></visual>'
+    (tmp_path / "arm.urdf").write_text(URDF.replace('<link name="fore">', f'<link name="fore">{mesh}'))
+    robot = load_robot(str(tmp_path / "arm.urdf"))
+    assert robot.spec().compile().nmesh == 0
+    (notice,) = robot.notices
+    assert re.search(r"not found in the folders of the robot file or of its packages \(y\.obj\)", notice)
 
 
 @pytest.mark.parametrize(("name", "text"), [("arm.xml", ARM), ("arm.urdf", URDF)])

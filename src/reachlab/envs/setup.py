@@ -138,7 +138,7 @@ def check_reach(config: RunConfig) -> None:
     if found.outside:
         log.warning(
             "reachlab: %.3g %% of the episodes begin with the tool outside its workspace, %s m, and end at their first"
-            " step: choose less --start-noise, or give the robot's file a keyframe 'home' inside.",
+            " step: choose less --start-noise.",
             100 * found.outside,
             workspace,
         )

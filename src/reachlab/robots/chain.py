@@ -107,7 +107,8 @@ def chain_from_model(model: mujoco.MjModel, tool: str) -> Chain:
         for joint in range(first, first + int(model.body_jntnum[body])):
             kind, name = mujoco.mjtJoint(model.jnt_type[joint]), model.joint(joint).name
             if kind not in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
-                raise ValueError(f"joint {name!r} is a ball joint; a chain takes hinge and slide joints only")
+                what = kind.name.removeprefix("mjJNT_").lower()
+                raise ValueError(f"joint {name!r} is a {what} joint; a chain takes hinge and slide joints only")
             slide = kind == mujoco.mjtJoint.mjJNT_SLIDE
             align = _align_z(model.jnt_pos[joint], model.jnt_axis[joint])
             back = np.linalg.inv(align)

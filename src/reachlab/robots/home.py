@@ -37,6 +37,9 @@ shares of the reach."""
 NEAREST, LOWEST, ASIDE = 0.2, 0.05, 0.5
 """Where it has to be: so far in front of the base and above it, and aside by no more than this share of the way."""
 
+LEAST = 1e-2
+"""Where a joint speed of 1 rad/s moves the tool slower than this in some direction, it is singular [reach/s]."""
+
 COMFORTABLE = 0.3
 """Share of half a joint's range from its limit that is far enough."""
 
@@ -56,9 +59,10 @@ def turned_candidates(chain: Chain, base: np.ndarray, sampled: Array, tilt: Arra
     With them come the tool's position, the Gram matrix of its Jacobian, what is left of the turn, and where it was.
     """
     q = jax.lax.fori_loop(0, TURNS, lambda _, q: _turned(chain, base, q, tilt), sampled)
+    off = jnp.linalg.norm(_turn(chain, base, q, tilt)[0], axis=-1)
+    q = jnp.where((off < TURNED).any(), q, sampled)  # an arm that cannot turn its tool so stays off its limits
     pose, columns = forward_kinematics(chain, q), jacobian(chain, q)[..., :3, :]
     gram = jnp.einsum("bij,bkj->bik", columns, columns)
-    off = jnp.linalg.norm(_turn(chain, base, q, tilt)[0], axis=-1)
     return q, pose.position, gram, off, forward_kinematics(chain, sampled).position
 
 
@@ -89,7 +93,9 @@ class Candidates:
         to_limit = np.minimum(q - chain.lower, chain.upper - q) / half
         able = np.sqrt(np.linalg.eigvalsh(gram)[:, 0].clip(0)) / self.reach
         bent = np.square((q - middle) / (BENT * np.pi)).mean(axis=1)
-        self._q, self._worth = q, np.clip(to_limit.min(axis=1) / COMFORTABLE, 0.0, 1.0) * able / (1 + bent)
+        able[able < LEAST] = 0.0
+        self._q, self._middle = q, middle
+        self._worth = np.clip(to_limit.min(axis=1) / COMFORTABLE, 0.0, 1.0) * able / (1 + bent)
         if (off < TURNED).any():  # else an arm that cannot turn its tool so: any orientation will do
             self._worth[off >= TURNED] = 0.0
 
@@ -108,8 +114,10 @@ class Candidates:
         return found
 
     def any(self, home: tuple[float, ...] | None) -> np.ndarray:
-        """The given home, else the most comfortable joint vector."""
-        return self._q[self._worth.argmax()] if home is None else np.array(home)
+        """The given home, else the most comfortable joint vector, or the middle of the limits if all are singular."""
+        if home is not None:
+            return np.array(home)
+        return self._q[self._worth.argmax()] if self._worth.any() else self._middle
 
 
 def _turn(chain: Chain, base: np.ndarray, q: Array, tilt: Array) -> tuple[Array, Array]:

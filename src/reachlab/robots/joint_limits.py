@@ -25,9 +25,9 @@ def position_limits(model: mujoco.MjModel, joint: int) -> tuple[float, float]:
 
 def _inward(limit: float, inside: float) -> float:
     """The limit as a float32 number that is not beyond it."""
-    rounded = np.float32(limit)
+    rounded = float(np.float32(limit))
     beyond = rounded < limit if inside > limit else rounded > limit
-    return float(np.nextafter(rounded, np.float32(inside)) if beyond else rounded)
+    return float(np.nextafter(np.float32(rounded), np.float32(inside))) if beyond else rounded
 
 
 def speed_limits(model: mujoco.MjModel, n: int) -> Limits:

@@ -151,4 +151,5 @@ def _places(file: ModelFile, arm: Arm, listed: KnownRobot, speed: tuple[float, .
         return Derived(home, held, listed.workspace, listed.goal_box, {})
     found = derived(file, replace(arm, home=home), speed)
     stated = {name: value for name in Derived._fields if (value := getattr(listed, name, None)) is not None}
-    return found._replace(**stated)
+    shares = {name: share for name, share in found.shares.items() if name not in stated}
+    return found._replace(**stated, shares=shares)

@@ -24,8 +24,9 @@ SATURATION = 0.02
 HOLDING = 3.0
 """Torque limit where none is known, in torques that hold the arm against gravity in its hardest pose."""
 
-LEAST_TORQUE = 1.0
-"""The same where gravity does not pull at a joint [Nm or N]."""
+ACCELERATION, LEAST_TORQUE = 20.0, 0.05
+"""And at least what accelerates the joint so, with the largest inertia [rad/s² or m/s²]; never less than that torque
+[Nm or N]."""
 
 LARGEST_PAYLOAD, OF_MASS = 2.0, 0.1
 """Payload that arms vary by at most [kg], and in shares of the mass that the joints move."""
@@ -79,7 +80,8 @@ def find_loads(model: mujoco.MjModel, joints: Sequence[int], body: int) -> Loads
 
 def default_torques(loads: Loads) -> np.ndarray:
     """Torque limits `[n]` of joints of which none are known [Nm or N]."""
-    return np.maximum(HOLDING * loads.gravity.max(axis=0), LEAST_TORQUE)
+    accelerating = np.maximum(ACCELERATION * loads.inertia.max(axis=0), LEAST_TORQUE)
+    return np.maximum(HOLDING * loads.gravity.max(axis=0), accelerating)
 
 
 def payload(loads: Loads, torque: np.ndarray, mass: float) -> float:

@@ -10,7 +10,7 @@ import mujoco
 
 TOOL_NAMES = (
     *(("attachment",), ("tool0",), ("tcp",), ("tool", "center", "point"), ("ee",), ("eef",), ("end", "effector")),
-    *(("endeffector",), ("gripper", "frame"), ("grasp",), ("grasptarget",), ("grip", "site"), ("pinch",)),
+    *(("endeffector",), ("gripper", "frame"), ("grasp",), ("grasptarget",), ("grip",), ("pinch",)),
     *(("flange",), ("tool",), ("hand",), ("gripper",)),
 )
 """Words that follow each other in the name of a tool frame, the surest first: ROS-Industrial's `tool0` and `flange`,

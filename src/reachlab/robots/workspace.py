@@ -282,6 +282,9 @@ def _about_z(angle: float) -> np.ndarray:
     return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
 
 
+MARGIN = 0.01
+"""By which such an arm's box is larger, so that its plane is not on the box's faces [m]."""
+
 QUANTILES = (0.1, 0.9)
 """Of an arm that moves its tool in a plane or on a line: shares of the points that it reaches below the box's faces."""
 
@@ -290,7 +293,8 @@ def _around(chain: Chain, base: np.ndarray, home: np.ndarray) -> Derived:
     """Of an arm that reaches no box: that around the middle of the points it reaches above its base, and home."""
     random = np.random.default_rng(0).uniform(chain.lower, chain.upper, (PROBES, chain.n))
     low, high = np.quantile([chain.tool_at(q)[0] for q in random], QUANTILES, axis=0)
-    low[2], there = min(max(low[2], base[2]), high[2]), chain.tool_at(home)[0]
-    low, high = np.minimum(low, there), np.maximum(high, there)
+    there = chain.tool_at(home)[0]
+    low, high = np.minimum(low, there) - MARGIN, np.maximum(high, there) + MARGIN
+    low[2] = min(max(low[2], base[2]), there[2] - MARGIN)
     box, start = (tuple(low.tolist()), tuple(high.tolist())), tuple(home.tolist())
     return Derived(start, orientation(chain, start), box, box, {})
