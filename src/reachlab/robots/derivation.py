@@ -16,7 +16,7 @@ from reachlab.robots.isolation import apply
 from reachlab.robots.model_file import ModelFile
 from reachlab.robots.workspace import Derived, derive
 
-VERSION = 3
+VERSION = 4
 """Of the derivation: what an older one left in the cache is derived again."""
 
 RANDOM_POSES = 30
@@ -33,7 +33,7 @@ def derived(file: ModelFile, arm: Arm, speed: tuple[float, ...]) -> Derived:
     """Home and boxes of an arm; from the cache if they were derived before."""
     asked = (VERSION, file.digest, arm.tool, arm.isolation.joints, arm.chain, arm.home, speed)
     kept = cache_folder() / "robots" / f"{hashlib.sha256(repr(asked).encode()).hexdigest()[:32]}.json"
-    with contextlib.suppress(OSError, ValueError, TypeError):
+    with contextlib.suppress(OSError, ValueError, TypeError, AttributeError):
         return _tuples(json.loads(kept.read_text()))
     found = derive(arm.chain, np.array(speed), arm.base, arm.home, untouching(file, arm))
     with contextlib.suppress(OSError):
