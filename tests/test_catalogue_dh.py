@@ -53,12 +53,12 @@ def dh(theta: float, a: float, d: float, alpha: float) -> np.ndarray:
 
 
 def compiled(robot: Robot) -> mujoco.MjModel:
-    return mujoco.MjModel.from_xml_path(str(robot.file))
+    return mujoco.MjModel.from_xml_path(str(robot.model.file))
 
 
 def random_joints(robot: Robot, count: int = 300) -> np.ndarray:
-    lower, upper = robot.chain.finite_limits()
-    return np.random.default_rng(0).uniform(np.asarray(lower), np.asarray(upper), (count, robot.chain.n))
+    lower, upper = robot.chain.lower, robot.chain.upper
+    return np.random.default_rng(0).uniform(lower, upper, (count, robot.chain.n))
 
 
 def tool_frames(robot: Robot, joints: np.ndarray) -> np.ndarray:

@@ -99,7 +99,7 @@ def test_the_forward_kinematics_are_those_of_the_public_description(
     tip = next(i[0] for i in info if i[12].decode() == public.tip)
 
     robot = load_robot(public.robot, public.frame)
-    model = mujoco.MjSpec.from_file(str(robot.file)).compile()
+    model = mujoco.MjSpec.from_file(str(robot.model.file)).compile()
     data = mujoco.MjData(model)
     rng = np.random.default_rng(0)
     for _ in range(300):
@@ -150,7 +150,7 @@ def test_limits_are_those_of_the_public_description(public: Public) -> None:
 @every_public
 def test_the_servos_hold_home_and_settle_without_overshoot(public: Public) -> None:
     robot = load_robot(public.robot)
-    model = mujoco.MjSpec.from_file(str(robot.file)).compile()
+    model = mujoco.MjSpec.from_file(str(robot.model.file)).compile()
     data = mujoco.MjData(model)
 
     def simulate(target: np.ndarray) -> np.ndarray:
@@ -179,7 +179,7 @@ def test_the_servos_hold_home_and_settle_without_overshoot(public: Public) -> No
 @every_public
 def test_home_holds_the_tool_down_in_front_of_the_arm(public: Public) -> None:
     robot = load_robot(public.robot, public.frame)
-    model = mujoco.MjSpec.from_file(str(robot.file)).compile()
+    model = mujoco.MjSpec.from_file(str(robot.model.file)).compile()
     data = mujoco.MjData(model)
     data.qpos[:] = robot.home
     mujoco.mj_kinematics(model, data)

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from reachlab.cli import main as cli
+from reachlab.envs.setup import make_setup, settled
 from reachlab.jax_setup import threads
 from reachlab.learn.interrupts import Interrupted
 from reachlab.learn.loop import Progress
@@ -141,7 +142,7 @@ def test_time_is_counted_across_an_interruption(tmp_path: Path, config: RunConfi
 
 
 def test_without_a_checkpoint_it_starts_from_the_beginning(tmp_path: Path, config: RunConfig, unbroken: Path) -> None:
-    RunDirectory(tmp_path / "run").create(config)
+    RunDirectory(tmp_path / "run").create(settled(config, make_setup(config)))
     (tmp_path / "run/metrics.jsonl").write_text('{"steps": 256}\n')
     train(config, tmp_path / "run", resume=True)
     assert weights(tmp_path / "run") == weights(unbroken)

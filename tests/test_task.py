@@ -190,9 +190,14 @@ def test_lengths_are_in_proportion_to_the_workspace_of_another_arm(
     np.testing.assert_allclose(
         [getattr(rules, name) for name in LENGTHS], [0.005 * scale, 0.1 * scale, 5 / scale, 0.25 - 0.0083 * scale]
     )
-    given_ = {"tool_scale": 0.01, "success_distance": 0.02, "approach_weight": 3.0, "target_height": 0.3}
-    rules = make(configure(**given_)).rules
-    assert {name: getattr(rules, name) for name in LENGTHS} == given_
+    own: dict[str, Any] = {
+        "tool_scale": 0.01,
+        "success_distance": 0.02,
+        "approach_weight": 3.0,
+        "target_height": 0.3,
+    }
+    rules = make(configure(**own)).rules
+    assert {name: getattr(rules, name) for name in LENGTHS} == own
 
 
 def test_settled_settings_state_every_length_and_are_settled() -> None:

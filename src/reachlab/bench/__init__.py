@@ -26,6 +26,13 @@ SUITES: dict[str, Lazy] = {
         "Precision under full dynamics beside inverse kinematics, on nominal and on perturbed arms.",
         "reachlab.bench.precise:precise",
     ),
+    "arms": Lazy(
+        "The tutorial's task on every robot of the catalogue, in three simulators.", "reachlab.bench.arms:arms"
+    ),
+    "arms-precise": Lazy(
+        "The precise task on every robot of the catalogue, beside inverse kinematics: two hours.",
+        "reachlab.bench.arms:arms_precise",
+    ),
     "soak": Lazy(
         "Bad actions, environments that take turns, and simulators made and closed many times.",
         "reachlab.bench.soak:soak",

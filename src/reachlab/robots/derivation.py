@@ -19,7 +19,7 @@ from reachlab.robots.workspace import Derived, derive
 
 logger = logging.getLogger(__name__)
 
-VERSION = 4
+VERSION = 5
 """Of the derivation: what an older one left in the cache is derived again."""
 
 RANDOM_POSES = 30
@@ -36,7 +36,7 @@ def derived(file: ModelFile, arm: Arm, speed: tuple[float, ...]) -> Derived:
     """Home and boxes of an arm; from the cache if they were derived before."""
     asked = (VERSION, file.digest, arm.tool, arm.isolation.joints, arm.chain, arm.home, speed)
     kept = cache_folder() / "robots" / f"{hashlib.sha256(repr(asked).encode()).hexdigest()[:32]}.json"
-    with contextlib.suppress(OSError, ValueError, TypeError):
+    with contextlib.suppress(OSError, ValueError, TypeError, AttributeError):
         return _tuples(json.loads(kept.read_text()))
     logger.warning("reachlab: finding home and workspace of %s: a few seconds, once.", file.file.name)
     found = derive(arm.chain, np.array(speed), arm.base, arm.home, untouching(file, arm))

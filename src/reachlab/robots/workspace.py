@@ -274,7 +274,8 @@ def largest_box(
     if found is None or holds is None:
         return None if found is None else (found, best)
     extra = (found[1] - found[0] - best * sides).clip(0)
-    return found + np.array([extra * (0.5, 0.5, 0.0), -extra * (0.5, 0.5, 1.0)]), best
+    low, high = found[0] + extra * (0.5, 0.5, 0.0), found[1] - extra * (0.5, 0.5, 1.0)
+    return np.array([low, high]) + (holds - high).clip(0) + (holds - low).clip(None, 0), best
 
 
 def _about_z(angle: float) -> np.ndarray:
@@ -282,11 +283,9 @@ def _about_z(angle: float) -> np.ndarray:
     return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
 
 
-MARGIN = 0.01
-"""By which such an arm's box is larger, so that its plane is not on the box's faces [m]."""
-
-QUANTILES = (0.1, 0.9)
-"""Of an arm that moves its tool in a plane or on a line: shares of the points that it reaches below the box's faces."""
+QUANTILES, MARGIN = (0.1, 0.9), 0.01
+"""Of an arm that moves its tool in a plane or on a line: shares of the points that it reaches below its faces, and
+how much larger the box is, so that the plane is not a face [m]."""
 
 
 def _around(chain: Chain, base: np.ndarray, home: np.ndarray) -> Derived:
