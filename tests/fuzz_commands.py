@@ -65,6 +65,8 @@ NAMES: dict[str, Sequence[str]] = {
     "sim": [*SIMULATORS, "all", "mujocco"],
     "robot": ["iiwa14", "iiwa14", "arm.xml", "gone.xml", "broken.urdf", "iiwa"],
     "tool": ["link_7", "flange", "hand", "link_9"],
+    "base": ["base", "link_1", "upper", "floor"],
+    "package": ["parts=.", "parts=young", "parts"],
     "observation": [*OBSERVATIONS, "picture"],
     "action": [*ACTIONS, "tool-delta"],
     "reward": [*REWARDS, "spars"],
@@ -174,11 +176,12 @@ def command(chance: random.Random, verbs: Sequence[str]) -> list[str]:
         words += [chance.choice(runs)]
     elif verb == "plot":
         words += chance.sample(runs, chance.choice([1, 2]))
+    elif verb == "robot":
+        words += values("robot", str, chance, sound=sound) or []
     elif verb == "distil" and chance.random() < 0.8:
         words += [chance.choice(runs)]
-    free = sorted(
-        kinds.keys() - {"run", "runs", "teacher", "open"} - ({"resume"} if chance.random() < SOUND else set())
-    )
+    positional = {"run", "runs", "teacher"} | ({"robot"} if verb == "robot" else set())
+    free = sorted(kinds.keys() - positional - {"open"} - ({"resume"} if chance.random() < SOUND else set()))
     for name in chance.sample(free, min(chance.choice([0, 1, 2, 3, 5, 8]), len(free))):
         flag, value = f"--{name.replace('_', '-')}", values(name, kinds[name], chance, sound=sound)
         words += [chance.choice([flag, f"--no-{flag[2:]}"])] if value is None else [flag, *value]

@@ -41,7 +41,7 @@ TARGETS = np.array([[0.3, 0.2, -0.0083], [0.6, -0.2, -0.0083], [0.5, 0.05, -0.00
 
 
 def nominal(num_envs: int) -> Views:
-    return make_views(np.zeros((num_envs, SAMPLES)))
+    return make_views(np.zeros((num_envs, SAMPLES)), ROBOT)
 
 
 def at_home(num_envs: int) -> np.ndarray:
@@ -81,7 +81,7 @@ def test_the_camera_stands_where_the_tutorial_puts_it() -> None:
 
 
 def test_random_views_stay_within_2_cm_and_2_degrees_on_each_axis() -> None:
-    plain, views = nominal(1), make_views(np.random.default_rng(0).uniform(-1, 1, (1000, SAMPLES)))
+    plain, views = nominal(1), make_views(np.random.default_rng(0).uniform(-1, 1, (1000, SAMPLES)), ROBOT)
     assert np.abs(views.position - plain.position).max() == pytest.approx(SHIFT, rel=0.02)
     turned = np.einsum("bij,kj->bik", views.rotation, plain.rotation[0])
     angles = np.degrees(np.arccos((np.trace(turned, axis1=1, axis2=2) - 1) / 2))
@@ -119,7 +119,7 @@ def test_the_arm_is_shown_to_move(camera: ObservationCamera) -> None:
 
 
 def test_a_picture_depends_on_nothing_but_its_environment(camera: ObservationCamera) -> None:
-    q, views = at_home(4), make_views(np.random.default_rng(0).uniform(-1, 1, (4, SAMPLES)))
+    q, views = at_home(4), make_views(np.random.default_rng(0).uniform(-1, 1, (4, SAMPLES)), ROBOT)
     together, again = camera.pictures(q, TARGETS, views), camera.pictures(q, TARGETS, views)
     alone = ObservationCamera(ROBOT, threads=1)
     parts = [alone.pictures(q[i : i + 1], TARGETS[i : i + 1], Views(*(x[i : i + 1] for x in views))) for i in range(4)]

@@ -123,7 +123,7 @@ def print_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str
     """Print a plain table."""
     table = Table(title=title, title_justify="left")
     for heading in headings:
-        table.add_column(heading)
+        table.add_column(heading, overflow="fold")
     for row in rows:
         table.add_row(*row)
     console.print(table)

@@ -74,7 +74,8 @@ def _settings(arguments: Eval, run: RunDirectory | None) -> RunConfig:
     Raises:
         InputError: no such run, one that is missing or not needed, or a robot that is not named right.
     """
-    named = {"task": arguments.task, "robot": arguments.robot}
+    arm = {name: vars(arguments)[name] for name in ("robot", "tool", "base", "package")}
+    named = {"task": arguments.task} | arm
     if run:
         if given := [f"--{name}" for name, value in named.items() if value]:
             raise InputError(f"a run has its own task and robot: leave {' and '.join(given)} out, or the run.")
@@ -83,7 +84,7 @@ def _settings(arguments: Eval, run: RunDirectory | None) -> RunConfig:
         others = ", ".join(name for name, entry in AGENTS.items() if not entry.trained)
         raise InputError(f"agent {needing[0]!r} needs a run: name its directory, or choose --agent among {others}.")
     config = preset(arguments.task or "tutorial")
-    return override(config, robot=arguments.robot) if arguments.robot else config
+    return override(config, **{name: value for name, value in arm.items() if value})
 
 
 def _evaluated_config(arguments: Eval, trained: RunConfig, name: str) -> RunConfig:

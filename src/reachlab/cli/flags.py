@@ -84,6 +84,12 @@ class Eval(Checked):
     """Task preset, where there is no run; see `reachlab list`."""
     robot: Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")] = None
     """Robot, where there is no run: a name of `reachlab list`, or the path of an MJCF or URDF file."""
+    tool: Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")] = None
+    """Its tool frame, a site or body; by default its own for the task."""
+    base: Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")] = None
+    """Body of its file that holds the arm; joints before it are locked."""
+    package: tuple[str, ...] = ()
+    """Folders of the ROS packages that its file names, each as NAME=FOLDER."""
     sim: Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")] = None
     """Simulator, or `all` of them; by default the run's own or the task's."""
     agent: Agents = ("trained",)
@@ -99,6 +105,26 @@ class Eval(Checked):
     """PyBullet: slow down to be followed by eye."""
     json: bool = False
     """Print the report as JSON on standard output; a list of them for several agents or simulators."""
+
+
+@dataclass(frozen=True)
+class ShowRobot(Checked):
+    """Show what is known of an arm, in the catalogue or in a file of your own: the first thing to do with a new one."""
+
+    robot: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|FILE", help_behavior_hint="")] = None
+    """Robot: a name of `reachlab list`, or the path of an MJCF or URDF file."""
+    task: Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")] = None
+    """Task whose tool frame is taken where the catalogue lists several; by default its first one."""
+    tool: Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")] = None
+    """Tool frame, a site or body; by default the catalogue's, or the one found in the file."""
+    base: Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")] = None
+    """Body of the file that holds the arm; joints before it are locked. By default its first."""
+    package: tuple[str, ...] = ()
+    """Folders of the ROS packages that the file names, each as NAME=FOLDER."""
+    out: Annotated[Path | None, Optional] = None
+    """Picture to write (.png): the arm at home, its workspace, and a target in the middle of its floor."""
+    json: bool = False
+    """Print all of it as one JSON object on standard output."""
 
 
 @dataclass(frozen=True)

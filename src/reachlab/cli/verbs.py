@@ -9,8 +9,9 @@ from typing import Any
 
 from reachlab.bench import SUITES, run_suite
 from reachlab.cli.eval_command import evaluate
-from reachlab.cli.flags import Bench, Distil, Eval, List, Plot, Train, Video, View
+from reachlab.cli.flags import Bench, Distil, Eval, List, Plot, ShowRobot, Train, Video, View
 from reachlab.cli.preparation import prepare
+from reachlab.cli.robot_command import robot
 from reachlab.cli.train_command import distil, train
 from reachlab.cli.watch_commands import plot, video, view
 
@@ -79,6 +80,7 @@ class Verb:
 
 
 VERBS: dict[str, Verb] = {
+    "robot": Verb(ShowRobot, robot),
     "train": Verb(Train, train),
     "distil": Verb(Distil, distil),
     "eval": Verb(Eval, evaluate),

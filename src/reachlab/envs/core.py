@@ -186,7 +186,7 @@ class Env:
             self._rendered(home, goal, np.zeros((1, SAMPLES)), np.zeros(1, int))
 
     def _rendered(self, q: np.ndarray, goal: Goal, samples: np.ndarray, indices: np.ndarray) -> np.ndarray:
-        views = make_views(samples)
+        views = make_views(samples, self.setup.robot)
         return develop(self.simulator.render_observations(q, goal, views, indices), views)
 
     # --- for callers ------------------------------------------------------------------------------

@@ -130,7 +130,8 @@ def check_reach(config: RunConfig) -> None:
         limits = "" if config.rules.hold_steps else f" inside its workspace, {workspace} m"
         raise InputError(
             f"none of the targets, {_point(low)} to {_point(high)} m, can be reached: the tool comes to none within"
-            f" the success distance of {setup.rules.success_distance:g} m{limits}."
+            f" the success distance of {setup.rules.success_distance:g} m{limits}; `reachlab robot {config.robot}`"
+            " shows its boxes."
         )
     lost = "; the others fail whatever is learnt" if found.reached < 1 - MOST_OUT_OF_REACH else ""
     log.warning("reachlab: the arm can reach %.3g %% of %d random targets%s.", 100 * found.reached, SAMPLES, lost)

@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 TARGET_RADIUS = 0.022
-"""Radius of the drawn target [m], or the success distance where that is smaller."""
+"""Radius of the drawn target [m], or the success distance where that is smaller. This and all other lengths here are
+for the tutorial's arm; beside another they are in proportion to its workspace."""
 
 Colour = tuple[float, float, float]
 """Red, green and blue, each 0 to 1."""

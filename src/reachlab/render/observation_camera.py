@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from reachlab.render.offscreen import gl_context
-from reachlab.render.scene import add_table
+from reachlab.render.scene import add_table, drawn_spec
 from reachlab.render.view_randomisation import ARM_GREYS, DARKEST, FIELD_OF_VIEW, LUMA, Views
 from reachlab.robots.robot import Robot
 from reachlab.tasks.observations import SIZE
@@ -144,7 +144,7 @@ TABLE, GROUND, TARGET = "reachlab_table", "reachlab_ground", "reachlab_target"
 
 def _model(robot: Robot) -> mujoco.MjModel:
     """The robot on a table, with the tutorial's object, a camera and a lamp; everything is grey."""
-    spec = robot.spec()
+    spec = drawn_spec(robot)
     world, quality = spec.worldbody, spec.visual.quality
     quality.numslices, quality.numstacks, quality.numquads = SLICES, STACKS, QUADS
     quality.offsamples = quality.shadowsize = 0

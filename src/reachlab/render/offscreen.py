@@ -11,12 +11,21 @@ import mujoco
 import numpy as np
 
 from reachlab.render.marks import BALL_OPACITY, PATH, PATH_RADIUS, TARGET_RADIUS, Marks
-from reachlab.render.scene import HEIGHT, WIDTH, scene_spec
+from reachlab.render.scene import HEIGHT, SHOWN_GROUPS, WIDTH, front, in_front, scene_spec
 from reachlab.robots.robot import Robot
 from reachlab.settings.validation import InputError
 
 EDGE, GEOM, DECORATION = int(mujoco.mjtObj.mjOBJ_SITE), int(mujoco.mjtObj.mjOBJ_GEOM), int(mujoco.mjtCatBit.mjCAT_DECOR)
 """The workspace's edges are sites. They and the ball are drawn as decoration: that throws no shadow."""
+
+LOOKS_AT, DISTANCE = (0.27, 0.0, 0.3), 1.75
+"""Point in the middle of a picture of the tutorial's arm, and how far the camera is from it, at least [m]."""
+
+AZIMUTH, ELEVATION = 130.0, -22.0
+"""Where the camera looks: about the vertical from the arm's front, and up [deg]."""
+
+FILLED = 0.94
+"""Share of the picture within which an arm at home lies."""
 
 MAX_GEOMS = 2000
 """Shapes that a picture may hold; a path that needs more of them is cut short."""
@@ -38,19 +47,19 @@ class Camera:
         spec.visual.global_.offwidth, spec.visual.global_.offheight = width, height
         self._model = spec.compile()
         self._data = mujoco.MjData(self._model)
-        self._joints = self._model.jnt_qposadr[: robot.chain.n]
+        self._joints, self._scale = self._model.jnt_qposadr[: robot.chain.n], robot.scale
         self._target, self._near = (self._model.geom(name).id for name in ("target", "near"))
         self._scene = mujoco.MjvScene(self._model, maxgeom=MAX_GEOMS)
         self._draw = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_150)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._draw)
         self._option, self._view = mujoco.MjvOption(), mujoco.MjvCamera()
-        centre = np.mean(robot.workspace, axis=0)
-        self._view.azimuth, self._view.elevation, self._view.distance = 130.0, -22.0, 1.75
-        self._view.lookat[:] = [centre[0] * 0.6, centre[1], 0.3]
+        self._view.azimuth, self._view.elevation = AZIMUTH + np.degrees(front(robot)), ELEVATION
+        self._view.lookat[:] = in_front(robot, LOOKS_AT)
+        self._view.distance = max(DISTANCE * robot.scale, self._needed(robot, width / height))
 
     def picture(self, q: np.ndarray, target: np.ndarray, marks: Marks | None = None) -> np.ndarray:
         """Picture `[height, width, 3]` uint8 of joints `q [n]` and a target `[3]`."""
-        marks = marks or Marks()
+        marks = marks or Marks(TARGET_RADIUS * self._scale)
         self._show_target(marks)
         self._data.qpos[self._joints] = q
         self._data.mocap_pos[0] = target
@@ -70,12 +79,32 @@ class Camera:
         mujoco.mjr_readPixels(pixels, None, viewport, self._draw)
         return np.flipud(pixels).copy()
 
+    def _needed(self, robot: Robot, aspect: float) -> float:
+        """Distance from which all of the arm at home and its workspace are seen [m]."""
+        model, data, view = self._model, self._data, self._view
+        data.qpos[self._joints] = robot.home
+        mujoco.mj_kinematics(model, data)
+        corners = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
+        points = list(np.array(robot.workspace_edges()).reshape(-1, 3))
+        for geom in np.flatnonzero(model.geom_group < len(SHOWN_GROUPS)):
+            if model.body_weldid[model.geom_bodyid[geom]]:
+                middle, half = model.geom_aabb[geom].reshape(2, 3)
+                inside = (middle + corners * half) @ data.geom_xmat[geom].reshape(3, 3).T
+                points += list(data.geom_xpos[geom] + inside)
+        around, up = np.radians([view.azimuth, view.elevation])
+        ahead = np.array([np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)])
+        right = np.array([np.sin(around), -np.cos(around), 0.0])
+        relative = np.array(points) - view.lookat
+        tall = FILLED * np.tan(np.radians(model.vis.global_.fovy / 2))
+        sideways, upright = np.abs(relative @ right) / (tall * aspect), np.abs(relative @ np.cross(right, ahead)) / tall
+        return float((np.maximum(sideways, upright) - relative @ ahead).max())
+
     def _show_target(self, marks: Marks) -> None:
-        model, wide = self._model, marks.success_distance > TARGET_RADIUS
-        model.geom_size[self._target, 0] = min(marks.success_distance, TARGET_RADIUS)
+        model, radius = self._model, TARGET_RADIUS * self._scale
+        model.geom_size[self._target, 0] = min(marks.success_distance, radius)
         model.geom_size[self._near, 0] = marks.success_distance
         model.geom_rgba[self._target] = [*marks.colour, 1]
-        model.geom_rgba[self._near] = [*marks.colour, BALL_OPACITY * wide]
+        model.geom_rgba[self._near] = [*marks.colour, BALL_OPACITY * (marks.success_distance > radius)]
 
     def _show_path(self, path: np.ndarray) -> None:
         scene, still, turned = self._scene, np.zeros(3), np.eye(3).ravel()
@@ -84,7 +113,7 @@ class Camera:
                 return
             line = scene.geoms[scene.ngeom]
             mujoco.mjv_initGeom(line, mujoco.mjtGeom.mjGEOM_CAPSULE, still, still, turned, np.array([*PATH, 1.0], "f4"))
-            mujoco.mjv_connector(line, mujoco.mjtGeom.mjGEOM_CAPSULE, PATH_RADIUS, start, end)
+            mujoco.mjv_connector(line, mujoco.mjtGeom.mjGEOM_CAPSULE, PATH_RADIUS * self._scale, start, end)
             line.category = DECORATION
             scene.ngeom += 1
 

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from reachlab.render.marks import BALL_OPACITY, TARGET_RADIUS, WAITING
-from reachlab.robots.robot import Robot
+from reachlab.robots.robot import TUTORIAL_WORKSPACE, Robot
 
 WIDTH, HEIGHT = 640, 480
 """Size of a picture [pixels]."""
@@ -16,17 +16,26 @@ WIDTH, HEIGHT = 640, 480
 TABLE_CENTRE, TABLE_SIZE, TABLE_COLOUR = (0.5, 0.0, -0.065), (0.75, 0.5, 0.035), (0.62, 0.65, 0.69, 1.0)
 """The table's slab [m]: its top, at z = -0.03, is where the tutorial's object, 2 cm thick, comes to rest."""
 
+GROUND = ((TUTORIAL_WORKSPACE[0][0] + TUTORIAL_WORKSPACE[1][0]) / 2, 0.0, 0.0)
+"""Middle of the floor of the tutorial's workspace [m]."""
+
+SHOWN_GROUPS = (0, 1, 2)
+"""Groups of geoms that MuJoCo shows at first."""
+
+ROD_RADIUS, ROD_COLOUR = 0.025, (0.75, 0.77, 0.8, 1.0)
+"""Radius [m] and colour of the rods that stand for an arm without shapes."""
+
 EDGE_RADIUS, EDGE_COLOUR = 0.002, (0.33, 0.37, 0.44, 1.0)
 """Radius [m] and colour of the workspace's drawn edges: wider than half a pixel, and darker than sky and table."""
 
 
-def scene_spec(robot: Robot, success_distance: float = TARGET_RADIUS) -> mujoco.MjSpec:
+def scene_spec(robot: Robot, success_distance: float | None = None) -> mujoco.MjSpec:
     """The robot on a table, with a target (mocap body `target`), the workspace's edges and light.
 
     The target's geoms are `target`, and `near`, the translucent ball in which the tool is near enough, where that is
-    the larger one.
+    the larger one; without a success distance [m] it is not.
     """
-    spec = robot.spec()
+    spec = drawn_spec(robot)
     world, visual = spec.worldbody, spec.visual
     visual.global_.offwidth, visual.global_.offheight = WIDTH, HEIGHT
     visual.headlight.ambient, visual.headlight.diffuse = [0.4] * 3, [0.3] * 3
@@ -52,11 +61,43 @@ def scene_spec(robot: Robot, success_distance: float = TARGET_RADIUS) -> mujoco.
     capsule, sphere = mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_SPHERE
     add_table(spec, robot)
     for start, end in robot.workspace_edges():
-        world.add_site(type=capsule, fromto=[*start, *end], size=[EDGE_RADIUS, 0, 0], rgba=EDGE_COLOUR)
+        world.add_site(type=capsule, fromto=[*start, *end], size=[EDGE_RADIUS * robot.scale, 0, 0], rgba=EDGE_COLOUR)
     target = world.add_body(name="target", mocap=True)
-    radius, opacity = min(success_distance, TARGET_RADIUS), BALL_OPACITY * (success_distance > TARGET_RADIUS)
-    target.add_geom(name="target", type=sphere, size=[radius, 0, 0], rgba=[*WAITING, 1], **drawn)
-    target.add_geom(name="near", type=sphere, size=[success_distance, 0, 0], rgba=[*WAITING, opacity], **drawn)
+    core = TARGET_RADIUS * robot.scale
+    near = core if success_distance is None else success_distance
+    target.add_geom(name="target", type=sphere, size=[min(near, core), 0, 0], rgba=[*WAITING, 1], **drawn)
+    opacity = BALL_OPACITY * (near > core)
+    target.add_geom(name="near", type=sphere, size=[near, 0, 0], rgba=[*WAITING, opacity], **drawn)
+    return spec
+
+
+def front(robot: Robot) -> float:
+    """Angle about the vertical from x to the way from the arm's first joint to the middle of its workspace [rad]."""
+    x, y = (np.mean(robot.workspace, axis=0) - robot.chain.frames[0][1])[:2]
+    return float(np.arctan2(y, x))
+
+
+def in_front(robot: Robot, point: tuple[float, ...]) -> np.ndarray:
+    """Where a point `[3]` m of the tutorial's scene lies for this arm: as `Robot.placed`, and turned to its front."""
+    cos, sin = np.cos(front(robot)), np.sin(front(robot))
+    turn, ground = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]), robot.placed(GROUND)
+    return robot.scale * turn @ point + (ground - robot.scale * turn @ GROUND)
+
+
+def drawn_spec(robot: Robot) -> mujoco.MjSpec:
+    """The robot's spec, with rods between its bodies where nothing that moves would be seen, as without meshes."""
+    spec = robot.spec()
+    model = spec.compile()
+    moved = [geom for geom in range(model.ngeom) if model.body_weldid[model.geom_bodyid[geom]]]
+    if any(model.geom_group[geom] in SHOWN_GROUPS and model.geom_rgba[geom, 3] for geom in moved):
+        return spec
+    bodies = spec.bodies
+    for body in range(1, model.nbody):
+        way, above = model.body_pos[body], bodies[int(model.body_parentid[body])]
+        if np.linalg.norm(way) > ROD_RADIUS * robot.scale:
+            rod: dict[str, Any] = {"type": mujoco.mjtGeom.mjGEOM_CAPSULE, "fromto": [0.0, 0.0, 0.0, *way]}
+            size = [ROD_RADIUS * robot.scale, 0, 0]
+            above.add_geom(**rod, size=size, rgba=ROD_COLOUR, contype=0, conaffinity=0, mass=0.0)
     return spec
 
 

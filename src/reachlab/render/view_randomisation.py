@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from reachlab.robots.robot import TUTORIAL_WORKSPACE, Robot
 from reachlab.tasks.observations import SIZE
 
 LOOKS_AT, DISTANCE, PITCH = (0.55, 0.0, 0.05), 0.7, -70.0
@@ -17,7 +18,8 @@ FIELD_OF_VIEW, NEAR, FAR = 60.0, 0.1, 100.0
 """Angle from the picture's lower to its upper edge [deg], near and far plane [m]. The tutorial's."""
 
 SHIFT, TURN = 0.02, 2.0
-"""Random views: the camera is displaced along and turned about each axis within this [m, deg]."""
+"""Random views: the camera is displaced along and turned about each axis within this [m, deg]; the former in proportion
+to the arm's workspace."""
 
 AMBIENT, AMBIENT_SPREAD = 0.45, 0.2
 """Light from everywhere, and how far it varies in random views [share of white]."""
@@ -95,20 +97,20 @@ class Views(NamedTuple):
     grain_corner: np.ndarray
 
 
-def make_views(samples: np.ndarray) -> Views:
-    """Views of `samples [B, SAMPLES]` in -1 to 1; zeros are the tutorial's view."""
+def make_views(samples: np.ndarray, robot: Robot) -> Views:
+    """Views on a robot of `samples [B, SAMPLES]` in -1 to 1; zeros are the tutorial's view."""
     ends = np.cumsum(list(SAMPLED.values()))
     parts = np.split(np.asarray(samples, np.float64), ends[:-1], axis=1)
     sampled = dict(zip(SAMPLED, parts, strict=True))
     single = {name: part[:, 0] for name, part in sampled.items() if SAMPLED[name] == 1}
-    position, rotation = tutorial_pose()
+    position, rotation = tutorial_pose(robot)
     turn = Rotation.from_rotvec(TURN * sampled["turn"], degrees=True).as_matrix()
 
     def grey(nominal: tuple[float, float], name: str) -> np.ndarray:
         return np.clip(nominal[0] + nominal[1] * single[name], DARKEST, 1.0)
 
     return Views(
-        position=position + SHIFT * sampled["shift"],
+        position=position + SHIFT * robot.scale * sampled["shift"],
         rotation=turn @ rotation,
         ambient=AMBIENT + AMBIENT_SPREAD * single["ambient"],
         lamp=LAMP + LAMP_SPREAD * single["lamp"],
@@ -138,12 +140,14 @@ def develop(pictures: np.ndarray, views: Views) -> np.ndarray:
     return out
 
 
-def tutorial_pose() -> tuple[np.ndarray, np.ndarray]:
-    """Position `[3]` m and rotation `[3, 3]` of the tutorial's camera."""
+def tutorial_pose(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
+    """Position `[3]` m and rotation `[3, 3]` of the tutorial's camera, so far away that it sees the arm's workspace."""
     pitch = np.radians(PITCH)
     back = np.array([np.cos(pitch), 0.0, -np.sin(pitch)])
     right = np.array([0.0, 1.0, 0.0])
-    return np.array(LOOKS_AT) + DISTANCE * back, np.stack([right, np.cross(back, right), back], axis=1)
+    sides, usual = (np.subtract(high, low)[:2] for low, high in (robot.workspace, TUTORIAL_WORKSPACE))
+    distance = DISTANCE * float(max(robot.scale, *(sides / usual)))
+    return robot.placed(LOOKS_AT) + distance * back, np.stack([right, np.cross(back, right), back], axis=1)
 
 
 def greys(pictures: np.ndarray) -> np.ndarray:

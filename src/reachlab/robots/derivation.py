@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
+import logging
 from collections.abc import Callable
 
 import mujoco
@@ -16,7 +17,9 @@ from reachlab.robots.isolation import apply
 from reachlab.robots.model_file import ModelFile
 from reachlab.robots.workspace import Derived, derive
 
-VERSION = 4
+logger = logging.getLogger(__name__)
+
+VERSION = 5
 """Of the derivation: what an older one left in the cache is derived again."""
 
 RANDOM_POSES = 30
@@ -35,6 +38,7 @@ def derived(file: ModelFile, arm: Arm, speed: tuple[float, ...]) -> Derived:
     kept = cache_folder() / "robots" / f"{hashlib.sha256(repr(asked).encode()).hexdigest()[:32]}.json"
     with contextlib.suppress(OSError, ValueError, TypeError, AttributeError):
         return _tuples(json.loads(kept.read_text()))
+    logger.warning("reachlab: finding home and workspace of %s: a few seconds, once.", file.file.name)
     found = derive(arm.chain, np.array(speed), arm.base, arm.home, untouching(file, arm))
     with contextlib.suppress(OSError):
         kept.parent.mkdir(parents=True, exist_ok=True)

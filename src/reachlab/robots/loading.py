@@ -57,7 +57,7 @@ def load_robot(
         choose("robot", name, [*ROBOTS, "a path to an .xml or .urdf file"])
     if known and not tool:
         tool = known.tools.get(kind or "") or next(iter(known.tools.values()))
-    return _load(name, tool, base, tuple(packages))
+    return _load(name if known else str(Path(name).absolute()), tool, base, tuple(packages))
 
 
 def _folders(packages: Sequence[str]) -> dict[str, Path]:
@@ -76,12 +76,14 @@ def _load(name: str, tool: str | None, base: str | None, packages: tuple[str, ..
     try:
         arm = find_arm(file, tool, base)
     except ValueError as error:
-        raise InputError(f"robot {name!r}: {' '.join(str(error).split()).rstrip('.')}.") from None
+        found = f"; `reachlab robot {name}` shows the frame that is found by itself" if tool else ""
+        raise InputError(f"robot {name!r}: {' '.join(str(error).split()).rstrip('.')}{found}.") from None
     listed = known or KnownRobot(file.file, "", {})
     speed, torque, sources = _limits(file, arm, listed)
     loads = find_loads(arm.model, range(arm.chain.n), arm.tool_body)
     usable = np.where(np.isinf(torque), default_torques(loads), torque)
-    load = payload(loads, usable)
+    mass = float(arm.model.body_subtreemass[arm.model.jnt_bodyid[0]])
+    load = payload(loads, usable, mass)
     gains, servoed = servos(loads, usable, load), own_servos(arm.model, range(arm.chain.n))
     added = {own: gains[i] for i, own in enumerate(arm.isolation.joints) if i not in servoed}
     places, notices = _places(file, arm, listed, speed), [*file.notices, *arm.notices]
@@ -102,7 +104,7 @@ def _load(name: str, tool: str | None, base: str | None, packages: tuple[str, ..
         workspace=places.workspace,
         goal_box=places.goal_box,
         held_quaternion=places.held_quaternion,
-        mass=float(arm.model.body_subtreemass[arm.model.jnt_bodyid[0]]),
+        mass=mass,
         payload=load,
         isolation=replace(arm.isolation, servos=added),
         sources=sources,

@@ -28,8 +28,8 @@ ACCELERATION, LEAST_TORQUE = 20.0, 0.05
 """And at least what accelerates the joint so, with the largest inertia [rad/s² or m/s²]; never less than that torque
 [Nm or N]."""
 
-LARGEST_PAYLOAD = 2.0
-"""Payload that arms vary by at most [kg]."""
+LARGEST_PAYLOAD, OF_MASS = 2.0, 0.1
+"""Payload that arms vary by at most [kg], and in shares of the mass that the joints move."""
 
 SPARED = 0.7
 """Share of a joint's torque that holding the arm and its largest payload may take, in half of all poses."""
@@ -84,10 +84,15 @@ def default_torques(loads: Loads) -> np.ndarray:
     return np.maximum(HOLDING * loads.gravity.max(axis=0), accelerating)
 
 
-def payload(loads: Loads, torque: np.ndarray) -> float:
-    """Payload that an arm with these torque limits `[n]` can hold almost everywhere, at most `LARGEST_PAYLOAD` [kg]."""
+def payload(loads: Loads, torque: np.ndarray, mass: float) -> float:
+    """Payload [kg] that joints with torque limits `[n]`, which move a mass [kg], can hold almost everywhere."""
     spared = np.maximum(SPARED * torque - loads.gravity, 0.0) / np.maximum(loads.lifting, TINY)
-    return float(min(np.median(spared.min(axis=1)), LARGEST_PAYLOAD))
+    return float(min(np.median(spared.min(axis=1)), LARGEST_PAYLOAD, OF_MASS * mass))
+
+
+def largest_inertia(loads: Loads, load: float) -> np.ndarray:
+    """The most that each joint has to move with a payload [kg], `[n]` [kg m² or kg]."""
+    return (loads.inertia + load * (np.square(loads.arm) + BALL)).max(axis=0)
 
 
 def servos(loads: Loads, torque: np.ndarray, load: float) -> list[Servo]:
@@ -97,8 +102,7 @@ def servos(loads: Loads, torque: np.ndarray, load: float) -> list[Servo]:
     torque allows; the damping is 2 × ratio / frequency × stiffness.
     """
     held = (loads.gravity + load * loads.lifting).max(axis=0)
-    moved = (loads.inertia + load * (np.square(loads.arm) + BALL)).max(axis=0)
-    stiffness = np.maximum(moved * NATURAL_FREQUENCY**2, held / LARGEST_SAG)
+    stiffness = np.maximum(largest_inertia(loads, load) * NATURAL_FREQUENCY**2, held / LARGEST_SAG)
     stiffness = np.minimum(stiffness, torque / SATURATION)
     lag = 2 * DAMPING_RATIO / NATURAL_FREQUENCY
     return [Servo(float(k), float(lag * k), float(most)) for k, most in zip(stiffness, torque, strict=True)]

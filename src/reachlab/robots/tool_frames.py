@@ -113,6 +113,11 @@ def words(name: str) -> list[str]:
     return [word.lower() for word in re.findall(r"[A-Z]+(?![a-z])[0-9]*|[A-Z]?[a-z]+[0-9]*|[0-9]+", name)]
 
 
+def like_a_tool(name: str) -> bool:
+    """Whether a frame is named like a tool."""
+    return _rank(name) is not None
+
+
 def _rank(name: str) -> int | None:
     """Place in `TOOL_NAMES` of the first entry whose words stand in a name."""
     own = words(name)

@@ -223,10 +223,17 @@ class RunConfig(Checked):
     ppo: PPOConfig = field(default_factory=PPOConfig)
 
     def __post_init__(self) -> None:
-        """Check every field, and remember a robot's file so that it is found from any folder."""
+        """Check every field, and remember a robot's file and packages so that they are found from any folder."""
         super().__post_init__()
         if is_robot_file(self.robot):
             object.__setattr__(self, "robot", str(Path(self.robot).absolute()))
+        object.__setattr__(self, "package", tuple(map(_absolute, self.package)))
+
+
+def _absolute(package: str) -> str:
+    """A package NAME=FOLDER with the folder's absolute path."""
+    name, equals, folder = package.partition("=")
+    return f"{name}={Path(folder).absolute()}" if equals and folder else package
 
 
 def is_robot_file(robot: str) -> bool:

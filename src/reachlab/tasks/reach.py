@@ -137,7 +137,7 @@ def _asks(rules: Rules, period: float) -> str:
     box = f"the box from {rules.target_low} to {rules.target_high} m" if rules.target_low else "the arm's box"
     where = f"in {box}" if rules.targets == "box" else f"on the {rules.targets}"
     if not rules.hold_steps:
-        near = f"{1000 * rules.success_distance:g} mm"
+        near = f"{1000 * rules.success_distance:.4g} mm"
         return f"touch a point {where}: the tool comes within {near} of it, in at most {steps}"
     return f"hold a point {where}: {_held(rules, period)}; an episode has {steps}"
 
@@ -145,12 +145,12 @@ def _asks(rules: Rules, period: float) -> str:
 def _succeeds(rules: Rules, period: float) -> str:
     if rules.hold_steps:
         return f"at the end {_held(rules, period)}"
-    return f"the tool comes within {1000 * rules.success_distance:g} mm of the target, which ends the episode"
+    return f"the tool comes within {1000 * rules.success_distance:.4g} mm of the target, which ends the episode"
 
 
 def _held(rules: Rules, period: float) -> str:
     return (
-        f"the tool has been within {1000 * rules.success_distance:g} mm for {rules.hold_steps} steps"
+        f"the tool has been within {1000 * rules.success_distance:.4g} mm for {rules.hold_steps} steps"
         f" ({rules.hold_steps * period:.2g} s), no joint faster than {rules.hold_speed:g} rad/s"
     )
 

@@ -12,11 +12,10 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from reachlab.render.scene import SHOWN_GROUPS
+
 SEGMENTS = 32
 """Sides of a round shape; its profile has half as many."""
-
-SHOWN_GROUPS = (0, 1, 2)
-"""Groups of geoms that MuJoCo's own viewer shows at first."""
 
 Mesh = tuple[np.ndarray, np.ndarray]
 """Vertices `[v, 3]` [m] and the three vertices of each face `[f, 3]`, counter-clockwise from outside."""

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from reachlab.render import view_randomisation as views
 from reachlab.render.marks import PATH, Colour, Marks
-from reachlab.render.scene import TABLE_CENTRE, TABLE_SIZE, scene_spec
+from reachlab.render.scene import TABLE_CENTRE, TABLE_SIZE, in_front, scene_spec
 from reachlab.robots.robot import Robot
 from reachlab.watch.player import Moment
 from reachlab.watch.solids import Solid, solids
@@ -72,7 +72,7 @@ class Stage:
 
     def __init__(self, server: viser.ViserServer, robot: Robot, success_distance: float) -> None:
         """Stage with the arm at home; the target shows with the first moment, in a ball of the success distance [m]."""
-        self._scene = server.scene
+        self._scene, self._robot = server.scene, robot
         self._model = scene_spec(robot, success_distance).compile()
         self._data = mujoco.MjData(self._model)
         self._joints = self._model.jnt_qposadr[: robot.chain.n]
@@ -83,28 +83,33 @@ class Stage:
         self._frames = [self._scene.add_frame(self._name(body), show_axes=False) for body in range(self._model.nbody)]
         parts = [(solid.body, self._add(number, solid)) for number, solid in enumerate(solids(self._model))]
         edges = np.array(robot.workspace_edges(), np.float32)
-        self.workspace = self._scene.add_line_segments("/workspace", edges, EDGES, thickness=EDGE_WIDTH)
+        self.workspace = self._scene.add_line_segments("/workspace", edges, EDGES, thickness=EDGE_WIDTH * robot.scale)
         target = self._model.body("target").id
         self._target, self.balls = self._frames[target], [mesh for body, mesh in parts if body == target]
         self._target.visible = False
         # Not a child of the target: a recording moves children only when they themselves change.
         self.label = self._scene.add_label("/label", "", anchor="top-center", visible=False)
         self._heading: viser.LabelHandle | None = None
-        self._axes = self._scene.add_frame("/tool", axes_length=AXES_LENGTH, axes_radius=AXES_RADIUS, visible=False)
+        length, radius = AXES_LENGTH * robot.scale, AXES_RADIUS * robot.scale
+        self._axes = self._scene.add_frame("/tool", axes_length=length, axes_radius=radius, visible=False)
         self._place(np.array(robot.home), None)
 
     def add_handle(self, free: Sequence[bool]) -> viser.TransformControlsHandle:
         """Handle by which a person moves the target, along the axes x, y, z that are free."""
         x, y, z = free
         return self._scene.add_transform_controls(
-            "/handle", scale=HANDLE_SIZE, active_axes=(x, y, z), disable_rotations=True, depth_test=False
+            "/handle",
+            scale=HANDLE_SIZE * self._robot.scale,
+            active_axes=(x, y, z),
+            disable_rotations=True,
+            depth_test=False,
         )
 
     def show(self, moment: Moment, *, axes: bool = False, observation: np.ndarray | None = None) -> None:
         """Show a moment, and in front of the observation camera its picture, `[height, width, 3]` uint8."""
         self._place(moment.q, moment.target)
         self._target.visible, self.label.visible, self._axes.visible = True, True, axes
-        self.label.position = moment.target + np.array(LABEL_BELOW)
+        self.label.position = moment.target + self._robot.scale * np.array(LABEL_BELOW)
         self._axes.position, self._axes.wxyz = moment.tool, moment.orientation
         for ball in self.balls:
             ball.color = _bytes(Marks(reached=moment.reached).colour)
@@ -115,7 +120,8 @@ class Stage:
     def head(self, text: str) -> None:
         """Write a text above the scene."""
         if self._heading is None:
-            self._heading = self._scene.add_label("/heading", text, position=HEADING_AT, anchor="bottom-center")
+            place = in_front(self._robot, HEADING_AT)
+            self._heading = self._scene.add_label("/heading", text, position=place, anchor="bottom-center")
         self._heading.text = text
 
     def cast_shadows(self, cast: bool) -> None:
@@ -123,16 +129,23 @@ class Stage:
         self._scene.configure_default_lights(cast_shadow=cast)
 
     def _set_view(self, server: viser.ViserServer) -> None:
-        camera = server.initial_camera
-        camera.position, camera.look_at, camera.fov = VIEW_FROM, VIEW_TO, FIELD_OF_VIEW
+        camera, robot = server.initial_camera, self._robot
+        camera.position, camera.look_at, camera.fov = (
+            in_front(robot, VIEW_FROM),
+            in_front(robot, VIEW_TO),
+            FIELD_OF_VIEW,
+        )
         self._scene.world_axes.visible = False
         # Without a graphics card an environment map or shadows take longer to draw than all the rest.
         self._scene.configure_environment_map(None)
         self.cast_shadows(False)
         self._scene.add_light_hemisphere("/sky", sky_color=SKY, ground_color=GROUND, intensity=SKY_INTENSITY)
-        ground = (0.0, 0.0, TABLE_CENTRE[2] - TABLE_SIZE[2])
         self._scene.add_grid(
-            "/ground", infinite_grid=True, cell_size=GRID_CELL, fade_distance=GRID_FADE, position=ground
+            "/ground",
+            infinite_grid=True,
+            cell_size=GRID_CELL * robot.scale,
+            fade_distance=GRID_FADE * robot.scale,
+            position=robot.placed((0.0, 0.0, TABLE_CENTRE[2] - TABLE_SIZE[2])),
         )
 
     def _name(self, body: int) -> str:
@@ -159,14 +172,14 @@ class Stage:
 
     def _show_observation(self, picture: np.ndarray) -> None:
         if self.camera is None:
-            position, rotation = views.tutorial_pose()
+            position, rotation = views.tutorial_pose(self._robot)
             down_and_ahead = rotation * (1, -1, -1)
             self.camera = self._scene.add_camera_frustum(
                 "/camera",
                 fov=np.radians(views.FIELD_OF_VIEW),
                 aspect=1.0,
-                scale=CAMERA_LENGTH,
-                thickness=CAMERA_WIDTH,
+                scale=CAMERA_LENGTH * self._robot.scale,
+                thickness=CAMERA_WIDTH * self._robot.scale,
                 color=CAMERA,
                 image=picture,
                 format="png",
@@ -184,7 +197,9 @@ class Stage:
         corners = np.array([path[0], *path], np.float32)
         points = np.stack([corners[:-1], corners[1:]], axis=1)
         if self.path is None:
-            self.path = self._scene.add_line_segments("/path", points, _bytes(PATH), thickness=PATH_WIDTH)
+            self.path = self._scene.add_line_segments(
+                "/path", points, _bytes(PATH), thickness=PATH_WIDTH * self._robot.scale
+            )
         else:
             self.path.points = points
 

@@ -1,0 +1,258 @@
+"""The verb `robot`: what is known of an arm, and where each figure comes from."""
+
+from __future__ import annotations
+
+import json as jsonlib
+import math
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from reachlab.cli.flags import ShowRobot
+from reachlab.cli.preparation import prepare
+from reachlab.settings.config import RunConfig
+from reachlab.settings.json_form import override
+from reachlab.settings.presets import preset
+from reachlab.settings.validation import InputError, choose
+from reachlab.tasks import TASKS
+
+if TYPE_CHECKING:
+    from reachlab.robots.robot import Robot
+
+MARKS = {"model file": "f", "catalogue": "c", "derived": "d", "default": "*"}
+"""Where a figure of the table comes from, in a letter."""
+
+PICTURE_WIDTH, PICTURE_HEIGHT = 960, 720
+"""Size of the written picture [pixels]."""
+
+MOST_FRAMES = 12
+"""Tool frames that are named to a person."""
+
+
+def robot(arguments: ShowRobot) -> None:
+    """Run `reachlab robot`.
+
+    Raises:
+        InputError: no robot is named, it cannot be used, or the picture cannot be written.
+    """
+    prepare()
+    from reachlab.robots.catalogue import ROBOTS
+
+    if not arguments.robot:
+        raise InputError(f"robot needs one: name {', '.join(ROBOTS)}, or the path of an MJCF or URDF file.")
+    if arguments.task:
+        choose("task", arguments.task, TASKS)
+    if arguments.out:
+        _check_picture(arguments.out)
+    from reachlab.cli.console import note, say
+    from reachlab.robots.loading import load_robot
+
+    kind = TASKS[arguments.task].load().tool if arguments.task else None
+    shown = load_robot(
+        arguments.robot, arguments.tool, kind=kind, base=arguments.base, packages=_absolute(arguments).package
+    )
+    facts = _facts(arguments, shown)
+    if arguments.out:
+        _draw(shown, arguments.out)
+    if arguments.json:
+        print(jsonlib.dumps(facts))
+        return
+    _print(facts)
+    if arguments.out:
+        say(f"Written: {arguments.out}")
+    note(f"Next: {facts['next']}")
+
+
+def _absolute(arguments: ShowRobot) -> RunConfig:
+    """Settings of a run with the arm that the flags name."""
+    named = {name: vars(arguments)[name] for name in ("robot", "tool", "base", "package")}
+    return override(preset(arguments.task or "tutorial"), **{name: value for name, value in named.items() if value})
+
+
+# --- facts ----------------------------------------------------------------------------------------
+
+
+def _facts(arguments: ShowRobot, robot: Robot) -> dict[str, Any]:
+    """Everything that is told, as plain data; figures that are infinite are None."""
+    from reachlab.robots.catalogue import ROBOTS
+    from reachlab.robots.tool_frames import like_a_tool
+
+    known = ROBOTS.get(arguments.robot or "")
+    found = "named like a tool" if like_a_tool(robot.tool) else "the last body before the gripper"
+    boxes = {
+        name: {"low": box[0], "high": box[1], "source": robot.sources[name], "share": robot.shares.get(name)}
+        for name, box in (("workspace", robot.workspace), ("goal_box", robot.goal_box))
+    }
+    return {
+        "name": robot.name,
+        "file": str(robot.model.file),
+        "kind": robot.model.kind,
+        "tool": robot.tool,
+        "tool_found": "told" if arguments.tool else "catalogue" if known else found,
+        "catalogue_tools": dict(known.tools) if known else {},
+        "tool_frames": _frames(robot),
+        "joints": _joints(robot),
+        "mass": robot.mass,
+        "payload": robot.payload,
+        **boxes,
+        "scale": robot.scale,
+        "tasks": _tasks(arguments),
+        "notices": robot.notices,
+        "next": _next(arguments),
+    }
+
+
+def _frames(robot: Robot) -> list[str]:
+    """Sites and bodies that all of the arm's joints move, but the tool."""
+    model = robot.spec(pictures=False).compile()
+    last = {int(model.jnt_bodyid[robot.chain.n - 1])}
+    for body in range(1, model.nbody):  # bodies follow those that hold them
+        if int(model.body_parentid[body]) in last:
+            last.add(body)
+    names = [model.site(site).name for site in range(model.nsite) if int(model.site_bodyid[site]) in last]
+    names += [model.body(body).name for body in sorted(last)]
+    return [str(name) for name in dict.fromkeys(names) if name not in ("", robot.tool)]
+
+
+def _joints(robot: Robot) -> list[dict[str, Any]]:
+    """Each joint's limits [rad or m], servo and home."""
+    import numpy as np
+
+    from reachlab.robots.isolation import own_servos
+    from reachlab.robots.servos import find_loads, largest_inertia
+
+    model, chain = robot.spec(pictures=False).compile(), robot.chain
+    actuators = own_servos(model, range(chain.n))
+    sites = {model.site(site).name: int(model.site_bodyid[site]) for site in range(model.nsite)}
+    body = sites[robot.tool] if robot.tool in sites else int(model.body(robot.tool).id)
+    inertia = largest_inertia(find_loads(model, range(chain.n), body), robot.payload)
+    facts = []
+    for joint, name in enumerate(robot.joint_names):
+        stiffness = float(model.actuator_gainprm[actuators[joint], 0])
+        own = float(model.dof_damping[model.jnt_dofadr[joint]])
+        damping = own - float(model.actuator_biasprm[actuators[joint], 2])
+        sources = {what: robot.sources[what][joint] for what in ("position", "speed", "torque")}
+        sources["servo"] = "derived" if robot.isolation.joints[joint] in robot.isolation.servos else "model file"
+        torque = robot.torque[joint]
+        facts.append(
+            {
+                "name": name,
+                "type": "slide" if chain.slides[joint] else "hinge",
+                "lower": chain.lower[joint],
+                "upper": chain.upper[joint],
+                "speed": robot.speed[joint],
+                "torque": torque if math.isfinite(torque) else None,
+                "stiffness": stiffness,
+                "damping": damping,
+                "frequency": float(np.sqrt(stiffness / inertia[joint])),
+                "lag": damping / stiffness,
+                "home": robot.home[joint],
+                "sources": sources | {"home": robot.sources["home"]},
+            }
+        )
+    return facts
+
+
+def _tasks(arguments: ShowRobot) -> dict[str, dict[str, Any]]:
+    """What the tasks ask of the arm, and the lengths that follow from its size."""
+    from reachlab.envs.setup import make_setup
+
+    tasks = {}
+    arm = _absolute(arguments)
+    for name in (arguments.task,) if arguments.task else TASKS:
+        given = {"robot": arm.robot, "tool": arm.rules.tool, "base": arm.base, "package": arm.package}
+        setup = make_setup(override(preset(name), **given))
+        tasks[name] = {
+            "tool": setup.robot.tool,
+            "asks": setup.task.asks(setup.rules, setup.period),
+            "success_distance": setup.rules.success_distance,
+            "tool_scale": setup.rules.tool_scale,
+        }
+    return tasks
+
+
+def _next(arguments: ShowRobot) -> str:
+    """The command that trains a policy for this arm."""
+    words = ["reachlab", "train", "--robot", arguments.robot or ""]
+    for flag in ("task", "tool", "base"):
+        if value := vars(arguments)[flag]:
+            words += [f"--{flag}", value]
+    words += ["--package", *arguments.package] if arguments.package else []
+    return shlex.join(words)
+
+
+# --- the picture ----------------------------------------------------------------------------------
+
+
+def _check_picture(out: Path) -> None:
+    if out.suffix.lower() != ".png":
+        raise InputError(f"the picture cannot be written to '{out}': name a file that ends in .png.")
+    if not out.parent.is_dir():
+        raise InputError(f"the picture cannot be written to '{out}': there is no folder '{out.parent}'.")
+
+
+def _draw(robot: Robot, out: Path) -> None:
+    import numpy as np
+    from PIL import Image
+
+    from reachlab.render.offscreen import Camera
+
+    low, high = np.array(robot.workspace)
+    camera = Camera(robot, PICTURE_WIDTH, PICTURE_HEIGHT)
+    picture = camera.picture(np.array(robot.home), np.array([*((low + high) / 2)[:2], low[2]]))
+    camera.close()
+    Image.fromarray(picture).save(out)
+
+
+# --- for a person ---------------------------------------------------------------------------------
+
+
+def _print(facts: dict[str, Any]) -> None:
+    from reachlab.cli.console import note, print_table, say
+    from reachlab.robots.urdf import some
+
+    say(f"{facts['name']}: {facts['kind']}, {facts['file']}")
+    kinds = ", ".join(f"{tool} ({kind})" for kind, tool in facts["catalogue_tools"].items())
+    say(f"Tool frame: {facts['tool']} ({facts['tool_found']}){f', of {kinds}' if kinds else ''}.")
+    if facts["tool_frames"]:
+        say(f"Other frames for --tool: {some(facts['tool_frames'], MOST_FRAMES)}.")
+    headings = ("joint", "limits", "speed", "torque", "stiffness, damping", "frequency, lag", "home")
+    print_table("", headings, [_row(joint) for joint in facts["joints"]])
+    say(
+        "f model file, c catalogue, d derived, * a default: check it. Servos: stiffness [Nm/rad or N/m], damping"
+        " [Nm s/rad or N s/m],\nnatural frequency at the largest inertia, and lag behind a moving command."
+    )
+    say(f"Moved mass {facts['mass']:.3g} kg; payload up to {facts['payload']:.2g} kg, which is derived.")
+    for name, box in (("Workspace", facts["workspace"]), ("Box of goals", facts["goal_box"])):
+        share = "" if box["share"] is None else f"; {100 * box['share']:.4g} % of it can be reached"
+        say(f"{name}: {_point(box['low'])} to {_point(box['high'])} m, {box['source']}{share}.")
+    say(f"Size: {facts['scale']:.3g} times the tutorial's arm, and so are the lengths of its task.")
+    for name, task in facts["tasks"].items():
+        say(f"Task {name}, with {task['tool']}: {task['asks']}.")
+        if name == "tutorial":
+            say(f"  An action of 1 displaces the tool by {1000 * task['tool_scale']:.3g} mm.")
+    for notice in facts["notices"]:
+        note(f"Note: {notice}")
+
+
+def _row(joint: dict[str, Any]) -> tuple[str, ...]:
+    slide, marks = joint["type"] == "slide", {what: MARKS[source] for what, source in joint["sources"].items()}
+    turn, unit, digits = (1.0, " m", 3) if slide else (180 / math.pi, "°", 1)
+
+    def place(value: float) -> str:
+        return f"{turn * value:.{digits}f}"
+
+    force = "none" if joint["torque"] is None else f"{joint['torque']:.4g} {'N' if slide else 'Nm'}"
+    return (
+        joint["name"],
+        f"{place(joint['lower'])} to {place(joint['upper'])}{unit} {marks['position']}",
+        f"{turn * joint['speed']:.3g}{unit}/s {marks['speed']}",
+        f"{force} {marks['torque']}",
+        f"{joint['stiffness']:,.4g}, {joint['damping']:,.4g} {marks['servo']}",
+        f"{joint['frequency']:.3g} rad/s, {joint['lag']:.2g} s",
+        f"{place(joint['home'])}{unit} {marks['home']}",
+    )
+
+
+def _point(corner: tuple[float, ...]) -> str:
+    return "(" + ", ".join(f"{value:.3g}" for value in corner) + ")"
