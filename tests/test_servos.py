@@ -142,7 +142,8 @@ def test_payload_and_torque_of_a_pendulum(tmp_path: Path) -> None:
     loads = find_loads(arm.model, range(1), arm.tool_body)
     holding = 2 * 9.81 * 0.5
     np.testing.assert_allclose(default_torques(loads), 3 * holding, rtol=1e-3)
-    assert payload(loads, np.array([1e3])) == 2.0, "the largest that arms vary by"
-    assert payload(loads, np.array([holding / 2])) == pytest.approx(0.0, abs=0.2)
-    some = [payload(loads, np.array([torque])) for torque in (10.0, 15.0, 20.0)]
+    assert payload(loads, np.array([1e3]), 100.0) == 2.0, "the largest that arms vary by"
+    assert payload(loads, np.array([1e3]), 4.0) == pytest.approx(0.4), "a tenth of the arm"
+    assert payload(loads, np.array([holding / 2]), 100.0) == pytest.approx(0.0, abs=0.2)
+    some = [payload(loads, np.array([torque]), 100.0) for torque in (10.0, 15.0, 20.0)]
     assert some == sorted(some)
