@@ -16,6 +16,9 @@ WIDTH, HEIGHT = 640, 480
 TABLE_CENTRE, TABLE_SIZE, TABLE_COLOUR = (0.5, 0.0, -0.065), (0.75, 0.5, 0.035), (0.62, 0.65, 0.69, 1.0)
 """The table's slab [m]: its top, at z = -0.03, is where the tutorial's object, 2 cm thick, comes to rest."""
 
+FOOTING = 0.25
+"""The table reaches so far behind the tutorial's arm [m]."""
+
 GROUND = ((TUTORIAL_WORKSPACE[0][0] + TUTORIAL_WORKSPACE[1][0]) / 2, 0.0, 0.0)
 """Middle of the floor of the tutorial's workspace [m]."""
 
@@ -102,13 +105,17 @@ def drawn_spec(robot: Robot) -> mujoco.MjSpec:
 
 
 def add_table(spec: mujoco.MjSpec, robot: Robot, *, solid: bool = False) -> mujoco.MjsGeom:
-    """Put a table under the arm's workspace; a solid one stops what touches it."""
-    touch = int(solid)
+    """Put a table under the arm and its workspace; a solid one stops what touches it."""
+    touch, turn, centre = int(solid), front(robot) / 2, in_front(robot, TABLE_CENTRE)
+    size = robot.scale * np.array(TABLE_SIZE)
+    foot = float(np.linalg.norm((centre - robot.chain.frames[0][1])[:2]))
+    size[0] = max(size[0], foot + FOOTING * robot.scale)
     return spec.worldbody.add_geom(
         type=mujoco.mjtGeom.mjGEOM_BOX,
         contype=touch,
         conaffinity=touch,
-        pos=robot.placed(TABLE_CENTRE),
-        size=robot.scale * np.array(TABLE_SIZE),
+        pos=centre,
+        quat=[np.cos(turn), 0.0, 0.0, np.sin(turn)],
+        size=size,
         rgba=TABLE_COLOUR,
     )

@@ -10,7 +10,7 @@ import numpy as np
 from jax import Array
 
 from reachlab.robots.chain import Chain
-from reachlab.robots.kinematics import approach_axis, forward_kinematics, jacobian
+from reachlab.robots.kinematics import approach_axis, components, forward_kinematics, frames_at, jacobian
 
 SAMPLES = 8192
 """Random joint vectors from which homes are found."""
@@ -46,6 +46,9 @@ COMFORTABLE = 0.3
 BENT = 0.5
 """Joints this far from the middle of their limits, in root mean square, make a home half as good [share of pi]."""
 
+HANGING = 0.05
+"""Joints may be so far below the second one, which is the shoulder of most arms [share of the reach]."""
+
 APART = 0.6
 """Homes that are tried differ in a joint by at least this [rad or m]."""
 
@@ -56,14 +59,17 @@ TRIED = 64
 def turned_candidates(chain: Chain, base: np.ndarray, sampled: Array, tilt: Array) -> tuple[Array, ...]:
     """Joint vectors `sampled [B, n]` with the tool turned to a tilt, for `Candidates`.
 
-    With them come the tool's position, the Gram matrix of its Jacobian, what is left of the turn, and where it was.
+    With them come the tool's position, the Gram matrix of its Jacobian, what is left of the turn, how far the arm hangs
+    below its second joint, and where the tool was.
     """
     q = jax.lax.fori_loop(0, TURNS, lambda _, q: _turned(chain, base, q, tilt), sampled)
     off = jnp.linalg.norm(_turn(chain, base, q, tilt)[0], axis=-1)
     q = jnp.where((off < TURNED).any(), q, sampled)  # an arm that cannot turn its tool so stays off its limits
     pose, columns = forward_kinematics(chain, q), jacobian(chain, q)[..., :3, :]
     gram = jnp.einsum("bij,bkj->bik", columns, columns)
-    return q, pose.position, gram, off, forward_kinematics(chain, sampled).position
+    heights = [jnp.broadcast_to(origin.z, off.shape) for origin in frames_at(chain, components(q)).origins]
+    hangs = heights[min(1, chain.n - 1)] - jnp.stack(heights[1:] or heights).min(axis=0)
+    return q, pose.position, gram, off, hangs, forward_kinematics(chain, sampled).position
 
 
 class Candidates:
@@ -86,7 +92,7 @@ class Candidates:
         lower, upper = np.maximum(lower, middle - WIDEST), np.minimum(upper, middle + WIDEST)
         sampled = np.random.default_rng(0).uniform(lower, upper, (SAMPLES, chain.n)).astype(np.float32)
         found = [[np.asarray(part, np.float64) for part in find(sampled, np.float32(tilt))] for tilt in tilts]
-        q, self._position, gram, off, anywhere = map(np.concatenate, zip(*found, strict=True))
+        q, self._position, gram, off, hangs, anywhere = map(np.concatenate, zip(*found, strict=True))
         self._tilt = np.repeat(tilts, SAMPLES)
         self.reach = float(np.quantile(np.linalg.norm(anywhere - base, axis=1), REACH))
         half = np.maximum((np.array(chain.upper) - np.array(chain.lower)) / 2, TINY)
@@ -98,6 +104,8 @@ class Candidates:
         self._worth = np.clip(to_limit.min(axis=1) / COMFORTABLE, 0.0, 1.0) * able / (1 + bent)
         if (off < TURNED).any():  # else an arm that cannot turn its tool so: any orientation will do
             self._worth[off >= TURNED] = 0.0
+        if self._worth[upright := hangs < HANGING * self.reach].any():
+            self._worth[~upright] = 0.0
 
     def best(self, turn: float, tilt: float, free: Callable[[np.ndarray], bool], most: int) -> list[np.ndarray]:
         """The best joint vectors `[n]`, unlike each other, with the front turned by an angle about the vertical."""
