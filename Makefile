@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 RUN := runs/demo-$(shell date +%Y%m%d-%H%M%S)
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 
-.PHONY: demo test lint types unit bench bench-viewer fuzz trust clean
+.PHONY: demo test lint types unit bench bench-viewer foreign fuzz trust clean
 
 demo: $(VENV)/installed
 	@$(BIN)/reachlab train --out $(RUN)
@@ -23,6 +23,9 @@ types: $(VENV)/installed-dev
 
 unit: $(VENV)/installed-dev
 	$(BIN)/python -m pytest -n 2
+
+foreign: $(VENV)/installed-dev
+	PYTHONPATH=tests $(BIN)/python -m foreign_arms
 
 fuzz: $(VENV)/installed-dev
 	$(BIN)/python tests/fuzz_commands.py 500

@@ -19,13 +19,27 @@ from reachlab.tasks.rewards import REWARDS
 PICTURED = ("tutorial", "tool_delta", "sparse")
 """Task, action and reward with which pictures are tried: the camera is aimed at the table, and they change nothing."""
 
+FIRST = next(iter(ROBOTS))
+
+USUAL = (
+    ("tutorial", "target+tool", "tool_delta", "dense"),
+    ("precise", "state", "joint_residual", "precise"),
+)
+"""Task, observation, action and reward with which every robot is tried in every simulator."""
+
 COMBINATIONS = [
     names
     for names in product(TASKS, ROBOTS, SIMULATORS, OBSERVATIONS, ACTIONS, REWARDS)
-    if (names[0], *names[4:]) == PICTURED
-    or (not OBSERVATIONS[names[3]].pictured and (names[0] == PICTURED[0] or names[4:] == PICTURED[1:]))
+    if (names[0], *names[3:]) in USUAL
+    or (
+        names[1] == FIRST
+        and (
+            (names[0], *names[4:]) == PICTURED
+            or (not OBSERVATIONS[names[3]].pictured and (names[0] == PICTURED[0] or names[4:] == PICTURED[1:]))
+        )
+    )
 ]
-"""All of the tutorial's; of every other task those with the same action and reward."""
+"""Of the first robot all of the tutorial's, and of every other task those with the same action and reward."""
 
 
 @pytest.fixture(scope="module", params=COMBINATIONS, ids="-".join)
