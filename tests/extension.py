@@ -42,6 +42,7 @@ def robot(folder: Path) -> KnownRobot:
     (folder / "three_link.xml").write_text(ARM)
     return KnownRobot(
         file=folder / "three_link.xml",
+        title="three links",
         sources="",
         tools={"tip": "tip"},
         home=(0.0, -0.5, 1.0),

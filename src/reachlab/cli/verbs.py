@@ -51,7 +51,9 @@ def list_names(arguments: List) -> None:
             f" {config.rules.observation}, action {config.rules.action}, reward {config.rules.reward}"
             for name, config in ((name, preset(name)) for name in TASKS)
         },
-        "robots": {name: f"tool frames {', '.join(robot.tools.values())}" for name, robot in ROBOTS.items()},
+        "robots": {
+            name: f"{robot.title}; tool frames {', '.join(robot.tools.values())}" for name, robot in ROBOTS.items()
+        },
         "simulators": {name: entry.summary for name, entry in SIMULATORS.items()},
         "observations": {name: design.summary for name, design in OBSERVATIONS.items()},
         "actions": {name: design.summary for name, design in ACTIONS.items()},

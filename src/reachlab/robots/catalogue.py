@@ -17,6 +17,7 @@ class KnownRobot:
 
     Attributes:
         file: MJCF or URDF file.
+        title: maker and type.
         sources: where the figures are from, a file below `ASSETS`.
         tools: tool frames, sites or bodies, by what they are; the first one unless a task asks for another.
         home: joints `[n]` in which episodes start [rad or m].
@@ -29,6 +30,7 @@ class KnownRobot:
     """
 
     file: Path
+    title: str
     sources: str
     tools: Mapping[str, str]
     home: tuple[float, ...] | None = None
@@ -43,6 +45,7 @@ class KnownRobot:
 ROBOTS: dict[str, KnownRobot] = {
     "iiwa14": KnownRobot(
         file=ASSETS / "iiwa14" / "iiwa14.xml",
+        title="KUKA LBR iiwa 14 R820",
         sources="iiwa14/SOURCES.md",
         tools={"wrist": "link_7", "flange": "flange"},
         workspace=TUTORIAL_WORKSPACE,
@@ -53,6 +56,7 @@ ROBOTS: dict[str, KnownRobot] = {
     ),
     "panda": KnownRobot(
         file=ASSETS / "panda" / "panda.xml",
+        title="Franka Emika Panda",
         sources="panda/SOURCES.md",
         tools={"flange": "flange"},
         workspace=((0.27, -0.29, 0.0), (0.67, 0.29, 0.54)),
@@ -60,6 +64,7 @@ ROBOTS: dict[str, KnownRobot] = {
     ),
     "ur5e": KnownRobot(
         file=ASSETS / "ur5e" / "ur5e.xml",
+        title="Universal Robots UR5e",
         sources="ur5e/SOURCES.md",
         tools={"flange": "flange"},
         workspace=((0.18, -0.3, 0.0), (0.68, 0.3, 0.55)),
@@ -67,6 +72,7 @@ ROBOTS: dict[str, KnownRobot] = {
     ),
     "xarm7": KnownRobot(
         file=ASSETS / "xarm7" / "xarm7.xml",
+        title="UFACTORY xArm 7",
         sources="xarm7/SOURCES.md",
         tools={"flange": "flange"},
         workspace=((0.17, -0.29, 0.0), (0.59, 0.29, 0.5)),
@@ -74,6 +80,7 @@ ROBOTS: dict[str, KnownRobot] = {
     ),
     "gen3": KnownRobot(
         file=ASSETS / "gen3" / "gen3.xml",
+        title="Kinova Gen3 with seven joints",
         sources="gen3/SOURCES.md",
         tools={"flange": "end_effector"},
         workspace=((0.22, -0.29, 0.0), (0.64, 0.29, 0.42)),
@@ -81,6 +88,7 @@ ROBOTS: dict[str, KnownRobot] = {
     ),
     "so101": KnownRobot(
         file=ASSETS / "so101" / "so101.xml",
+        title="SO-101 of The Robot Studio, with five joints",
         sources="so101/SOURCES.md",
         tools={"flange": "gripper_frame"},
         workspace=((0.16, -0.08, 0.0), (0.35, 0.08, 0.15)),

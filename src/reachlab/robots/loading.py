@@ -78,7 +78,7 @@ def _load(name: str, tool: str | None, base: str | None, packages: tuple[str, ..
     except ValueError as error:
         found = f"; `reachlab robot {name}` shows the frame that is found by itself" if tool else ""
         raise InputError(f"robot {name!r}: {' '.join(str(error).split()).rstrip('.')}{found}.") from None
-    listed = known or KnownRobot(file.file, "", {})
+    listed = known or KnownRobot(file.file, "", "", {})
     speed, torque, sources = _limits(file, arm, listed)
     loads = find_loads(arm.model, range(arm.chain.n), arm.tool_body)
     usable = np.where(np.isinf(torque), default_torques(loads), torque)
