@@ -29,7 +29,7 @@ SUITES: dict[str, Lazy] = {
     "arms": Lazy(
         "The tutorial's task on every robot of the catalogue, in three simulators.", "reachlab.bench.arms:arms"
     ),
-    "arms-precise": Lazy(
+    "arms_precise": Lazy(
         "The precise task on every robot of the catalogue, beside inverse kinematics: two hours.",
         "reachlab.bench.arms:arms_precise",
     ),

@@ -1,4 +1,4 @@
-"""Suites `arms` and `arms-precise`: every robot of the catalogue learns both tasks and is judged on fresh targets."""
+"""Suites `arms` and `arms_precise`: every robot of the catalogue learns both tasks and is judged on fresh targets."""
 
 from __future__ import annotations
 
