@@ -56,10 +56,9 @@ def main() -> None:
         start = time.perf_counter()
         said = try_out(file)
         took = time.perf_counter() - start
-        peak = peak_memory()
         outside = [path for path in map(Path, opened) if not path.is_relative_to(root / "robot")]
         outside = [str(path) for path in outside if path.name != "package.xml"]
-        line = {"name": name, "said": said, "took": took, "peak": peak, "outside": outside}
+        line = {"name": name, "said": said, "took": took, "peak": peak_memory(), "outside": outside}
         sys.stdout.write(json.dumps(line) + "\n")
         sys.stdout.flush()
 
