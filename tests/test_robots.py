@@ -236,6 +236,12 @@ def test_arm_that_cannot_move_its_tool_is_refused(write):
         load_robot(file)
 
 
+def test_an_arm_that_ends_at_an_earlier_tool_takes_the_first_speed_limits():
+    whole, part = load_robot("iiwa14"), load_robot("iiwa14", "link_4")
+    assert part.chain.n == 4
+    assert part.speed == whole.speed[:4]
+
+
 def test_speed_limits_of_another_number_of_joints_are_refused(write):
     with pytest.raises(InputError, match="'speed_limit' has 3 entries, the arm 2 joints"):
         load_robot(write('<custom><numeric name="speed_limit" data="1 2 3"/></custom>'), "grip")

@@ -33,15 +33,17 @@ def _inward(limit: float, inside: float) -> float:
 def speed_limits(model: mujoco.MjModel, n: int) -> Limits:
     """Speed limits `[n]` [rad/s or m/s], which MJCF has no place for but `<numeric name="speed_limit">`.
 
+    Of one for every joint of the file, an arm that ends at an earlier tool takes the first.
+
     Raises:
         InputError: it has another number of entries.
     """
     if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, "speed_limit") < 0:
         return (None,) * n
     speeds = model.numeric("speed_limit").data
-    if len(speeds) != n:
+    if len(speeds) not in (n, model.njnt):
         raise InputError(f"numeric 'speed_limit' has {len(speeds)} entries, the arm {n} joints; give one for each.")
-    return tuple(float(speed) for speed in speeds)
+    return tuple(float(speed) for speed in speeds[:n])
 
 
 def torque_limits(model: mujoco.MjModel, joints: Sequence[int]) -> Limits:
