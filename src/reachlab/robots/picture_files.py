@@ -69,7 +69,8 @@ class PictureFiles:
             return self._refuse(f"are {suffix or 'without suffix'}, which MuJoCo does not read", short.name)
         path = self.folders.find(name, below)
         if path is None or path.suffix.lower() not in kinds:
-            return self._refuse("were not found in the folders of the robot file or of its packages", short.name)
+            asked = name[:LONGEST_NAME] if name.startswith("package:") else short.name  # what --package has to name
+            return self._refuse("were not found in the folders of the robot file or of its packages", asked)
         try:
             head, size = read_regular(path, MOST_MESH, HEAD)
         except OSError as error:
