@@ -212,7 +212,8 @@ def _print(facts: dict[str, Any]) -> None:
     from reachlab.robots.urdf import some
 
     say(f"{facts['name']}: {facts['kind']}, {facts['file']}")
-    kinds = ", ".join(f"{tool} ({kind})" for kind, tool in facts["catalogue_tools"].items())
+    tools = facts["catalogue_tools"] if len(facts["catalogue_tools"]) > 1 else {}
+    kinds = ", ".join(f"{tool} ({kind})" for kind, tool in tools.items())
     say(f"Tool frame: {facts['tool']} ({facts['tool_found']}){f', of {kinds}' if kinds else ''}.")
     if facts["tool_frames"]:
         say(f"Other frames for --tool: {some(facts['tool_frames'], MOST_FRAMES)}.")
