@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from reachlab.render.marks import BALL_OPACITY, PATH, PATH_RADIUS, TARGET_RADIUS, Marks
-from reachlab.render.scene import HEIGHT, SHOWN_GROUPS, WIDTH, front, in_front, scene_spec
+from reachlab.render.scene import HEIGHT, WIDTH, distance_needed, front, in_front, scene_spec
 from reachlab.robots.robot import Robot
 from reachlab.settings.validation import InputError
 
@@ -23,9 +23,6 @@ LOOKS_AT, DISTANCE = (0.27, 0.0, 0.3), 1.75
 
 AZIMUTH, ELEVATION = 130.0, -22.0
 """Where the camera looks: about the vertical from the arm's front, and up [deg]."""
-
-FILLED = 0.94
-"""Share of the picture within which an arm at home lies."""
 
 MAX_GEOMS = 2000
 """Shapes that a picture may hold; a path that needs more of them is cut short."""
@@ -55,7 +52,12 @@ class Camera:
         self._option, self._view = mujoco.MjvOption(), mujoco.MjvCamera()
         self._view.azimuth, self._view.elevation = AZIMUTH + np.degrees(front(robot)), ELEVATION
         self._view.lookat[:] = in_front(robot, LOOKS_AT)
-        self._view.distance = max(DISTANCE * robot.scale, self._needed(robot, width / height))
+        around, up = np.radians([self._view.azimuth, self._view.elevation])
+        ahead = np.array([np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)])
+        seen = distance_needed(
+            robot, self._model, self._view.lookat, ahead, self._model.vis.global_.fovy, width / height
+        )
+        self._view.distance = max(DISTANCE * robot.scale, seen)
 
     def picture(self, q: np.ndarray, target: np.ndarray, marks: Marks | None = None) -> np.ndarray:
         """Picture `[height, width, 3]` uint8 of joints `q [n]` and a target `[3]`."""
@@ -78,26 +80,6 @@ class Camera:
         pixels = np.empty(self._shape, np.uint8)
         mujoco.mjr_readPixels(pixels, None, viewport, self._draw)
         return np.flipud(pixels).copy()
-
-    def _needed(self, robot: Robot, aspect: float) -> float:
-        """Distance from which all of the arm at home and its workspace are seen [m]."""
-        model, data, view = self._model, self._data, self._view
-        data.qpos[self._joints] = robot.home
-        mujoco.mj_kinematics(model, data)
-        corners = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
-        points = list(np.array(robot.workspace_edges()).reshape(-1, 3))
-        for geom in np.flatnonzero(model.geom_group < len(SHOWN_GROUPS)):
-            if model.body_weldid[model.geom_bodyid[geom]]:
-                middle, half = model.geom_aabb[geom].reshape(2, 3)
-                inside = (middle + corners * half) @ data.geom_xmat[geom].reshape(3, 3).T
-                points += list(data.geom_xpos[geom] + inside)
-        around, up = np.radians([view.azimuth, view.elevation])
-        ahead = np.array([np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)])
-        right = np.array([np.sin(around), -np.cos(around), 0.0])
-        relative = np.array(points) - view.lookat
-        tall = FILLED * np.tan(np.radians(model.vis.global_.fovy / 2))
-        sideways, upright = np.abs(relative @ right) / (tall * aspect), np.abs(relative @ np.cross(right, ahead)) / tall
-        return float((np.maximum(sideways, upright) - relative @ ahead).max())
 
     def _show_target(self, marks: Marks) -> None:
         model, radius = self._model, TARGET_RADIUS * self._scale

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import mujoco
@@ -24,6 +25,9 @@ GROUND = ((TUTORIAL_WORKSPACE[0][0] + TUTORIAL_WORKSPACE[1][0]) / 2, 0.0, 0.0)
 
 SHOWN_GROUPS = (0, 1, 2)
 """Groups of geoms that MuJoCo shows at first."""
+
+FILLED = 0.94
+"""Share of the picture within which an arm at home lies."""
 
 ROD_RADIUS, ROD_COLOUR = 0.025, (0.75, 0.77, 0.8, 1.0)
 """Radius [m] and colour of the rods that stand for an arm without shapes."""
@@ -85,6 +89,34 @@ def in_front(robot: Robot, point: tuple[float, ...]) -> np.ndarray:
     cos, sin = np.cos(front(robot)), np.sin(front(robot))
     turn, ground = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]), robot.placed(GROUND)
     return robot.scale * turn @ point + (ground - robot.scale * turn @ GROUND)
+
+
+def distance_needed(
+    robot: Robot, model: mujoco.MjModel, middle: np.ndarray, ahead: np.ndarray, field: float, aspect: float
+) -> float:
+    """Distance from which all of the arm at home and its workspace are seen [m].
+
+    Args:
+        robot: the arm.
+        model: its compiled scene.
+        middle: point `[3]` m in the middle of the picture.
+        ahead: where the camera looks, a unit vector `[3]`.
+        field: from the picture's lower to its upper edge [deg].
+        aspect: its width over its height.
+    """
+    data = mujoco.MjData(model)
+    data.qpos[model.jnt_qposadr[: robot.chain.n]] = robot.home
+    mujoco.mj_kinematics(model, data)
+    corners = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
+    points = list(np.array(robot.workspace_edges()).reshape(-1, 3))
+    for geom in np.flatnonzero(model.geom_group < len(SHOWN_GROUPS)):
+        if model.body_weldid[model.geom_bodyid[geom]]:
+            centre, half = model.geom_aabb[geom].reshape(2, 3)
+            points += list(data.geom_xpos[geom] + (centre + corners * half) @ data.geom_xmat[geom].reshape(3, 3).T)
+    right = np.array([ahead[1], -ahead[0], 0.0]) / np.linalg.norm(ahead[:2])
+    relative, tall = np.array(points) - middle, FILLED * np.tan(np.radians(field / 2))
+    sideways, upright = np.abs(relative @ right) / (tall * aspect), np.abs(relative @ np.cross(right, ahead)) / tall
+    return float((np.maximum(sideways, upright) - relative @ ahead).max())
 
 
 def drawn_spec(robot: Robot) -> mujoco.MjSpec:

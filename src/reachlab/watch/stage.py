@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from reachlab.render import view_randomisation as views
 from reachlab.render.marks import PATH, Colour, Marks
-from reachlab.render.scene import TABLE_CENTRE, TABLE_SIZE, in_front, scene_spec
+from reachlab.render.scene import TABLE_CENTRE, TABLE_SIZE, distance_needed, in_front, scene_spec
 from reachlab.robots.robot import Robot
 from reachlab.watch.player import Moment
 from reachlab.watch.solids import Solid, solids
@@ -51,6 +51,9 @@ VIEW_FROM, VIEW_TO = (1.5, -1.1, 0.95), (0.3, -0.02, 0.26)
 
 FIELD_OF_VIEW = 0.8
 """Vertical field of view of the first camera [rad]."""
+
+ASPECT = 4 / 3
+"""Width of a narrow page over its height: all of the arm is seen on it."""
 
 CAMERA_LENGTH, CAMERA_WIDTH, CAMERA = 0.07, 0.002, (90, 95, 106)
 """The drawn camera: its length, the width of its edges [m], and their colour."""
@@ -130,11 +133,12 @@ class Stage:
 
     def _set_view(self, server: viser.ViserServer) -> None:
         camera, robot = server.initial_camera, self._robot
-        camera.position, camera.look_at, camera.fov = (
-            in_front(robot, VIEW_FROM),
-            in_front(robot, VIEW_TO),
-            FIELD_OF_VIEW,
-        )
+        position, looks_at = in_front(robot, VIEW_FROM), in_front(robot, VIEW_TO)
+        back = position - looks_at
+        distance = float(np.linalg.norm(back))
+        needed = distance_needed(robot, self._model, looks_at, -back / distance, np.degrees(FIELD_OF_VIEW), ASPECT)
+        camera.position = position if needed <= distance else looks_at + needed / distance * back
+        camera.look_at, camera.fov = looks_at, FIELD_OF_VIEW
         self._scene.world_axes.visible = False
         # Without a graphics card an environment map or shadows take longer to draw than all the rest.
         self._scene.configure_environment_map(None)
