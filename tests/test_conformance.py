@@ -22,15 +22,16 @@ PICTURED = ("tutorial", "tool_delta", "sparse")
 FIRST = next(iter(ROBOTS))
 
 USUAL = (
-    ("tutorial", "target+tool", "tool_delta", "dense"),
-    ("precise", "state", "joint_residual", "precise"),
+    ("tutorial", "kinematic", "target+tool", "tool_delta", "dense"),
+    ("tutorial", "pybullet", "target+tool", "tool_delta", "dense"),
+    ("precise", "mujoco", "state", "joint_residual", "precise"),
 )
-"""Task, observation, action and reward with which every robot is tried in every simulator."""
+"""Task, simulator, observation, action and reward with which every robot is tried."""
 
 COMBINATIONS = [
     names
     for names in product(TASKS, ROBOTS, SIMULATORS, OBSERVATIONS, ACTIONS, REWARDS)
-    if (names[0], *names[3:]) in USUAL
+    if (names[0], *names[2:]) in USUAL
     or (
         names[1] == FIRST
         and (
