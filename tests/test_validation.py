@@ -276,7 +276,7 @@ def test_a_mesh_of_a_package_that_is_missing_is_left_out_and_told(tmp_path: Path
     robot = load_robot(str(tmp_path / "arm.urdf"))
     assert robot.spec().compile().nmesh == 0
     (notice,) = robot.notices
-    assert re.search(r"not found in the folders of the robot file or of its packages \(y\.obj\)", notice)
+    assert re.search(r"not found in the folders of the robot file or of its packages \(package://[^)]*y\.obj\)", notice)
 
 
 @pytest.mark.parametrize(("name", "text"), [("arm.xml", ARM), ("arm.urdf", URDF)])
