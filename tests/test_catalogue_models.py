@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-import sysconfig
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,11 +15,9 @@ import pybullet
 import pytest
 from pybullet_utils.bullet_client import BulletClient
 
+from foreign_arms import DESCRIPTIONS
 from reachlab.robots.catalogue import ROBOTS
 from reachlab.robots.loading import load_robot
-
-DESCRIPTIONS = Path(sysconfig.get_path("purelib"), "cmeel.prefix/share/example-robot-data/robots")
-"""Where the package `example-robot-data` puts its files."""
 
 
 @dataclass(frozen=True)

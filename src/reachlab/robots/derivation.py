@@ -6,6 +6,7 @@ import contextlib
 import hashlib
 import json
 import logging
+import os
 from collections.abc import Callable
 
 import mujoco
@@ -19,7 +20,7 @@ from reachlab.robots.workspace import Derived, derive
 
 logger = logging.getLogger(__name__)
 
-VERSION = 6
+VERSION = 7
 """Of the derivation: what an older one left in the cache is derived again."""
 
 RANDOM_POSES = 30
@@ -42,7 +43,7 @@ def derived(file: ModelFile, arm: Arm, speed: tuple[float, ...]) -> Derived:
     found = derive(arm.chain, np.array(speed), arm.base, arm.home, untouching(file, arm))
     with contextlib.suppress(OSError):
         kept.parent.mkdir(parents=True, exist_ok=True)
-        part = kept.with_suffix(f".{id(found)}.part")
+        part = kept.with_suffix(f".{os.getpid()}.part")
         part.write_text(json.dumps(found._asdict()))
         part.replace(kept)
     return found

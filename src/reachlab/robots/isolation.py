@@ -53,6 +53,7 @@ def _is_servo(model: mujoco.MjModel, actuator: int) -> bool:
     return bool(
         model.actuator_biastype[actuator] == int(mujoco.mjtBias.mjBIAS_AFFINE)
         and model.actuator_dyntype[actuator] == int(mujoco.mjtDyn.mjDYN_NONE)
+        and model.actuator_gear[actuator, 0] == 1
         and gain[0] > 0
         and bias[1] == -gain[0]
     )
@@ -101,7 +102,7 @@ def _lock(
     poses: Mapping[int, tuple[tuple[float, ...], tuple[float, ...]]],
 ) -> None:
     """Take out all joints but the arm's own, and what refers to them."""
-    for kind in (spec.keys, spec.sensors, spec.equalities, spec.tuples, spec.excludes):
+    for kind in (spec.keys, spec.sensors, spec.equalities, spec.tuples):
         for element in kind:
             spec.delete(element)
     for actuator in spec.actuators:

@@ -71,7 +71,15 @@ def turned(chain: Chain, quaternion: Array, held: Array) -> Array:
     """Angle `[...]` rad from one orientation to another; of their tilts where an arm holds no more."""
     if not chain.poses:
         return jnp.abs(tilt(chain, quaternion) - tilt(chain, held))
-    chords = [jnp.linalg.norm(held + sign * quaternion, axis=-1) for sign in (-1.0, 1.0)]
+    return angle_between(quaternion, held)
+
+
+def angle_between(quaternion: Array, other: Array) -> Array:
+    """Angle `[...]` rad between orientations `[..., 4]`.
+
+    By the arc sine of half the chord between the quaternions: the arc cosine of their product is blind near zero.
+    """
+    chords = [jnp.linalg.norm(other + sign * quaternion, axis=-1) for sign in (-1.0, 1.0)]
     return 4 * jnp.arcsin(jnp.minimum(jnp.minimum(*chords) / 2, 1.0))
 
 

@@ -16,7 +16,7 @@ from reachlab.robots.isolation import own_servos
 from reachlab.robots.joint_limits import speed_limits, torque_limits
 from reachlab.robots.model_file import JointFacts, ModelFile, read_model_file
 from reachlab.robots.robot import CATALOGUE, DEFAULT, DERIVED, FILE, Robot
-from reachlab.robots.servos import default_torques, find_loads, payload, servos
+from reachlab.robots.servos import Loads, default_torques, find_loads, payload, servos
 from reachlab.robots.workspace import Derived, orientation
 from reachlab.settings.config import is_robot_file
 from reachlab.settings.validation import InputError, choose
@@ -79,8 +79,8 @@ def _load(name: str, tool: str | None, base: str | None, packages: tuple[str, ..
         found = f"; `reachlab robot {name}` shows the frame that is found by itself" if tool else ""
         raise InputError(f"robot {name!r}: {' '.join(str(error).split()).rstrip('.')}{found}.") from None
     listed = known or KnownRobot(file.file, "", "", {})
-    speed, torque, sources = _limits(file, arm, listed)
     loads = find_loads(arm.model, range(arm.chain.n), arm.tool_body)
+    speed, torque, sources = _limits(file, arm, listed, loads)
     usable = np.where(np.isinf(torque), default_torques(loads), torque)
     mass = float(arm.model.body_subtreemass[arm.model.jnt_bodyid[0]])
     load = payload(loads, usable, mass)
@@ -115,7 +115,7 @@ def _load(name: str, tool: str | None, base: str | None, packages: tuple[str, ..
 
 
 def _limits(
-    file: ModelFile, arm: Arm, listed: KnownRobot
+    file: ModelFile, arm: Arm, listed: KnownRobot, loads: Loads
 ) -> tuple[tuple[float, ...], tuple[float, ...], dict[str, str | tuple[str, ...]]]:
     """Speed and torque limits `[n]`, and where these and the position limits come from."""
     n = arm.chain.n
@@ -125,7 +125,7 @@ def _limits(
     torques = torque_limits(arm.whole, arm.isolation.joints)
     torques = [own or fact.torque for own, fact in zip(torques, facts, strict=True)]
     servoed = own_servos(arm.model, range(n))
-    defaults = default_torques(find_loads(arm.model, range(n), arm.tool_body))
+    defaults = default_torques(loads)
     unlimited = [float("inf") if joint in servoed else float(defaults[joint]) for joint in range(n)]
     speed, speed_sources = _filled(listed.speed, speeds, [DEFAULT_SPEED] * n)
     torque, torque_sources = _filled(listed.torque, torques, unlimited)

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from reachlab.robots.kinematics import angle_between
 from reachlab.robots.robot import Robot
 from reachlab.settings.config import Rules
 
@@ -54,14 +55,8 @@ class Goal:
         return jnp.linalg.norm(tool_position - self.position, axis=-1)
 
     def angle(self, tool_quaternion: Array) -> Array | None:
-        """Angle `[...]` rad from the tool's orientation `[..., 4]` to the goal's; None where none is asked for.
-
-        By the arc sine of half the chord between the quaternions: the arc cosine of their product is blind near zero.
-        """
-        if self.quaternion is None:
-            return None
-        chords = [jnp.linalg.norm(self.quaternion + sign * tool_quaternion, axis=-1) for sign in (-1.0, 1.0)]
-        return 4 * jnp.arcsin(jnp.minimum(jnp.minimum(*chords) / 2, 1.0))
+        """Angle `[...]` rad from the tool's orientation `[..., 4]` to the goal's; None where none is asked for."""
+        return None if self.quaternion is None else angle_between(tool_quaternion, self.quaternion)
 
 
 class Situation(NamedTuple):
