@@ -12,15 +12,20 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
+from reachlab.envs.core import Env
 from reachlab.envs.gymnasium_single import ReachEnv
 from reachlab.envs.gymnasium_vector import ReachVectorEnv
+from reachlab.envs.random_streams import env_keys
 from reachlab.render.offscreen import Camera
 from reachlab.robots.loading import load_robot
+from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError
 
 IDS = ("reachlab/KukaReach-v0", "reachlab/Reach-v0")
@@ -282,6 +287,77 @@ def test_a_batch_is_gymnasiums_vector_of_single_environments(singles: list[Reach
     assert min(ends.values()) > 0, f"not every end occurred: {ends}"
     assert_same_step(ours.reset(), theirs.reset(), "the unseeded reset")
     ours.close()
+
+
+BIT_FOR_BIT: dict[str, tuple[int, int, dict[str, Any]]] = {
+    "tutorial": (64, 1000, SHORT),
+    "precise": (4, 120, {"task": "precise", "max_steps": 30}),
+    "pybullet": (2, 200, {"sim": "pybullet", **SHORT}),
+}
+"""Environments, steps and settings."""
+
+
+@pytest.mark.parametrize("name", BIT_FOR_BIT)
+@pytest.mark.parametrize("mode", AutoresetMode)
+def test_a_batch_gives_what_the_environment_gives_bit_for_bit(name: str, mode: AutoresetMode) -> None:
+    num_envs, steps, settings = BIT_FOR_BIT[name]
+    if name == "pybullet":
+        pytest.importorskip("pybullet")
+    ours = ReachVectorEnv(num_envs=num_envs, autoreset_mode=mode, **settings)
+    env = Env(configure(**({"task": "tutorial", "randomise": ()} | settings)), num_envs)
+    step, reset = env.compile_whole(env.step), env.compile_whole(env.reset)
+    state = env.compile_whole(env.init)(env_keys(7, num_envs))
+    assert np.array_equal(ours.reset(seed=7)[0], env.observe_now(state))
+    begun, ends, random = np.zeros(num_envs, bool), 0, np.random.default_rng(0)
+    low, high = (2 * side for side in env.action_bounds)
+    actions = np.zeros((num_envs, len(low)), np.float32)
+    for number in range(steps):
+        if number % 20 == 0:
+            actions = random.uniform(low, high, (num_envs, len(low))).astype(np.float32)
+        observation, *results, info = ours.step(actions)
+        state, done = step(state, actions)
+        seen, wanted = np.array(done.observation), [np.array(x) for x in (done.reward, done.terminated, done.truncated)]
+        ended = np.array(done.done)
+        ends += int(ended.sum())
+        if mode is AutoresetMode.NEXT_STEP:
+            anew, begun = begun, ended & ~begun
+            wanted = [np.where(anew, 0, x) for x in wanted]
+        else:
+            anew = ended
+        if anew.any():
+            state = reset(state, anew)
+            after = np.where(anew[:, None], env.observe_now(state), seen)
+            if mode is AutoresetMode.SAME_STEP:
+                assert np.array_equal(np.stack(info["final_obs"][anew]), seen[anew])
+            if mode is AutoresetMode.DISABLED:
+                assert np.array_equal(observation, seen)
+                observation, _ = ours.reset(options={"reset_mask": anew})
+            seen = after
+        assert np.array_equal(observation, seen), f"step {number}"
+        assert all(np.array_equal(one.astype(other.dtype), other) for one, other in zip(results, wanted, strict=True))
+    assert ends > num_envs
+    ours.close()
+
+
+def test_jax_arrays_hold_the_same_numbers_and_go_to_pytorch_without_a_copy() -> None:
+    torch = pytest.importorskip("torch")
+    ours = ReachVectorEnv(num_envs=NUM_ENVS, arrays="jax", autoreset_mode="SameStep", **SHORT)
+    theirs = ReachVectorEnv(num_envs=NUM_ENVS, autoreset_mode="SameStep", **SHORT)
+    assert np.array_equal(ours.reset(seed=3)[0], theirs.reset(seed=3)[0])
+    for actions in pushes(60):
+        one, other = ours.step(torch.from_numpy(actions)), theirs.step(actions)
+        assert all(isinstance(x, jax.Array) for x in (*one[:4], one[4]["distance"], one[4]["is_success"]))
+        assert all(np.array_equal(x, np.asarray(y, x.dtype)) for x, y in zip(one[:4], other[:4], strict=True))
+        assert torch.from_dlpack(one[0]).data_ptr() == one[0].unsafe_buffer_pointer()
+        if "final_obs" in other[4]:
+            ended = other[4]["_final_obs"]
+            assert np.array_equal(np.asarray(one[4]["final_obs"])[ended], np.stack(other[4]["final_obs"][ended]))
+    with pytest.raises(InputError, match="environment 1 is inf at index 2"):
+        ours.step(torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.0, torch.inf], [0.0, 0.0, 0.0]]))
+    with pytest.raises(InputError, match=r"shape \(3,\) in each of 3 environments, got \(3, 2\)"):
+        ours.step(jnp.zeros((3, 2)))
+    with pytest.raises(InputError, match="arrays 'torch' is not one of: jax, numpy"):
+        ReachVectorEnv(arrays="torch")
 
 
 @pytest.fixture(scope="module")

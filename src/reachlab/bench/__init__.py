@@ -22,6 +22,10 @@ SUITES: dict[str, Lazy] = {
         "The simulators against each other, against bare engines, and against the tutorial's way.",
         "reachlab.bench.simulators:simulators",
     ),
+    "gymnasium": Lazy(
+        "Steps a second through Gymnasium's environments, beside the tutorial's own and the bare engine.",
+        "reachlab.bench.gymnasium:gymnasium_faces",
+    ),
     "precise": Lazy(
         "Precision under full dynamics beside inverse kinematics, on nominal and on perturbed arms.",
         "reachlab.bench.precise:precise",

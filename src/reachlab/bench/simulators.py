@@ -220,7 +220,7 @@ def mujoco_speed() -> Iterator[Row]:
     results = []
     for num_envs in MUJOCO_BATCHES:
         env = Env(configure(sim="mujoco"), num_envs)
-        bare = _bare(env)
+        bare = bare_engine(env)
         rates = [(_host_steps_per_second(env, MUJOCO_STEPS), bare()) for _ in range(MUJOCO_ROUNDS)]
         env.close()
         through, engine = (max(column) for column in zip(*rates, strict=True))
@@ -229,8 +229,8 @@ def mujoco_speed() -> Iterator[Row]:
     yield row("env_steps_per_second/mujoco", rate, "1/s", num_envs=num_envs, share_of_bare=round(share, 3))
 
 
-def _bare(env: Env) -> Callable[[], float]:
-    """Measures the steps a second of the engine alone."""
+def bare_engine(env: Env) -> Callable[[], float]:
+    """Measures the steps a second of the engine alone, for the arms of an environment."""
     batch = Batch(physics_model(env.setup.robot, env.config.physics), nsim=env.num_envs)
     batch.bind("qpos")[:] = batch.bind("ctrl")[:] = env.setup.robot.home
 

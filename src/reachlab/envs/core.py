@@ -19,7 +19,7 @@ from reachlab.render.marks import NO_PATH, Marks
 from reachlab.render.view_randomisation import SAMPLES, develop, make_views
 from reachlab.settings.config import RunConfig
 from reachlab.sims import SIMULATORS, BatchArray, make_simulator
-from reachlab.tasks.actions import ACTIONS, bounded
+from reachlab.tasks.actions import ACTIONS
 from reachlab.tasks.observations import OBSERVATIONS, SIZE, Observed
 from reachlab.tasks.task import Goal, Situation
 
@@ -130,16 +130,12 @@ class Env:
         return stepped
 
     def _step(self, state: EnvState, action: BatchArray, instead: Array | None) -> Stepped:
-        action = bounded(self.setup, jnp.asarray(action))
-        target_q = self._parts.command(replace(state, arm=replace(state.arm, engine=None)), action)
-        if instead is not None:
-            target_q = jnp.where(jnp.isnan(instead), target_q, instead)
-        elif (rests := self.setup.task.rests(self.setup, state.progress)) is not None:
-            target_q = jnp.where(rests[:, None], state.target_q, target_q)
+        without_engine = replace(state, arm=replace(state.arm, engine=None))
+        taken, target_q = self._parts.command(without_engine, action, instead)
         arm = self.simulator.step(state.arm, target_q)
-        now = self._functions.true_situation(state, arm, target_q, action)
+        now = self._functions.true_situation(state, arm, target_q, taken)
         progress, clock, transition = self._parts.judge(now, state.progress, state.clock, state.key)
-        state = replace(state, arm=arm, target_q=target_q, last_action=action, progress=progress, clock=clock)
+        state = replace(state, arm=arm, target_q=target_q, last_action=taken, progress=progress, clock=clock)
         return state, transition
 
     # --- observations -----------------------------------------------------------------------------

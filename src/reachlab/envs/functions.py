@@ -130,13 +130,21 @@ class EnvFunctions:
             key=key,
         )
 
-    def command(self, state: EnvState, action: Array) -> Array:
-        """Next joint command `[B, n]` for an action `[B, a]` in its box, no faster than the joints can follow."""
+    def command(self, state: EnvState, action: Array, instead: Array | None) -> tuple[Array, Array]:
+        """An action `[B, a]` in its box, and the next joint command `[B, n]`.
+
+        The command is the action's, no faster than the joints can follow; see `Env.step` for what else it may be.
+        """
+        action = actions.bounded(self.setup, action)
         target_q = actions.command(self.setup, self.situation(state), action)
-        if not self.real_time:
-            return target_q
-        most = jnp.array(self.setup.robot.speed) * self.setup.period
-        return jnp.clip(target_q, state.target_q - most, state.target_q + most)
+        if self.real_time:
+            most = jnp.array(self.setup.robot.speed) * self.setup.period
+            target_q = jnp.clip(target_q, state.target_q - most, state.target_q + most)
+        if instead is not None:
+            return action, jnp.where(jnp.isnan(instead), target_q, instead)
+        if (rests := self.setup.task.rests(self.setup, state.progress)) is not None:
+            return action, jnp.where(rests[:, None], state.target_q, target_q)
+        return action, target_q
 
     def judge(
         self, now: Situation, progress: Progress, clock: Array, keys: Array

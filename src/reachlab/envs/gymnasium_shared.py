@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from gymnasium.spaces import Box, Dict, Space
-from numpy.typing import ArrayLike
+from gymnasium.vector import AutoresetMode
 
-from reachlab.envs.core import Env, merge
-from reachlab.envs.functions import EnvState, Transition
-from reachlab.envs.random_streams import gymnasium_keys
+from reachlab.envs.core import Env
+from reachlab.envs.episode_batch import Now, Result, make_batch
+from reachlab.envs.functions import EnvState
 from reachlab.envs.setup import check
 from reachlab.jax_setup import refuse_fork
 from reachlab.settings.presets import configure
@@ -30,11 +29,13 @@ RENDER_MODES = ("rgb_array",)
 METADATA: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 30}
 
 
-class EpisodeBatch:
-    """Compiled functions of an environment, and their state."""
+class Episodes:
+    """Episodes of a task preset under way in a batch of environments, whose actions are checked."""
 
-    def __init__(self, num_envs: int, task: str, settings: dict[str, Any]) -> None:
-        """Batch of environments of a task preset, with the settings changed.
+    def __init__(
+        self, num_envs: int, task: str, settings: dict[str, Any], mode: AutoresetMode, *, in_numpy: bool = True
+    ) -> None:
+        """Episodes of a preset with the settings changed, which begin anew as `mode` says.
 
         Raises:
             InputError: a setting that does not exist, or a value that is not allowed.
@@ -45,9 +46,9 @@ class EpisodeBatch:
         config = configure(task, **{"randomise": (), **settings})
         check(config)
         self.env = Env(config, num_envs)
-        self._state: EnvState | None = None
-        compiled = self.env.compile_whole
-        self._init, self._step, self._reset = map(compiled, (self.env.init, self.env.step, self.env.reset))
+        self._batch, self._begun = make_batch(self.env, mode, in_numpy=in_numpy), False
+        self._shape = (num_envs, len(self.env.action_bounds[0]))
+        self._checked = _checked_actions if in_numpy else _checked_in_jax
 
     @property
     def state(self) -> EnvState:
@@ -56,49 +57,31 @@ class EpisodeBatch:
         Raises:
             InputError: none has begun.
         """
-        if self._state is None:
+        self._need_episodes()
+        return self._batch.state
+
+    def _need_episodes(self) -> None:
+        if not self._begun:
             raise InputError("the environment has no episode yet: call reset first.")
-        return self._state
 
-    @property
-    def distance(self) -> np.ndarray:
-        """Tool to goal now `[B]` [m]."""
-        return np.array(self.state.distance)
-
-    def reset(self, seeds: Sequence[int | None], mask: np.ndarray, random: np.random.Generator) -> None:
+    def reset(self, seeds: Sequence[int | None], mask: np.ndarray, random: np.random.Generator) -> Now:
         """Begin new episodes in the environments of `mask [B]`: seeded, or the next of the environment's own stream."""
         refuse_fork()
-        seeded = np.array([seed is not None or self._state is None for seed in seeds])
+        seeded = np.array([seed is not None or not self._begun for seed in seeds])
         numbers = [int(random.integers(LARGEST_SEED)) if seed is None else seed % LARGEST_SEED for seed in seeds]
-        keys = gymnasium_keys(np.array(numbers, np.uint32))
-        if self._state is None:
-            self._state = self._init(keys)
-        else:
-            key = jnp.where(seeded & mask, keys, self._state.key)
-            self._state = self._reset(replace(self._state, key=key), mask)
+        everywhere = mask if self._begun else np.ones_like(mask)
+        self._begun = True
+        return self._batch.reset(np.array(numbers, np.uint32), seeded, everywhere)
 
-    def restart(self, mask: np.ndarray) -> None:
-        """Begin new episodes in the environments of `mask [B]`."""
-        self._state = self._reset(self.state, mask)
+    def step(self, actions: Any) -> Result:
+        """What actions `[B, a]` led to.
 
-    def step(self, actions: ArrayLike) -> Transition:
-        """Transition of all environments, whose actions are checked first."""
+        Raises:
+            InputError: an action is misshapen or not finite, or no episode has begun; nothing has moved.
+        """
         refuse_fork()
-        state = self.state
-        self._state, transition = self._step(state, _checked_actions(actions, state.last_action.shape))
-        return transition
-
-    def observe(self) -> Any:
-        """Observations of the present state, in memory of their own."""
-        return copied(self.env.observe_now(self.state))
-
-    def observe_some(self, mask: np.ndarray, others: Any) -> Any:
-        """Observations of the present state in the environments of `mask [B]`, and `others` elsewhere."""
-        return merge(mask, self.env.observe_now(self.state, mask), others)
-
-    def observe_step(self, transition: Transition) -> Any:
-        """Observations after a step, in memory of their own."""
-        return self.observe() if transition.observation is None else copied(transition.observation)
+        self._need_episodes()
+        return self._batch.step(self._checked(actions, self._shape))
 
     def render(self, index: int) -> np.ndarray:
         """Picture of one environment."""
@@ -126,17 +109,16 @@ def box(bounds: Bounds) -> Box:
     return Box(low, high, dtype=low.dtype.type)
 
 
-def copied(observation: Any) -> Any:
-    """Observation as NumPy arrays of its own."""
-    return jax.tree.map(np.array, observation)
-
-
 def single(observation: Any, index: int) -> Any:
-    """Observation of one environment of a batch, in memory of its own."""
-    return jax.tree.map(lambda x: np.array(x[index]), observation)
+    """Observation of one environment of a batch."""
+    return (
+        {name: part[index] for name, part in observation.items()}
+        if isinstance(observation, dict)
+        else observation[index]
+    )
 
 
-def _checked_actions(given: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
+def _checked_actions(given: Any, shape: tuple[int, int]) -> np.ndarray:
     """Actions as float32.
 
     Raises:
@@ -149,11 +131,31 @@ def _checked_actions(given: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
         raise InputError(f"{wanted}, got a ragged one.") from None
     if actions.shape != shape:
         raise InputError(f"{wanted}, got {actions.shape}.")
-    if actions.dtype.kind not in "fiub":
-        raise InputError(f"action must be numbers, got {actions.dtype}.")
-    with np.errstate(over="ignore"):
-        actions = actions.astype(np.float32)
+    if actions.dtype != np.float32:
+        if actions.dtype.kind not in "fiub":
+            raise InputError(f"action must be numbers, got {actions.dtype}.")
+        with np.errstate(over="ignore"):
+            actions = actions.astype(np.float32)
     if not np.isfinite(actions).all():
         env, index = (int(i) for i in np.argwhere(~np.isfinite(actions))[0])
         raise InputError(f"action of environment {env} is {actions[env, index]} at index {index}: it must be finite.")
     return actions
+
+
+def _checked_in_jax(given: Any, shape: tuple[int, int]) -> Any:
+    """Actions as float32; what JAX can take over stays where it is, but for the answer whether it is finite.
+
+    Raises:
+        InputError: see `_checked_actions`.
+    """
+    if isinstance(given, np.ndarray) or not hasattr(given, "__dlpack__"):
+        return _checked_actions(given, shape)
+    actions = given if isinstance(given, jax.Array) else jnp.from_dlpack(given)
+    if actions.shape == shape and actions.dtype == jnp.float32 and _finite(actions):
+        return actions
+    return _checked_actions(actions, shape)
+
+
+@jax.jit
+def _finite(actions: jax.Array) -> jax.Array:
+    return jnp.isfinite(actions).all()

@@ -6,9 +6,17 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+from gymnasium.vector import AutoresetMode
 
 from reachlab.envs.functions import EnvState
-from reachlab.envs.gymnasium_shared import METADATA, EpisodeBatch, box, checked_render_mode, observation_space, single
+from reachlab.envs.gymnasium_shared import (
+    METADATA,
+    Episodes,
+    box,
+    checked_render_mode,
+    observation_space,
+    single,
+)
 
 
 class ReachEnv(gymnasium.Env[Any, np.ndarray]):
@@ -26,16 +34,16 @@ class ReachEnv(gymnasium.Env[Any, np.ndarray]):
             InputError: a task, setting or render mode that does not exist, or a value that is not allowed.
         """
         self.render_mode = checked_render_mode(render_mode)
-        self._batch = EpisodeBatch(1, task, settings)
-        self.observation_space = observation_space(self._batch.env.schema)
-        self.action_space = box(self._batch.env.action_bounds)
+        self._episodes = Episodes(1, task, settings, AutoresetMode.DISABLED)
+        self.observation_space = observation_space(self._episodes.env.schema)
+        self.action_space = box(self._episodes.env.action_bounds)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """First observation of a new episode, and info; equal seeds give equal episodes from there on."""
         del options
         super().reset(seed=seed)
-        self._batch.reset([seed], np.ones(1, bool), self.np_random)
-        return single(self._batch.observe(), 0), {"is_success": False, "distance": float(self._batch.distance[0])}
+        now = self._episodes.reset([seed], np.ones(1, bool), self.np_random)
+        return single(now.observation, 0), {"is_success": False, "distance": now.distance.item()}
 
     def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """What an action led to: observation, reward, terminated, truncated, info.
@@ -43,14 +51,13 @@ class ReachEnv(gymnasium.Env[Any, np.ndarray]):
         Raises:
             InputError: the action is misshapen or not finite; nothing has moved.
         """
-        done = self._batch.step([action])
-        info = {"is_success": bool(done.terms["success"][0]), "distance": float(done.terms["distance"][0])}
-        observation = single(self._batch.observe_step(done), 0)
-        return observation, float(done.reward[0]), bool(done.terminated[0]), bool(done.truncated[0]), info
+        now, reward, terminated, truncated, _ = self._episodes.step([action])
+        info = {"is_success": now.success.item(), "distance": now.distance.item()}
+        return single(now.observation, 0), reward.item(), terminated.item(), truncated.item(), info
 
     def render(self) -> np.ndarray | None:
         """Picture of the arm, `[height, width, 3]` uint8, in render mode `rgb_array`."""
-        return self._batch.render(0) if self.render_mode == "rgb_array" else None
+        return self._episodes.render(0) if self.render_mode == "rgb_array" else None
 
     @property
     def state(self) -> EnvState:
@@ -59,8 +66,8 @@ class ReachEnv(gymnasium.Env[Any, np.ndarray]):
         Raises:
             InputError: none has begun.
         """
-        return self._batch.state
+        return self._episodes.state
 
     def close(self) -> None:
         """Close the simulator."""
-        self._batch.env.close()
+        self._episodes.env.close()

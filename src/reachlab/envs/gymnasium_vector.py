@@ -2,22 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from reachlab.envs.functions import Transition
-from reachlab.envs.gymnasium_shared import METADATA, EpisodeBatch, box, checked_render_mode, observation_space, single
+from reachlab.envs.episode_batch import Now
+from reachlab.envs.gymnasium_shared import (
+    METADATA,
+    Episodes,
+    box,
+    checked_render_mode,
+    observation_space,
+    single,
+)
 from reachlab.settings.validation import InputError, choose
 
-Step = tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]
-"""Observations, rewards, terminated, truncated and infos."""
+ARRAYS = {
+    "numpy": "NumPy arrays of the caller's own",
+    "jax": "JAX arrays, left where they were computed; others take them over by DLPack without a copy",
+}
+"""What `step` and `reset` give, by name."""
 
 
-class ReachVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
+class ReachVectorEnv(VectorEnv[Any, Any, Any]):
     """A batch of arms, stepped together; environment i of seed s is `ReachEnv` with seed s + i."""
 
     def __init__(
@@ -26,28 +36,24 @@ class ReachVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         task: str = "tutorial",
         render_mode: str | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        arrays: str = "numpy",
         **settings: Any,
     ) -> None:
-        """Batch of environments; settings as for `ReachEnv`.
+        """Batch of environments that gives arrays of a kind of `ARRAYS`; settings as for `ReachEnv`.
 
         Raises:
-            InputError: see `ReachEnv`; or an autoreset mode that does not exist.
+            InputError: see `ReachEnv`; or an autoreset mode or a kind of arrays that does not exist.
         """
         modes = {mode.value: mode for mode in AutoresetMode}
         name = autoreset_mode.value if isinstance(autoreset_mode, AutoresetMode) else autoreset_mode
-        mode = modes[choose("autoreset mode", name, modes)]
-        steps: dict[AutoresetMode, Callable[[np.ndarray], Step]] = {
-            AutoresetMode.NEXT_STEP: self._step_next,
-            AutoresetMode.SAME_STEP: self._step_same,
-            AutoresetMode.DISABLED: self._step_disabled,
-        }
-        self._step = steps[mode]
+        self._mode = modes[choose("autoreset mode", name, modes)]
+        self._numpy = choose("arrays", arrays, ARRAYS) == "numpy"
         self.render_mode = checked_render_mode(render_mode)
-        self.metadata = {**METADATA, "autoreset_mode": mode}
+        self.metadata = {**METADATA, "autoreset_mode": self._mode}
         self.num_envs = num_envs
-        self._batch = EpisodeBatch(num_envs, task, settings)
-        self.single_observation_space = observation_space(self._batch.env.schema)
-        self.single_action_space = box(self._batch.env.action_bounds)
+        self._episodes = Episodes(num_envs, task, settings, self._mode, in_numpy=self._numpy)
+        self.single_observation_space = observation_space(self._episodes.env.schema)
+        self.single_action_space = box(self._episodes.env.action_bounds)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._ended = np.zeros(num_envs, bool)
@@ -63,76 +69,45 @@ class ReachVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         if len(seeds) != self.num_envs:
             raise InputError(f"seed must be one number or {self.num_envs} of them, got {len(seeds)}.")
         mask = self._checked_mask(options)
-        self._batch.reset(seeds, mask, self.np_random)
+        now = self._episodes.reset(seeds, mask, self.np_random)
         self._ended = self._ended & ~mask
-        info = {"is_success": np.zeros(self.num_envs, bool), "distance": self._batch.distance}
-        return self._batch.observe(), _batch_info(info, mask)
+        return now.observation, _batch_info(_info(now), mask)
 
-    def step(self, actions: np.ndarray) -> Step:
-        """What the actions `[B, a]` led to.
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Observations, rewards, terminated, truncated and infos that the actions `[B, a]` led to.
+
+        By autoreset mode: with `NEXT_STEP` an episode that ended in the last step begins anew in this one, whatever its
+        action, without reward. With `SAME_STEP` one that ends in this step begins anew in it; its last observation and
+        info are among the infos. With `DISABLED` one that has ended has to be reset, by `reset` with a mask.
 
         Raises:
             InputError: an action is misshapen or not finite, or belongs to an episode that has ended where
                 nothing resets it; nothing has moved.
         """
-        return self._step(actions)
-
-    def _step_disabled(self, actions: np.ndarray) -> Step:
-        """Nothing is reset: an episode that has ended has to be, by `reset` with a mask."""
         if self._ended.any():
             index = int(np.flatnonzero(self._ended)[0])
             raise InputError(
                 f"the episode of environment {index} has ended: reset it with options={{'reset_mask': ...}}."
             )
-        done = self._batch.step(actions)
-        terminated, truncated = np.array(done.terminated), np.array(done.truncated)
-        self._ended = terminated | truncated
-        return self._batch.observe_step(done), _rewards(done), terminated, truncated, self._infos(_info(done))
-
-    def _step_next(self, actions: np.ndarray) -> Step:
-        """An episode that ended in the last step begins anew in this one, whatever its action; it gets no reward."""
-        begun = self._ended
-        done = self._batch.step(actions)
-        if begun.any():
-            self._batch.restart(begun)
-        terminated, truncated = (np.asarray(end) & ~begun for end in (done.terminated, done.truncated))
-        self._ended = terminated | truncated
-        observation = self._batch.observe() if begun.any() else self._batch.observe_step(done)
-        infos = self._infos(self._begun_info(_info(done), begun))
-        return observation, np.where(begun, 0.0, _rewards(done)), terminated, truncated, infos
-
-    def _step_same(self, actions: np.ndarray) -> Step:
-        """An episode that ends in this step begins anew in it; its last observation and info are among the infos."""
-        done = self._batch.step(actions)
-        terminated, truncated = np.array(done.terminated), np.array(done.truncated)
-        ended = self._ended = terminated | truncated
-        observation, info, final = self._batch.observe_step(done), _info(done), {}
-        if ended.any():
-            final = {"final_obs": _objects(observation, ended), "final_info": _batch_info(info, ended)}
-            self._batch.restart(ended)
-            observation = self._batch.observe_some(ended, observation)
-        infos = self._infos(self._begun_info(info, ended)) | _batch_info(final, ended)
-        return observation, _rewards(done), terminated, truncated, infos
-
-    def _begun_info(self, info: dict[str, Any], begun: np.ndarray) -> dict[str, Any]:
-        """Infos of a step in which the environments of `begun [B]` were reset."""
-        if not begun.any():
-            return info
-        return {"is_success": info["is_success"] & ~begun, "distance": self._batch.distance}
-
-    def _infos(self, info: dict[str, Any]) -> dict[str, Any]:
-        return _batch_info(info, np.ones(self.num_envs, bool))
+        now, reward, terminated, truncated, final = self._episodes.step(actions)
+        if self._mode is AutoresetMode.DISABLED:
+            self._ended = np.asarray(terminated) | np.asarray(truncated)
+        infos = _batch_info(_info(now), np.ones(self.num_envs, bool))
+        if final is not None and (ended := np.asarray(terminated) | np.asarray(truncated)).any():
+            observation = _objects(final.observation, ended) if self._numpy else final.observation
+            infos |= _batch_info({"final_obs": observation, "final_info": _batch_info(_info(final), ended)}, ended)
+        return now.observation, reward.astype(np.float64) if self._numpy else reward, terminated, truncated, infos
 
     def render(self) -> tuple[np.ndarray, ...] | None:
         """A picture of each environment, in render mode `rgb_array`."""
         if self.render_mode != "rgb_array":
             return None
-        return tuple(self._batch.render(index) for index in range(self.num_envs))
+        return tuple(self._episodes.render(index) for index in range(self.num_envs))
 
     def close_extras(self, **kwargs: Any) -> None:
         """Close the simulator."""
         del kwargs
-        self._batch.env.close()
+        self._episodes.env.close()
 
     def _checked_mask(self, options: dict[str, Any] | None) -> np.ndarray:
         mask = (options or {}).get("reset_mask")
@@ -146,12 +121,8 @@ class ReachVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         return mask
 
 
-def _rewards(done: Transition) -> np.ndarray:
-    return np.array(done.reward, np.float64)
-
-
-def _info(done: Transition) -> dict[str, np.ndarray]:
-    return {"is_success": np.array(done.terms["success"]), "distance": np.array(done.terms["distance"])}
+def _info(now: Now) -> dict[str, Any]:
+    return {"is_success": now.success, "distance": now.distance}
 
 
 def _batch_info(info: dict[str, Any], mask: np.ndarray) -> dict[str, Any]:

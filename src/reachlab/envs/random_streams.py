@@ -37,7 +37,7 @@ def env_keys(seed: int, num_envs: int) -> Array:
     return gymnasium_keys(np.arange(num_envs, dtype=np.uint32) + np.uint32(seed))
 
 
-def gymnasium_keys(seeds: np.ndarray) -> Array:
+def gymnasium_keys(seeds: np.ndarray | Array) -> Array:
     """Keys `[B]` of the first episodes of seeds `[B]` uint32."""
     return jax.vmap(lambda seed: stream_key(seed, GYMNASIUM_STREAM))(seeds)
 

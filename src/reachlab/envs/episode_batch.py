@@ -1,0 +1,262 @@
+"""A batch of episodes under way, as the interfaces of other libraries step it: one call a step, resets included."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, NamedTuple, Protocol, Self
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from gymnasium.vector import AutoresetMode
+from jax import Array
+
+from reachlab.envs.core import Env, merge
+from reachlab.envs.functions import EnvState, Stepped, Transition
+from reachlab.envs.packing import Packing
+from reachlab.envs.random_streams import env_keys, gymnasium_keys
+from reachlab.jax_setup import jit
+from reachlab.robots.scalar_algebra import once
+from reachlab.settings.config import RunConfig
+from reachlab.sims import BatchArray
+from reachlab.tasks.observations import Observed
+
+
+class Now(NamedTuple):
+    """What is observed of episodes and told of them: `observation [B, ...]`, `success [B]`, `distance [B]` m."""
+
+    observation: Observed
+    success: BatchArray
+    distance: BatchArray
+
+
+class Result(NamedTuple):
+    """What a step led to.
+
+    Attributes:
+        now: after it; of the new episode, where one has begun in it.
+        reward, terminated, truncated: `[B]`; nothing, where the step did no more than begin an episode.
+        final: before episodes began anew in the step in which they ended; None where they do not.
+    """
+
+    now: Now
+    reward: BatchArray
+    terminated: BatchArray
+    truncated: BatchArray
+    final: Now | None = None
+
+
+class EpisodeBatch(Protocol):
+    """Episodes under way in every environment of a batch."""
+
+    @property
+    def state(self) -> EnvState:
+        """State of the environment, after the first reset."""
+        ...
+
+    def reset(self, seeds: np.ndarray, seeded: np.ndarray, mask: np.ndarray) -> Now:
+        """Begin new episodes in the environments of `mask [B]`; the first time these are all.
+
+        Those that are `seeded [B]` begin the first episode of their seed, `seeds [B]` uint32, the others the next one.
+        """
+        ...
+
+    def step(self, actions: BatchArray) -> Result:
+        """Take a step with actions `[B, a]`, float32 and finite."""
+        ...
+
+
+def make_batch(env: Env, mode: AutoresetMode, *, in_numpy: bool) -> EpisodeBatch:
+    """Batch of an environment's episodes, which begin anew as Gymnasium's autoreset mode says.
+
+    It gives NumPy arrays of their own, or JAX arrays.
+    """
+    return TracedBatch(env, mode, in_numpy) if env.traced else HostBatch(env, mode, in_numpy)
+
+
+# --- where everything is traced -------------------------------------------------------------------
+
+
+class TracedBatch:
+    """A batch whose step is one compiled program."""
+
+    def __init__(self, env: Env, mode: AutoresetMode, in_numpy: bool) -> None:
+        """Batch of an environment's episodes; programs are shared with those that are settled alike."""
+        self._programs, self._in_numpy = _programs(env.config, env.num_envs, mode), in_numpy
+        self._state: BatchArray = self._programs.nothing
+
+    @property
+    def state(self) -> EnvState:
+        """See `EpisodeBatch.state`."""
+        return self._programs.state.in_jax(self._state)[0]
+
+    def reset(self, seeds: np.ndarray, seeded: np.ndarray, mask: np.ndarray) -> Now:
+        """See `EpisodeBatch.reset`."""
+        self._state, now = self._programs.reset(self._state, seeds, seeded, mask)
+        return self._programs.now.taken(now, self._in_numpy)
+
+    def step(self, actions: BatchArray) -> Result:
+        """See `EpisodeBatch.step`."""
+        self._state, result = self._programs.step(self._state, actions)
+        return self._programs.result.taken(result, self._in_numpy)
+
+
+@functools.lru_cache(maxsize=16)
+def _programs(config: RunConfig, num_envs: int, mode: AutoresetMode) -> Programs:
+    return Programs(Env(config, num_envs), mode)
+
+
+class Programs:
+    """Compiled programs of a batch; what they take and give is packed, all but seeds, masks and actions.
+
+    Attributes:
+        state: packing of the environment's state, and of whose episode ended in the last step.
+        now, result: packing of what `reset` and `step` give.
+        nothing: packed state before the first reset.
+        reset: packed state and `Now`, of packed state, seeds, `seeded` and a mask, see `EpisodeBatch.reset`.
+        step: packed state and `Result`, of packed state and actions.
+    """
+
+    def __init__(self, env: Env, mode: AutoresetMode) -> None:
+        """Programs of an environment, compiled as they are first called."""
+        self._env = env
+        stepped = {
+            AutoresetMode.DISABLED: self._step_alone,
+            AutoresetMode.NEXT_STEP: self._step_after_begin,
+            AutoresetMode.SAME_STEP: self._step_and_begin,
+        }[mode]
+        ended = np.zeros(env.num_envs, bool)
+        actions = np.zeros((env.num_envs, len(env.action_bounds[0])), np.float32)
+        state = jax.eval_shape(env.init, env_keys(0, env.num_envs)), ended
+        self.state = Packing(state)
+        self.now = Packing(jax.eval_shape(self._now, state[0]))
+        self.result = Packing(jax.eval_shape(stepped, *state, actions)[1])
+        self.nothing = np.zeros((env.num_envs, self.state.columns), np.uint32)
+        self.reset = jit(functools.partial(self._packed, self._reset, self.now))
+        self.step = jit(functools.partial(self._packed, stepped, self.result))
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        """Itself: it holds nothing that changes."""
+        del memo
+        return self
+
+    def _packed(self, function: Callable[..., Any], packing: Packing, packed: Array, *arguments: Array) -> Any:
+        """Packed state and result of a function of a state, whose episodes ended, and other arguments."""
+        state, result = function(*self.state.unpack(packed), *arguments)
+        return self.state.pack(state), packing.pack(result)
+
+    def _reset(self, state: EnvState, ended: Array, seeds: Array, seeded: Array, mask: Array) -> Any:
+        keys = jnp.where(seeded & mask, gymnasium_keys(seeds), state.key)
+        state = self._env.reset(replace(state, key=keys), mask)
+        return (state, ended & ~mask), self._now(state)
+
+    def _step(self, state: EnvState, actions: Array) -> Stepped:
+        """The environment's step, computed as it is by itself: to the same bits."""
+        return once(self._env.step(once(state), actions))
+
+    def _step_alone(self, state: EnvState, ended: Array, actions: Array) -> Any:
+        del ended
+        state, done = self._step(state, actions)
+        return (state, done.done), _result(done, done.observation)
+
+    def _step_after_begin(self, state: EnvState, begun: Array, actions: Array) -> Any:
+        stepped, done = self._step(state, actions)
+        state, now = self._begin(begun, stepped, _result(done, done.observation).now)
+        reward = jnp.where(begun, 0.0, done.reward)
+        terminated, truncated = done.terminated & ~begun, done.truncated & ~begun
+        return (state, terminated | truncated), Result(now, reward, terminated, truncated)
+
+    def _step_and_begin(self, state: EnvState, ended: Array, actions: Array) -> Any:
+        del ended
+        stepped, done = self._step(state, actions)
+        result = _result(done, done.observation)
+        state, now = self._begin(done.done, stepped, result.now)
+        return (state, done.done), result._replace(now=now, final=result.now)
+
+    def _begin(self, mask: Array, state: EnvState, now: Now) -> tuple[EnvState, Now]:
+        """State and what is observed where those of `mask [B]` begin new episodes, if there are any."""
+
+        def begun() -> tuple[EnvState, Now]:
+            after = self._env.reset(state, mask)
+            return after, jax.tree.map(functools.partial(_pick, mask), self._now(after), now)
+
+        return jax.lax.cond(mask.any(), begun, lambda: (state, now))
+
+    def _now(self, state: EnvState) -> Now:
+        """What is observed of episodes that begin."""
+        return Now(self._env.observe(state), jnp.zeros(len(state.distance), bool), state.distance)
+
+
+def _pick(mask: Array, new: Array, old: Array) -> Array:
+    return jnp.where(mask.reshape(mask.shape + (1,) * (new.ndim - 1)), new, old)
+
+
+# --- where a simulator or a picture is on the host ------------------------------------------------
+
+
+class HostBatch:
+    """A batch whose steps the environment takes on the host."""
+
+    def __init__(self, env: Env, mode: AutoresetMode, in_numpy: bool) -> None:
+        """Batch of an environment's episodes."""
+        self._env, self._mode = env, mode
+        self._array: Any = np.array if in_numpy else jnp.asarray
+        self._ended = np.zeros(env.num_envs, bool)
+        self._state: EnvState | None = None
+
+    @property
+    def state(self) -> EnvState:
+        """See `EpisodeBatch.state`."""
+        assert self._state is not None, "reset comes first"  # noqa: S101
+        return self._state
+
+    def reset(self, seeds: np.ndarray, seeded: np.ndarray, mask: np.ndarray) -> Now:
+        """See `EpisodeBatch.reset`."""
+        keys = gymnasium_keys(seeds)
+        if self._state is None:
+            self._state = self._env.init(keys)
+        else:
+            keys = jnp.where(seeded & mask, keys, self._state.key)
+            self._state = self._env.reset(replace(self._state, key=keys), mask)
+        self._ended = self._ended & ~mask
+        return jax.tree.map(self._array, self._now())
+
+    def step(self, actions: BatchArray) -> Result:
+        """See `EpisodeBatch.step`."""
+        return jax.tree.map(self._array, self._step(actions))
+
+    def _step(self, actions: BatchArray) -> Result:
+        begun = self._ended if self._mode is AutoresetMode.NEXT_STEP else np.zeros_like(self._ended)
+        self._state, done = self._env.step(self.state, actions)
+        if begun.any():
+            self._state = self._env.reset(self._state, begun)
+            self._ended = np.asarray(done.done) & ~begun
+            now = self._now()._replace(success=np.asarray(done.terms["success"]) & ~begun)
+            terminated, truncated = (np.asarray(end) & ~begun for end in (done.terminated, done.truncated))
+            return Result(now, np.where(begun, 0.0, done.reward), terminated, truncated)
+        self._ended = np.asarray(done.done)
+        seen = self._env.observe_now(self._state) if done.observation is None else done.observation
+        result = _result(done, seen)
+        if self._mode is not AutoresetMode.SAME_STEP:
+            return result
+        now = self._begun(self._ended, result.now) if self._ended.any() else result.now
+        return result._replace(now=now, final=result.now)
+
+    def _begun(self, mask: np.ndarray, now: Now) -> Now:
+        """What is observed once those of `mask [B]` have begun new episodes."""
+        self._state = self._env.reset(self.state, mask)
+        observation = merge(mask, self._env.observe_now(self._state, mask), now.observation)
+        return Now(observation, np.asarray(now.success) & ~mask, self._state.distance)
+
+    def _now(self) -> Now:
+        """What is observed of episodes that begin."""
+        return Now(self._env.observe_now(self.state), np.zeros(self._env.num_envs, bool), self.state.distance)
+
+
+def _result(done: Transition, seen: Observed) -> Result:
+    """Result of a transition after which nothing begins anew."""
+    return Result(
+        Now(seen, done.terms["success"], done.terms["distance"]), done.reward, done.terminated, done.truncated
+    )
