@@ -15,7 +15,7 @@ from jax import Array
 
 from reachlab.envs.core import Env, merge
 from reachlab.envs.functions import EnvState, Stepped, Transition
-from reachlab.envs.packing import Packing
+from reachlab.envs.packing import Apart, Packed, make_packing
 from reachlab.envs.random_streams import env_keys, gymnasium_keys
 from reachlab.jax_setup import jit
 from reachlab.robots.scalar_algebra import once
@@ -76,6 +76,9 @@ def make_batch(env: Env, mode: AutoresetMode, *, in_numpy: bool) -> EpisodeBatch
     return TracedBatch(env, mode, in_numpy) if env.traced else HostBatch(env, mode, in_numpy)
 
 
+FEW, LEAST_FEW = 16, 64
+"""Where at most one in 16 environments begin an episode, and that is 64 or more, nothing is computed for the others."""
+
 # --- where everything is traced -------------------------------------------------------------------
 
 
@@ -85,12 +88,12 @@ class TracedBatch:
     def __init__(self, env: Env, mode: AutoresetMode, in_numpy: bool) -> None:
         """Batch of an environment's episodes; programs are shared with those that are settled alike."""
         self._programs, self._in_numpy = _programs(env.config, env.num_envs, mode), in_numpy
-        self._state: BatchArray = self._programs.nothing
+        self._state = self._programs.state.nothing()
 
     @property
     def state(self) -> EnvState:
         """See `EpisodeBatch.state`."""
-        return self._programs.state.in_jax(self._state)[0]
+        return self._programs.state.taken(self._state, in_numpy=False)[0]
 
     def reset(self, seeds: np.ndarray, seeded: np.ndarray, mask: np.ndarray) -> Now:
         """See `EpisodeBatch.reset`."""
@@ -112,9 +115,8 @@ class Programs:
     """Compiled programs of a batch; what they take and give is packed, all but seeds, masks and actions.
 
     Attributes:
-        state: packing of the environment's state, and of whose episode ended in the last step.
-        now, result: packing of what `reset` and `step` give.
-        nothing: packed state before the first reset.
+        state: how the environment's state is packed, and whose episode ended in the last step.
+        now, result: how that is packed which `reset` and `step` give.
         reset: packed state and `Now`, of packed state, seeds, `seeded` and a mask, see `EpisodeBatch.reset`.
         step: packed state and `Result`, of packed state and actions.
     """
@@ -130,10 +132,10 @@ class Programs:
         ended = np.zeros(env.num_envs, bool)
         actions = np.zeros((env.num_envs, len(env.action_bounds[0])), np.float32)
         state = jax.eval_shape(env.init, env_keys(0, env.num_envs)), ended
-        self.state = Packing(state)
-        self.now = Packing(jax.eval_shape(self._now, state[0]))
-        self.result = Packing(jax.eval_shape(stepped, *state, actions)[1])
-        self.nothing = np.zeros((env.num_envs, self.state.columns), np.uint32)
+        packing = functools.partial(make_packing, num_envs=env.num_envs)
+        self.state = packing(state)
+        self.now = packing(jax.eval_shape(self._now, state[0]))
+        self.result = packing(jax.eval_shape(stepped, *state, actions)[1])
         self.reset = jit(functools.partial(self._packed, self._reset, self.now))
         self.step = jit(functools.partial(self._packed, stepped, self.result))
 
@@ -142,7 +144,7 @@ class Programs:
         del memo
         return self
 
-    def _packed(self, function: Callable[..., Any], packing: Packing, packed: Array, *arguments: Array) -> Any:
+    def _packed(self, function: Callable[..., Any], packing: Packed | Apart, packed: Any, *arguments: Array) -> Any:
         """Packed state and result of a function of a state, whose episodes ended, and other arguments."""
         state, result = function(*self.state.unpack(packed), *arguments)
         return self.state.pack(state), packing.pack(result)
@@ -176,13 +178,23 @@ class Programs:
         return (state, done.done), result._replace(now=now, final=result.now)
 
     def _begin(self, mask: Array, state: EnvState, now: Now) -> tuple[EnvState, Now]:
-        """State and what is observed where those of `mask [B]` begin new episodes, if there are any."""
+        """State and what is observed where those of `mask [B]` begin new episodes: none, a few, or any number."""
+        most = len(mask) // FEW
 
-        def begun() -> tuple[EnvState, Now]:
-            after = self._env.reset(state, mask)
-            return after, jax.tree.map(functools.partial(_pick, mask), self._now(after), now)
+        def few() -> tuple[EnvState, Now]:
+            index = jnp.nonzero(mask, size=most, fill_value=len(mask))[0]
+            begun = self._env.reset(jax.tree.map(lambda x: x[index], state), jnp.ones(most, bool))
+            return jax.tree.map(lambda old, new: old.at[index].set(new), (state, now), (begun, self._now(begun)))
 
-        return jax.lax.cond(mask.any(), begun, lambda: (state, now))
+        def any_number() -> tuple[EnvState, Now]:
+            begun = self._env.reset(state, mask)
+            return begun, jax.tree.map(functools.partial(_pick, mask), self._now(begun), now)
+
+        if most < LEAST_FEW:
+            return jax.lax.cond(mask.any(), any_number, lambda: (state, now))
+        count = mask.sum()
+        cases = (lambda: (state, now)), few, any_number
+        return jax.lax.switch((count > 0).astype(int) + (count > most), cases)
 
     def _now(self, state: EnvState) -> Now:
         """What is observed of episodes that begin."""

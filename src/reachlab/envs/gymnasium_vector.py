@@ -84,7 +84,7 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
             InputError: an action is misshapen or not finite, or belongs to an episode that has ended where
                 nothing resets it; nothing has moved.
         """
-        if self._ended.any():
+        if self._mode is AutoresetMode.DISABLED and self._ended.any():
             index = int(np.flatnonzero(self._ended)[0])
             raise InputError(
                 f"the episode of environment {index} has ended: reset it with options={{'reset_mask': ...}}."
