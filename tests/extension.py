@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -116,3 +118,24 @@ def nudge(env: Env, policy: Policy | None, state: EnvState, key: Array, picture:
 
 
 AGENT = AgentEntry("the largest action at every step", "extension:nudge")
+
+
+class Notebook:
+    """A sink that writes rows into a list, and at the end into the run directory."""
+
+    def __init__(self) -> None:
+        self.rows: list[dict[str, Any]] = []
+        self.result: dict[str, Any] | None = {}
+
+    def open(self, folder: Path) -> None:
+        self.file = folder / "notebook.json"
+
+    def write(self, row: Mapping[str, Any]) -> None:
+        self.rows.append(dict(row))
+
+    def close(self, result: Mapping[str, Any] | None) -> None:
+        self.result = None if result is None else dict(result)
+        self.file.write_text(json.dumps([self.rows, self.result]))
+
+
+SINK = Lazy("a list in the run directory", "extension:Notebook")

@@ -21,6 +21,7 @@ from reachlab.cli import main as cli
 from reachlab.cli.flags import Bench, Eval, Train
 from reachlab.cli.verbs import VERBS
 from reachlab.envs.setup import check
+from reachlab.runs.sinks import SINKS
 from reachlab.settings.consistency import RANDOMISED
 from reachlab.settings.validation import choose, hints
 from test_imports import FOLDERS
@@ -92,7 +93,7 @@ def settings(cls: type) -> Iterator[str]:
             yield from (f"--{flag}", f"--no-{flag}") if kind is bool else (f"--{flag}",)
 
 
-FLAGS = {flag for verb in VERBS.values() for flag in settings(verb.flags)} | {"--help"}
+FLAGS = {flag for verb in VERBS.values() for flag in settings(verb.flags)} | {f"--{name}" for name in ("help", *SINKS)}
 
 
 @pytest.mark.parametrize("page", TEXTS)

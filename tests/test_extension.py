@@ -13,6 +13,8 @@ from conformance import CHECKS, Subject
 from reachlab.agents import AGENTS
 from reachlab.cli import main as cli
 from reachlab.robots.catalogue import ROBOTS
+from reachlab.runs.metrics import read_metrics
+from reachlab.runs.sinks import SINKS
 from reachlab.sims import SIMULATORS
 from reachlab.tasks import TASKS
 from reachlab.tasks.actions import ACTIONS
@@ -49,6 +51,7 @@ def added(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setitem(ACTIONS, "joint_step", extension.ACTION)
     monkeypatch.setitem(REWARDS, "squared", extension.reward)
     monkeypatch.setitem(AGENTS, "nudge", extension.AGENT)
+    monkeypatch.setitem(SINKS, "notebook", extension.SINK)
 
 
 @pytest.mark.parametrize("names", [{}, *({kind: name} for kind, name in ADDED.items()), ADDED], ids=str)
@@ -81,6 +84,16 @@ def test_what_is_added_is_listed_and_evaluated_by_the_command_line(capsys: pytes
     assert cli.main(words.split()) == cli.DONE
     report = json.loads(capsys.readouterr().out)
     assert (report["task"], report["robot"], report["agent"]) == ("hover", "three_link", "nudge")
+
+
+def test_a_sink_that_is_added_has_its_flag_and_gets_the_rows_and_the_report(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tiny = "--num-envs 8 --rollout-steps 8 --total-steps 64 --hidden 8 --report-episodes 4 --max-steps 20"
+    run = tmp_path / "run"
+    assert cli.main(["train", *tiny.split(), "--json", "--notebook", "--out", str(run)]) == cli.DONE
+    report = json.loads(capsys.readouterr().out)
+    assert json.loads((run / "notebook.json").read_text()) == [read_metrics(run / "metrics.jsonl"), report]
 
 
 def test_a_figure_of_a_robot_says_where_it_is_from() -> None:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, make_dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
 from reachlab.agents import AGENTS
 from reachlab.bench import SUITES
+from reachlab.runs.sinks import SINKS
 from reachlab.settings.config import DaggerConfig, RunConfig
 from reachlab.settings.presets import DISTILLATION
 from reachlab.settings.validation import Checked, Count, NonNegative, Positive, Range, Seed, Steps
@@ -19,6 +20,21 @@ Optional = tyro.conf.arg(metavar="PATH", help_behavior_hint="")
 
 Agent = Annotated[str, tyro.conf.arg(help=f"Agent: {', '.join(AGENTS)}.")]
 Agents = Annotated[tuple[str, ...], tyro.conf.arg(help=f"Agents: {', '.join(AGENTS)}.")]
+
+
+def _sink_flags() -> type:
+    """Dataclass with a flag for every sink."""
+    flags = [(name, Annotated[bool, tyro.conf.arg(help=sink.summary)], False) for name, sink in SINKS.items()]
+    return make_dataclass("SinkFlags", flags, frozen=True)
+
+
+def _no_sinks() -> Any:
+    """Flags of the sinks, none of them given."""
+    return _sink_flags()()
+
+
+Sinks = Annotated[Any, tyro.conf.arg(name="", constructor_factory=_sink_flags)]
+"""Whether each sink is wanted, by its name."""
 
 
 @dataclass(frozen=True)
@@ -31,8 +47,7 @@ class Train(Checked):
     """Run directory to make; by default a new one below runs/."""
     resume: Annotated[Path | None, Optional] = None
     """Run directory to resume: training continues from its newest checkpoint, with its own settings."""
-    tensorboard: bool = False
-    """Write TensorBoard's event file into the run directory too; needs the extra `tensorboard`."""
+    sinks: Sinks = field(default_factory=_no_sinks)
     json: bool = False
     """Print the result as one JSON object on standard output."""
 
@@ -64,8 +79,7 @@ class Distil(Checked):
     deterministic: bool = False
     """Compute on one thread: the same weights on any number of cores."""
     settings: DaggerConfig = field(default_factory=DaggerConfig)
-    tensorboard: bool = False
-    """Write TensorBoard's event file into the run directory too; needs the extra `tensorboard`."""
+    sinks: Sinks = field(default_factory=_no_sinks)
     json: bool = False
     """Print the result as one JSON object on standard output."""
 

@@ -61,9 +61,9 @@ def _learn(arguments: Train | Distil, config: RunConfig, verb: str) -> None:
     from reachlab.watch.plots import plot as draw
 
     out = arguments.resume or arguments.out or Path("runs") / f"{time.strftime('%Y%m%d-%H%M%S')}-{config.task}"
-    settings = {"resume": arguments.resume is not None, "tensorboard": arguments.tensorboard}
+    sinks = tuple(name for name, wanted in vars(arguments.sinks).items() if wanted)
     with TrainDisplay(config) as display:
-        result = run_training(config, out, display, **settings)
+        result = run_training(config, out, display, resume=arguments.resume is not None, sinks=sinks)
     draw([out], out / "curve.png")
     if arguments.json:
         print(jsonlib.dumps(result.to_json()))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,8 @@ from reachlab.learn.method import Method
 from reachlab.runs.directory import RunDirectory
 from reachlab.runs.files import write_json
 from reachlab.runs.lock import locked
-from reachlab.runs.metrics import Metrics, cut_metrics, event_writer
+from reachlab.runs.metrics import Metrics, cut_metrics
+from reachlab.runs.sinks import Sink, make_sinks
 from reachlab.settings.config import DistilRunConfig, RunConfig
 from reachlab.settings.json_form import override
 from reachlab.settings.validation import InputError
@@ -61,7 +62,7 @@ def train(
     watch: Callable[[Progress], None] = lambda _: None,
     *,
     resume: bool = False,
-    tensorboard: bool = False,
+    sinks: Sequence[str] = (),
 ) -> TrainResult:
     """Result of training, whose files are in the directory `out`.
 
@@ -72,11 +73,11 @@ def train(
         out: run directory, made here; with `resume` one that is there.
         watch: called after every iteration.
         resume: continue from the newest checkpoint of `out`, bit for bit as if training had never stopped.
-        tensorboard: write TensorBoard's event file too.
+        sinks: where the numbers of `metrics.jsonl` go too: names of `SINKS`, for example `("tensorboard", "wandb")`.
 
     Raises:
         InputError: a setting that does not exist or fit, a directory that does, one that cannot be resumed, or
-            tensorboardX is wanted and missing.
+            a sink that cannot be used.
         NotFiniteError: a number is not finite.
         Interrupted: a signal asked for it.
     """
@@ -84,13 +85,12 @@ def train(
     inherited = resume or isinstance(config, DistilRunConfig)
     check(config, config if inherited else None)
     asked, config = config, settled(config, make_setup(config))
-    if tensorboard:
-        event_writer()
     run = RunDirectory(Path(out))
     if resume:
         _check_unfinished(run, config)
     else:
         run.refuse_existing()
+    wanted = make_sinks(sinks)
     _choose_threads(run, config)
     method: Method = METHODS[config.method].load()
     given = method.load(config, resume)
@@ -103,7 +103,7 @@ def train(
             run.create(config)
         with locked(run.path):
             loop = Loop(config, env, run, watch, start, method, given)
-            return _train(loop, resume=resume, tensorboard=tensorboard)
+            return _train(loop, wanted, resume=resume)
     finally:
         env.close()
 
@@ -114,14 +114,14 @@ def distil(
     watch: Callable[[Progress], None] = lambda _: None,
     *,
     resume: bool = False,
-    tensorboard: bool = False,
+    sinks: Sequence[str] = (),
 ) -> TrainResult:
     """Result of learning to act on pictures from the teacher in the run directory `config.teacher`; see `train`.
 
     Raises:
         InputError: see `train`; or a teacher, observation or simulator that cannot be learnt with.
     """
-    return train(config, out, watch, resume=resume, tensorboard=tensorboard)
+    return train(config, out, watch, resume=resume, sinks=sinks)
 
 
 def _check_unfinished(run: RunDirectory, config: RunConfig) -> None:
@@ -137,28 +137,33 @@ def _choose_threads(run: RunDirectory, config: RunConfig) -> None:
         set_threads(saved.threads if saved else 1)
 
 
-def _train(loop: Loop, *, resume: bool, tensorboard: bool) -> TrainResult:
+def _train(loop: Loop, sinks: dict[str, Sink], *, resume: bool) -> TrainResult:
     run, config = loop.run, loop.config
     state = loop.prepare(resume=resume)
     cut_metrics(run.metrics_file, loop.now.steps)
-    with Metrics(run.metrics_file, tensorboard=tensorboard) as metrics, Interrupts() as interrupts:
-        state = loop.iterate(state, metrics, interrupts)
+    with Metrics(run.metrics_file, sinks) as metrics:
+        with Interrupts() as interrupts:
+            state = loop.iterate(state, metrics, interrupts)
+        result = _result(loop, state.learner.policy)
+        try:
+            write_json(run.report_file, result.to_json())
+        except OSError as error:
+            raise unwritable("report", run, error, config.verb) from None
+        metrics.finish(result.to_json())
+    return result
+
+
+def _result(loop: Loop, policy: Policy) -> TrainResult:
     trained = time.perf_counter()
-    report = _report(loop, state.learner.policy)
-    result = TrainResult(
-        report=report,
-        policy=state.learner.policy,
+    return TrainResult(
+        report=_report(loop, policy),
+        policy=policy,
         steps=loop.now.steps,
         train_wall_s=loop.now.train_s,
         total_wall_s=loop.now.train_s + time.perf_counter() - trained,
         steps_per_second=loop.steps_per_second,
-        validated=loop.validated if config.loop.stop_early else None,
+        validated=loop.validated if loop.config.loop.stop_early else None,
     )
-    try:
-        write_json(run.report_file, result.to_json())
-    except OSError as error:
-        raise unwritable("report", run, error, config.verb) from None
-    return result
 
 
 def _report(loop: Loop, policy: Policy) -> Report:

@@ -1,55 +1,69 @@
-"""The sink of a run's numbers: one line of JSON for each iteration, and TensorBoard's events where wanted."""
+"""A run's numbers: one line of JSON for each iteration, and the same for every sink that is wanted."""
 
 from __future__ import annotations
 
 import contextlib
 import json
+import logging
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, BinaryIO, Self
+from typing import Any, BinaryIO, Self
 
 from reachlab.runs.files import open_plain
+from reachlab.runs.sinks import Sink
 from reachlab.settings.validation import InputError
-
-if TYPE_CHECKING:
-    from tensorboardX import SummaryWriter
 
 LINE_LIMIT = 2**16
 """Longest line that is taken for a row [bytes]."""
 
+log = logging.getLogger(__name__)
+
 
 class Metrics:
-    """Appends rows to `metrics.jsonl`, and the same numbers to an event file beside it.
+    """Appends rows to `metrics.jsonl`, and hands them to the sinks.
 
-    A row for which the disk has no room is written with the next one.
+    A row for which the disk has no room is written with the next one. A sink that fails gets no more rows, which a
+    warning says; the run goes on.
     """
 
-    def __init__(self, path: Path, *, tensorboard: bool = False) -> None:
-        """Sink that appends to a file, and with `tensorboard` to an event file in its folder.
+    def __init__(self, path: Path, sinks: Mapping[str, Sink] | None = None) -> None:
+        """Metrics that are appended to a file, and go to sinks, by name, that are opened on its folder.
 
         Raises:
-            InputError: it cannot be written, or TensorBoard is wanted and tensorboardX is not installed.
+            InputError: it cannot be written, or a sink cannot be used.
         """
-        self._events = event_writer()(str(path.parent)) if tensorboard else None
+        self._sinks: dict[str, Sink] = {}
         self._waiting = b""
         try:
             self._descriptor = open_plain(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
         except (OSError, InputError) as error:
             raise InputError(f"'{path}' cannot be written: {_reason(error)}.") from None
+        try:
+            for name, sink in (sinks or {}).items():
+                sink.open(path.parent)
+                self._sinks[name] = sink
+        except BaseException:
+            self._close()
+            raise
 
     def write(self, row: Mapping[str, Any]) -> None:
-        """Append a row; its `steps` are the axis of TensorBoard's charts.
+        """Append a row, with environment steps as `steps`.
 
         The system has it when `write` returns, unless the disk has no room for it.
         """
         self._waiting += (json.dumps(dict(row)) + "\n").encode()
         with contextlib.suppress(OSError):
             self._flush()
-        if self._events is not None:
-            for name, value in row.items():
-                self._events.add_scalar(name, value, row["steps"])
+        for name, sink in list(self._sinks.items()):
+            self._try(name, sink.write, row)
+
+    def finish(self, result: Mapping[str, Any] | None) -> None:
+        """Close the sinks, with what training came to; None if it did not end by itself."""
+        for name, sink in list(self._sinks.items()):
+            self._try(name, sink.close, result)
+        self._sinks.clear()
 
     def sync(self) -> None:
         """Wait until all rows are on the disk.
@@ -71,23 +85,20 @@ class Metrics:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Close the files."""
+        """Close the file, and the sinks that are open."""
+        self._close()
+
+    def _close(self) -> None:
         os.close(self._descriptor)
-        if self._events is not None:
-            self._events.close()
+        self.finish(None)
 
-
-def event_writer() -> type[SummaryWriter]:
-    """The class that writes TensorBoard's event files.
-
-    Raises:
-        InputError: tensorboardX is not installed.
-    """
-    try:
-        from tensorboardX import SummaryWriter
-    except ImportError:
-        raise InputError("--tensorboard needs tensorboardX: pip install 'reachlab[tensorboard]'.") from None
-    return SummaryWriter
+    def _try(self, name: str, act: Callable[[Any], None], given: Any) -> None:
+        try:
+            act(given)
+        except Exception as error:
+            why = str(error) or type(error).__name__
+            log.warning("reachlab: %s gets no more numbers (%s); the run goes on without it.", name, why)
+            del self._sinks[name]
 
 
 def read_metrics(path: Path) -> list[dict[str, Any]]:

@@ -1,0 +1,39 @@
+"""The sink that writes TensorBoard's event files."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from reachlab.settings.validation import InputError
+
+
+class TensorBoard:
+    """Writes an event file into the run directory."""
+
+    def __init__(self) -> None:
+        """Sink that is not yet open.
+
+        Raises:
+            InputError: tensorboardX is not installed.
+        """
+        try:
+            from tensorboardX import SummaryWriter
+        except ImportError:
+            raise InputError("--tensorboard needs tensorboardX: pip install 'reachlab[tensorboard]'.") from None
+        self._make_writer = SummaryWriter
+
+    def open(self, folder: Path) -> None:
+        """Begin an event file."""
+        self._writer = self._make_writer(str(folder))
+
+    def write(self, row: Mapping[str, Any]) -> None:
+        """Write each number under its name; `steps` are the axis of the charts."""
+        for name, value in row.items():
+            self._writer.add_scalar(name, value, row["steps"])
+
+    def close(self, result: Mapping[str, Any] | None) -> None:
+        """Close the event file."""
+        del result
+        self._writer.close()

@@ -1,0 +1,94 @@
+"""The sink that logs to Weights & Biases."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from reachlab.runs.files import read_json
+from reachlab.runs.metrics import read_metrics
+from reachlab.settings.validation import InputError
+
+PROJECT = "reachlab"
+"""W&B project, where the user names none."""
+
+INIT_TIMEOUT = 30.0
+"""Longest wait for the server to take a new run [s]."""
+
+FINISH_TIMEOUT = 60.0
+"""Longest wait at the end for rows to be uploaded [s]; what is left then stays on the disk, for `wandb sync`."""
+
+LOCAL = ("offline", "dryrun", "disabled")
+"""Modes of W&B in which nothing leaves this machine."""
+
+WITHOUT = "set WANDB_MODE=offline, or leave --wandb out"
+"""How to train where W&B cannot be used."""
+
+
+class WeightsAndBiases:
+    """Logs a run by the directory's name; with W&B's files in the directory, and the same W&B run after a resume."""
+
+    def __init__(self) -> None:
+        """Sink that is not yet open.
+
+        Raises:
+            InputError: wandb is not installed; or online, there is no key that its server takes.
+        """
+        try:
+            import wandb
+        except ImportError:
+            raise InputError("--wandb needs wandb: pip install 'reachlab[wandb]'.") from None
+        self._wandb = wandb
+        try:
+            self._settings = wandb.setup().settings
+            ready = self._settings.mode in LOCAL or wandb.run or wandb.login(prompt=False, verify=True)
+        except (wandb.Error, OSError, ValueError) as error:  # a ValueError where a variable of W&B's is not valid
+            raise _refusal(error, WITHOUT) from None
+        if not ready:
+            raise InputError(f"--wandb needs an API key: run `wandb login`, {WITHOUT}.")
+
+    def open(self, folder: Path) -> None:
+        """Begin a W&B run, or continue the one that is not finished; rows that it lacks are logged again.
+
+        Raises:
+            InputError: the server does not take it.
+        """
+        try:
+            self._run = self._wandb.init(
+                project=self._settings.project or PROJECT,
+                dir=folder,
+                name=folder.resolve().name,
+                config=read_json(folder / "config.json"),
+                resume="auto",
+                reinit="create_new",
+                settings={
+                    "console": "off",
+                    "quiet": True,
+                    "init_timeout": INIT_TIMEOUT,
+                    "finish_timeout": FINISH_TIMEOUT,
+                    "max_end_of_run_history_metrics": 0,
+                    "max_end_of_run_summary_metrics": 0,
+                },
+            )
+            for row in read_metrics(folder / "metrics.jsonl"):
+                self.write(row)
+        except (self._wandb.Error, OSError) as error:
+            raise _refusal(error, f"{WITHOUT}, and train on with --resume {folder}") from None
+
+    def write(self, row: Mapping[str, Any]) -> None:
+        """Log a row at its `steps`, unless the server has it from before a resume."""
+        if row["steps"] >= self._run.starting_step:
+            self._run.log(dict(row), step=row["steps"], commit=True)
+
+    def close(self, result: Mapping[str, Any] | None) -> None:
+        """Finish the W&B run; the result is in its summary, as `report`."""
+        if result is not None:
+            self._run.summary.update({"report": dict(result)})
+        self._run.finish(exit_code=int(result is None))
+
+
+def _refusal(error: Exception, how: str) -> InputError:
+    """Why W&B cannot be used, in one sentence, and how to go on."""
+    why = " ".join(str(error).split()).rstrip(".")
+    return InputError(f"Weights & Biases cannot be used ({why}): {how}.")
