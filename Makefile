@@ -4,8 +4,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 RUN := runs/demo-$(shell date +%Y%m%d-%H%M%S)
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
+GYMNAX_VENV := .venv-gymnax
 
-.PHONY: demo test lint types unit bench bench-viewer foreign fuzz trust clean
+.PHONY: demo test lint types unit bench bench-viewer foreign fuzz trust gymnax clean
 
 demo: $(VENV)/installed
 	@$(BIN)/reachlab train --out $(RUN)
@@ -33,15 +34,19 @@ fuzz: $(VENV)/installed-dev
 trust: $(VENV)/installed-dev
 	PYTHONPATH=tests $(BIN)/python -m faults
 
+# In an environment of its own: gymnax needs an older gymnasium than the other tests.
+gymnax: $(GYMNAX_VENV)/installed
+	$(GYMNAX_VENV)/bin/python -m pytest tests/gymnax
+
 bench: $(VENV)/installed
 	for suite in start speed kinematics learning; do $(BIN)/reachlab bench --suite $$suite; done
 
 bench-viewer: $(VENV)/installed-dev
 	TF_CPP_MIN_LOG_LEVEL=3 PYTHONPATH=tests $(BIN)/python -m browser.viewer
 
-$(VENV)/bin/python:
+$(VENV)/bin/python $(GYMNAX_VENV)/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "reachlab needs Python 3.11 or newer; this is " + sys.version.split()[0] + ". Name another: make PYTHON=python3.12")'
-	$(PYTHON) -m venv $(VENV)
+	$(PYTHON) -m venv $(@:/bin/python=)
 
 $(VENV)/installed: $(VENV)/bin/python pyproject.toml constraints.txt
 	$(PIP) install --constraint constraints.txt --editable .
@@ -51,5 +56,11 @@ $(VENV)/installed-dev: $(VENV)/bin/python pyproject.toml constraints.txt
 	$(PIP) install --constraint constraints.txt --editable '.[dev]'
 	@touch $@ $(VENV)/installed
 
+$(GYMNAX_VENV)/installed: $(GYMNAX_VENV)/bin/python pyproject.toml constraints.txt tests/gymnax/constraints.txt
+	grep -v '^gymnasium==' constraints.txt | cat - tests/gymnax/constraints.txt > $(GYMNAX_VENV)/constraints.txt
+	$(GYMNAX_VENV)/bin/python -m pip --disable-pip-version-check --quiet install \
+		--constraint $(GYMNAX_VENV)/constraints.txt --editable '.[gymnax]' rejax pytest
+	@touch $@
+
 clean:
-	rm -rf $(VENV) .pytest_cache .ruff_cache
+	rm -rf $(VENV) $(GYMNAX_VENV) .pytest_cache .ruff_cache

@@ -22,6 +22,12 @@ FOLDERS = (
 GROUND = ("settings",)
 """Folders that the files at the top of the package import from; what is asked for by name is loaded later."""
 
+DOORS = ("gymnax",)
+"""Files at the top that lead to an optional package: they import from any folder, and nothing imports them."""
+
+APART = ("reachlab.envs.gymnax_env",)
+"""Modules whose package the tests here are run without; see `make gymnax`."""
+
 LONGEST_FILE, LONGEST_FUNCTION = 300, 60
 """Lines of a source file, and of a function in it, beyond which it has two reasons to exist."""
 
@@ -68,6 +74,26 @@ def test_every_folder_has_its_place() -> None:
 @pytest.mark.parametrize("folder", [folder for folder in FOLDERS if folder in EDGES])
 def test_a_folder_imports_only_from_those_above_it(folder: str) -> None:
     assert EDGES[folder] <= set(FOLDERS[: FOLDERS.index(folder)])
+
+
+@pytest.mark.parametrize("path", sorted(SOURCE.glob("[!_]*.py")), ids=lambda path: path.stem)
+def test_files_at_the_top_import_from_the_ground_alone_but_for_doors(path: Path) -> None:
+    assert path.stem in DOORS or {*map(folder_of, imports_of(path))} <= {*GROUND, ""}
+
+
+def test_nothing_imports_a_door() -> None:
+    imported = {name for path in SOURCE.rglob("*.py") for name in imports_of(path)}
+    assert not imported & {f"reachlab.{door}" for door in DOORS}
+
+
+def test_a_door_without_its_package_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    from reachlab.gymnax import make
+
+    monkeypatch.setitem(sys.modules, "flax", None)
+    with pytest.raises(
+        reachlab.InputError, match=r"needs gymnax \(flax is missing\): pip install 'reachlab\[gymnax\]'"
+    ):
+        make()
 
 
 def test_the_order_is_read_from_the_files() -> None:
@@ -126,7 +152,8 @@ def test_a_public_name_is_the_same_each_time_it_is_asked_for(name: str) -> None:
 
 def test_importing_any_module_starts_no_jax_backend_so_that_threads_can_still_be_chosen() -> None:
     files = (path.relative_to(SOURCE.parent).with_suffix("") for path in SOURCE.rglob("*.py"))
-    modules = ", ".join(sorted(".".join(file.parts) for file in files if not file.name.startswith("__")))
+    names = {".".join(file.parts) for file in files if not file.name.startswith("__")}
+    modules = ", ".join(sorted(names.difference(APART)))
     probe = f"import {modules}; from reachlab.jax_setup import set_threads; set_threads(1)"
     done = subprocess.run([sys.executable, "-c", probe], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
