@@ -22,7 +22,7 @@ FOLDERS = (
 GROUND = ("settings",)
 """Folders that the files at the top of the package import from; what is asked for by name is loaded later."""
 
-DOORS = ("gymnax",)
+DOORS = ("gymnax", "sb3")
 """Files at the top that lead to an optional package: they import from any folder, and nothing imports them."""
 
 APART = ("reachlab.envs.gymnax_env",)
@@ -59,6 +59,8 @@ def edges() -> dict[str, set[str]]:
     found: dict[str, set[str]] = {}
     for path in SOURCE.rglob("*.py"):
         parts = path.relative_to(SOURCE).parts
+        if len(parts) == 1 and path.stem in DOORS:
+            continue
         folder = parts[0] if len(parts) > 1 else ""
         found.setdefault(folder, set()).update(map(folder_of, imports_of(path)))
     return {folder: others - {folder, ""} for folder, others in found.items()}

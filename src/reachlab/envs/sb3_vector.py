@@ -1,0 +1,116 @@
+"""Stable-Baselines3's face of a batch of environments."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices, VecEnvObs, VecEnvStepReturn
+
+from reachlab.envs.gymnasium_vector import ReachVectorEnv
+from reachlab.settings.validation import InputError, choose
+
+SHARED = ("compute_reward", "compute_terminated", "compute_truncated")
+"""Methods that are the same function for every environment; hindsight replay asks for the first."""
+
+
+class ReachVecEnv(VecEnv):
+    """A batch of arms for Stable-Baselines3; environment i of seed s is `ReachEnv` with seed s + i.
+
+    Infos hold what `ReachEnv` tells, and where an episode ended what `DummyVecEnv` and `Monitor` add.
+    """
+
+    def __init__(self, num_envs: int = 1, **settings: Any) -> None:
+        """Batch of environments; settings, task and render mode as for `ReachEnv`.
+
+        Raises:
+            InputError: see `ReachEnv`.
+        """
+        self.env = ReachVectorEnv(num_envs, autoreset_mode="SameStep", **settings)
+        super().__init__(num_envs, self.env.single_observation_space, self.env.single_action_space)
+        self.metadata = self.env.metadata
+        self._actions = np.zeros(self.env.action_space.shape or (), np.float32)
+        self._returns, self._lengths = np.zeros(num_envs), np.zeros(num_envs, int)
+        self._began = time.time()
+
+    def reset(self) -> VecEnvObs:
+        """Observations of new episodes, with the seeds that `seed` has handed out."""
+        observation, info = self.env.reset(seed=self._seeds)
+        self._reset_seeds()
+        self._reset_options()
+        self._returns[:], self._lengths[:] = 0.0, 0
+        self.reset_infos = _infos(info)
+        return observation
+
+    def step_async(self, actions: np.ndarray) -> None:
+        """Keep the actions `[B, a]` for `step_wait`."""
+        self._actions = actions
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """Observations, rewards `[B]` float32, ends `[B]` and infos; an episode that ended begins anew.
+
+        Raises:
+            InputError: an action is misshapen or not finite; nothing has moved.
+        """
+        observation, rewards, terminated, truncated, info = self.env.step(self._actions)
+        done = terminated | truncated
+        self._returns += rewards
+        self._lengths += 1
+        infos = _infos({**info, "TimeLimit.truncated": truncated & ~terminated})
+        ended = np.flatnonzero(done)
+        if ended.size:
+            final, seconds = _infos(info["final_info"]), round(time.time() - self._began, 6)
+            for i in ended.tolist():
+                self.reset_infos[i] = {name: infos[i][name] for name in final[i]}
+                episode = {"r": float(self._returns[i]), "l": int(self._lengths[i]), "t": seconds}
+                infos[i] |= {**final[i], "terminal_observation": info["final_obs"][i], "episode": episode}
+            self._returns[ended], self._lengths[ended] = 0.0, 0
+        return observation, rewards.astype(np.float32), done, infos
+
+    def get_images(self) -> Sequence[np.ndarray | None]:
+        """A picture of each environment, in render mode `rgb_array`."""
+        return self.env.render() or [None] * self.num_envs
+
+    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
+        """The batch's attribute, as often as environments are asked for; of spaces that of one environment."""
+        of_one = {"observation_space", "action_space"}
+        value = getattr(self.env, f"single_{attr_name}" if attr_name in of_one else attr_name)
+        return [value for _ in self._get_indices(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
+        """Set an attribute of the batch.
+
+        Raises:
+            InputError: of some environments only.
+        """
+        if set(self._get_indices(indices)) != set(range(self.num_envs)):
+            raise InputError(f"{attr_name} is one for all {self.num_envs} environments: leave out indices.")
+        setattr(self.env, attr_name, value)
+
+    def env_method(
+        self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any
+    ) -> list[Any]:
+        """What a method of the batch returns, as often as environments are asked for.
+
+        Raises:
+            InputError: no method that is the same for every environment.
+        """
+        value = getattr(self.env, choose("method", method_name, SHARED))(*method_args, **method_kwargs)
+        return [value for _ in self._get_indices(indices)]
+
+    def env_is_wrapped(self, wrapper_class: type[Any], indices: VecEnvIndices = None) -> list[bool]:
+        """Whether environments tell what a wrapper would: they tell what `Monitor` does."""
+        return [wrapper_class is Monitor for _ in self._get_indices(indices)]
+
+    def close(self) -> None:
+        """Close the simulator."""
+        self.env.close()
+
+
+def _infos(info: dict[str, Any]) -> list[dict[str, Any]]:
+    """Infos of each environment, of Gymnasium's infos of a batch."""
+    columns = {name: info[name].tolist() for name in info if not name.startswith(("_", "final_"))}
+    return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]

@@ -1,0 +1,186 @@
+"""The Stable-Baselines3 face, held against its own checker, its own vector environment and its own learners."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import warnings
+from collections.abc import Iterator
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+import stable_baselines3.common.env_util as sb3_env_util
+import torch
+from gymnasium.wrappers import RescaleAction
+from stable_baselines3 import PPO
+from stable_baselines3.common.env_checker import check_env
+from stable_baselines3.common.evaluation import evaluate_policy
+from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.vec_env import VecMonitor
+
+from reachlab.envs.sb3_vector import ReachVecEnv
+from reachlab.sb3 import make_vec_env
+from reachlab.settings.validation import InputError
+
+NUM_ENVS = 3
+SHORT: dict[str, Any] = {"max_steps": 40, "clip_actions": False, "success_distance": 0.4}
+"""Episodes that end often and in every way."""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def one_thread() -> None:
+    torch.set_num_threads(1)
+
+
+@pytest.fixture(scope="module")
+def env() -> ReachVecEnv:
+    return make_vec_env(NUM_ENVS, **SHORT)
+
+
+def pushes(steps: int) -> Iterator[np.ndarray]:
+    """Actions that keep their direction long enough to leave the workspace or to reach the target."""
+    random, actions = np.random.default_rng(1), np.zeros((NUM_ENVS, 3), np.float32)
+    for step in range(steps):
+        if step % 20 == 0:
+            actions = random.uniform((-1.5, -1.5, -3.0), (1.5, 1.5, 0.8), (NUM_ENVS, 3)).astype(np.float32)
+        yield actions
+
+
+@pytest.mark.parametrize("name", ["reachlab/KukaReach-v0", "reachlab/Reach-v0"])
+@pytest.mark.parametrize("action", ["tool_delta", "joint_delta"])
+def test_stable_baselines3s_checker_finds_nothing_but_the_tutorials_box(name: str, action: str) -> None:
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        check_env(gymnasium.make(name, action=action).unwrapped)
+    said = [str(warning.message) for warning in caught]
+    assert len(said) == (action == "tool_delta"), said
+    assert all("symmetric and normalized" in sentence for sentence in said)
+
+
+def assert_same_infos(ours: list[dict[str, Any]], theirs: list[dict[str, Any]], where: str) -> None:
+    """Infos of equal names, types and values; the time of an episode's end is not compared."""
+    for one, other in zip(ours, theirs, strict=True):
+        assert one.keys() == other.keys(), where
+        for name, value in other.items():
+            if name == "episode":
+                assert one[name]["r"] == pytest.approx(value["r"], abs=1e-4), where
+                assert one[name]["l"] == value["l"], where
+                assert one[name].keys() == value.keys(), where
+            else:
+                assert type(one[name]) is type(value), f"{where}: {name}"
+                assert one[name] == pytest.approx(value, abs=1e-4), f"{where}: {name}"
+
+
+def test_a_batch_is_stable_baselines3s_vector_of_single_environments(env: ReachVecEnv) -> None:
+    theirs = sb3_env_util.make_vec_env("reachlab/Reach-v0", NUM_ENVS, env_kwargs=SHORT)
+    assert env.observation_space == theirs.observation_space
+    assert env.action_space == theirs.action_space
+    assert env.seed(21) == theirs.seed(21)
+    assert env.reset() == pytest.approx(theirs.reset(), abs=1e-4)
+    assert_same_infos(env.reset_infos, theirs.reset_infos, "reset")
+    ends = {"success": 0, "outside": 0, "timeout": 0}
+    for number, actions in enumerate(pushes(400)):
+        ours, other = env.step(actions), theirs.step(actions)
+        for one, two in zip(ours[:3], other[:3], strict=True):
+            assert one == pytest.approx(two, abs=1e-3), f"step {number}"
+            assert np.asarray(one).dtype == np.asarray(two).dtype
+        assert_same_infos(ours[3], other[3], f"step {number}")
+        assert_same_infos(env.reset_infos, theirs.reset_infos, f"step {number}")
+        for index in np.flatnonzero(ours[2]):
+            info = ours[3][index]
+            ends["timeout" if info["TimeLimit.truncated"] else "success" if info["is_success"] else "outside"] += 1
+    assert min(ends.values()) > 0, f"not every end occurred: {ends}"
+    assert env.reset() == pytest.approx(theirs.reset(), abs=1e-4), "the unseeded reset"
+
+
+def test_make_vec_env_seeds_the_first_reset() -> None:
+    batch, single = make_vec_env(2, seed=7), gymnasium.make("reachlab/Reach-v0")
+    assert np.asarray(batch.reset())[1] == pytest.approx(single.reset(seed=8)[0])
+
+
+def test_observations_belong_to_the_caller(env: Any) -> None:
+    first = env.reset()
+    before = first.copy()
+    second, *_ = env.step(np.full((NUM_ENVS, 3), 0.3, np.float32))
+    assert np.array_equal(first, before)
+    second[:] = 0
+    assert env.step(np.zeros((NUM_ENVS, 3), np.float32))[0].any()
+
+
+def test_what_all_environments_share_is_told_for_each(env: ReachVecEnv) -> None:
+    assert env.get_attr("num_envs") == [NUM_ENVS] * NUM_ENVS
+    assert env.get_attr("action_space", indices=[0, 2]) == [env.action_space] * 2
+    assert env.get_attr("observation_space", indices=1) == [env.observation_space]
+    assert env.env_is_wrapped(Monitor) == [True] * NUM_ENVS
+    assert env.env_is_wrapped(RescaleAction, indices=0) == [False]
+    assert not env.has_attr("colour")
+    env.set_attr("colour", "red")
+    assert env.get_attr("colour") == ["red"] * NUM_ENVS
+
+
+def test_what_all_environments_share_cannot_differ(env: ReachVecEnv) -> None:
+    with pytest.raises(InputError, match="colour is one for all 3 environments: leave out indices"):
+        env.set_attr("colour", "red", indices=[1])
+    with pytest.raises(InputError, match="method 'step' is not one of: compute_reward"):
+        env.env_method("step", indices=[1])
+
+
+def test_a_wrong_action_names_its_environment(env: ReachVecEnv) -> None:
+    env.reset()
+    actions = np.zeros((NUM_ENVS, 3), np.float32)
+    actions[2, 1] = np.nan
+    with pytest.raises(InputError, match=r"environment 2.*nan.*index 1"):
+        env.step(actions)
+
+
+def test_wrong_settings_are_refused_in_one_sentence() -> None:
+    with pytest.raises(InputError, match=r"setting 'max_step' is not one of: .*Did you mean 'max_steps'"):
+        make_vec_env(2, max_step=3)
+
+
+def test_without_stable_baselines3_the_extra_is_named() -> None:
+    probe = "import sys; sys.modules['stable_baselines3'] = None; from reachlab.sb3 import make_vec_env; make_vec_env()"
+    done = subprocess.run([sys.executable, "-c", probe], capture_output=True, text=True, check=False)
+    assert "InputError: ReachVecEnv needs Stable-Baselines3: pip install 'reachlab[sb3]'." in done.stderr
+
+
+def test_pictures_are_tiled() -> None:
+    env = make_vec_env(2, render_mode="rgb_array")
+    env.reset()
+    try:
+        pictures = env.get_images()
+    except InputError as error:
+        pytest.skip(str(error))
+    assert isinstance(pictures[0], np.ndarray)
+    tiled = env.render()
+    assert tiled is not None
+    assert tiled.size >= 2 * pictures[0].size
+    env.close()
+
+
+def test_ppo_learns_and_is_told_returns_and_successes(env: ReachVecEnv) -> None:
+    model = PPO("MlpPolicy", env, n_steps=128, batch_size=96, n_epochs=2, seed=0, device="cpu")
+    before = [parameter.clone() for parameter in model.policy.parameters()]
+    model.learn(2 * 128 * NUM_ENVS)
+    assert any((old != new).any() for old, new in zip(before, model.policy.parameters(), strict=True))
+    assert model.ep_info_buffer
+    assert {"r", "l", "t"} == model.ep_info_buffer[0].keys()
+    assert model.ep_success_buffer
+    mean, _ = evaluate_policy(model, env, n_eval_episodes=4)
+    assert np.isfinite(mean)
+
+
+def test_statistics_of_a_monitor_are_the_same() -> None:
+    with pytest.warns(UserWarning, match="already wrapped with a `Monitor`"):
+        env = VecMonitor(make_vec_env(NUM_ENVS, seed=3, **SHORT))
+    env.reset()
+    bare = make_vec_env(NUM_ENVS, seed=3, **SHORT)
+    bare.reset()
+    for actions in pushes(60):
+        for monitored, told in zip(env.step(actions)[3], bare.step(actions)[3], strict=True):
+            assert ("episode" in monitored) == ("episode" in told)
+            if "episode" in told:
+                assert monitored["episode"]["r"] == pytest.approx(told["episode"]["r"], abs=1e-4)
+                assert monitored["episode"]["l"] == told["episode"]["l"]
