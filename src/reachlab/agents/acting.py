@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import numpy as np
@@ -12,10 +13,15 @@ from reachlab.agents import AGENTS
 from reachlab.agents.policy import Policy
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState, Transition
+from reachlab.envs.gymnasium_shared import checked_actions
 from reachlab.settings.validation import InputError, choose
+from reachlab.tasks.observations import Observed
 
 Agent = Callable[[Env, Policy | None, EnvState, Array, Array | None], Array]
 """Gives actions `[B, a]` for a state; the key is for agents that sample them, the picture for policies that need it."""
+
+Function = Callable[[Observed], Any]
+"""Gives actions `[B, a]` for observations, both in NumPy or what it understands: a policy of any other library."""
 
 Act = Callable[..., tuple[EnvState, Transition, Array]]
 """State, transition and next random key after a step of an agent, of policy, state, key, `mask` and `instead`.
@@ -33,12 +39,19 @@ def trained(env: Env, policy: Policy | None, state: EnvState, key: Array, pictur
     return policy.act(env.observe(state, picture))
 
 
-def make_act(env: Env, agent: str) -> Act:
-    """The step of an agent of `AGENTS`.
+def name_of(agent: str | Function) -> str:
+    """What an agent is called in reports."""
+    return agent if isinstance(agent, str) else getattr(agent, "__name__", type(agent).__name__)
+
+
+def make_act(env: Env, agent: str | Function) -> Act:
+    """The step of an agent of `AGENTS`, or of a function.
 
     Raises:
         InputError: there is none of that name.
     """
+    if not isinstance(agent, str):
+        return _act_by(agent, env)
     entry = AGENTS[choose("agent", agent, AGENTS)]
     decide: Agent = entry.load()
     decided = env.compile_part(lambda policy, state, key, picture: decide(env, policy, state, key, picture))
@@ -50,6 +63,25 @@ def make_act(env: Env, agent: str) -> Act:
         key, now = jax.random.split(key)
         picture = env.render_observation(state, None if mask is None else np.asarray(mask)) if draws else None
         state, transition = env.step(state, decided(policy, state, now, picture), instead=instead)
+        return state, transition, key
+
+    return act
+
+
+def _act_by(decide: Function, env: Env) -> Act:
+    """The step of a function, which is called outside JAX's traces.
+
+    Raises:
+        InputError: when it is called, where it gives actions that are misshapen or not finite.
+    """
+    step = env.compile_whole(env.step)
+
+    def act(
+        policy: Policy | None, state: EnvState, key: Array, mask: Array | None = None, instead: Array | None = None
+    ) -> tuple[EnvState, Transition, Array]:
+        del policy
+        seen = jax.tree.map(np.array, env.observe_now(state, None if mask is None else np.asarray(mask)))
+        state, transition = step(state, checked_actions(decide(seen), state.last_action.shape), instead=instead)
         return state, transition, key
 
     return act

@@ -25,11 +25,12 @@ from reachlab.tasks.observations import Observed
 
 
 class Now(NamedTuple):
-    """What is observed of episodes and told of them: `observation [B, ...]`, `success [B]`, `distance [B]` m."""
+    """What is observed of episodes and told of them: observations, and `[B]` each success, distance [m] and steps."""
 
     observation: Observed
     success: BatchArray
     distance: BatchArray
+    steps: BatchArray
 
 
 class Result(NamedTuple):
@@ -161,11 +162,11 @@ class Programs:
     def _step_alone(self, state: EnvState, ended: Array, actions: Array) -> Any:
         del ended
         state, done = self._step(state, actions)
-        return (state, done.done), _result(done, done.observation)
+        return (state, done.done), _result(state, done, done.observation)
 
     def _step_after_begin(self, state: EnvState, begun: Array, actions: Array) -> Any:
         stepped, done = self._step(state, actions)
-        state, now = self._begin(begun, stepped, _result(done, done.observation).now)
+        state, now = self._begin(begun, stepped, _result(stepped, done, done.observation).now)
         reward = jnp.where(begun, 0.0, done.reward)
         terminated, truncated = done.terminated & ~begun, done.truncated & ~begun
         return (state, terminated | truncated), Result(now, reward, terminated, truncated)
@@ -173,7 +174,7 @@ class Programs:
     def _step_and_begin(self, state: EnvState, ended: Array, actions: Array) -> Any:
         del ended
         stepped, done = self._step(state, actions)
-        result = _result(done, done.observation)
+        result = _result(stepped, done, done.observation)
         state, now = self._begin(done.done, stepped, result.now)
         return (state, done.done), result._replace(now=now, final=result.now)
 
@@ -198,7 +199,7 @@ class Programs:
 
     def _now(self, state: EnvState) -> Now:
         """What is observed of episodes that begin."""
-        return Now(self._env.observe(state), jnp.zeros(len(state.distance), bool), state.distance)
+        return Now(self._env.observe(state), jnp.zeros(len(state.distance), bool), state.distance, state.clock)
 
 
 def _pick(mask: Array, new: Array, old: Array) -> Array:
@@ -250,7 +251,7 @@ class HostBatch:
             return Result(now, np.where(begun, 0.0, done.reward), terminated, truncated)
         self._ended = np.asarray(done.done)
         seen = self._env.observe_now(self._state) if done.observation is None else done.observation
-        result = _result(done, seen)
+        result = _result(self._state, done, seen)
         if self._mode is not AutoresetMode.SAME_STEP:
             return result
         now = self._begun(self._ended, result.now) if self._ended.any() else result.now
@@ -260,15 +261,15 @@ class HostBatch:
         """What is observed once those of `mask [B]` have begun new episodes."""
         self._state = self._env.reset(self.state, mask)
         observation = merge(mask, self._env.observe_now(self._state, mask), now.observation)
-        return Now(observation, np.asarray(now.success) & ~mask, self._state.distance)
+        return Now(observation, np.asarray(now.success) & ~mask, self._state.distance, self._state.clock)
 
     def _now(self) -> Now:
         """What is observed of episodes that begin."""
-        return Now(self._env.observe_now(self.state), np.zeros(self._env.num_envs, bool), self.state.distance)
+        state, success = self.state, np.zeros(self._env.num_envs, bool)
+        return Now(self._env.observe_now(state), success, state.distance, state.clock)
 
 
-def _result(done: Transition, seen: Observed) -> Result:
-    """Result of a transition after which nothing begins anew."""
-    return Result(
-        Now(seen, done.terms["success"], done.terms["distance"]), done.reward, done.terminated, done.truncated
-    )
+def _result(state: EnvState, done: Transition, seen: Observed) -> Result:
+    """Result of a step to a state after which nothing begins anew."""
+    now = Now(seen, done.terms["success"], done.terms["distance"], state.clock)
+    return Result(now, done.reward, done.terminated, done.truncated)

@@ -184,7 +184,8 @@ class EnvFunctions:
         noise = jax.vmap(lambda key: jax.random.normal(key, (2, now.q.shape[-1])))(noise_keys(keys, clock))
         q, qd = now.q + POSITION_NOISE * noise[:, 0], now.qd + SPEED_NOISE * noise[:, 1]
         pose = forward_kinematics(self.setup.robot.chain, q)
-        return now._replace(q=q, qd=qd, tool_position=pose.position, tool_quaternion=pose.quaternion)
+        measured = now._replace(q=q, qd=qd, tool_position=pose.position, tool_quaternion=pose.quaternion)
+        return measured._replace(achieved=now.tool_position)
 
     def view_samples(self, keys: Array) -> Array:
         """Random numbers `[B, SAMPLES]` of the views of episodes, see `make_views`; zeros where views do not vary."""

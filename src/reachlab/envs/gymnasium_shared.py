@@ -48,7 +48,7 @@ class Episodes:
         self.env = Env(config, num_envs)
         self._batch, self._begun = make_batch(self.env, mode, in_numpy=in_numpy), False
         self._shape = (num_envs, len(self.env.action_bounds[0]))
-        self._checked = _checked_actions if in_numpy else _checked_in_jax
+        self._checked = checked_actions if in_numpy else _checked_in_jax
 
     @property
     def state(self) -> EnvState:
@@ -118,7 +118,7 @@ def single(observation: Any, index: int) -> Any:
     )
 
 
-def _checked_actions(given: Any, shape: tuple[int, int]) -> np.ndarray:
+def checked_actions(given: Any, shape: tuple[int, ...]) -> np.ndarray:
     """Actions as float32.
 
     Raises:
@@ -142,18 +142,18 @@ def _checked_actions(given: Any, shape: tuple[int, int]) -> np.ndarray:
     return actions
 
 
-def _checked_in_jax(given: Any, shape: tuple[int, int]) -> Any:
+def _checked_in_jax(given: Any, shape: tuple[int, ...]) -> Any:
     """Actions as float32; what JAX can take over stays where it is, but for the answer whether it is finite.
 
     Raises:
-        InputError: see `_checked_actions`.
+        InputError: see `checked_actions`.
     """
     if isinstance(given, np.ndarray) or not hasattr(given, "__dlpack__"):
-        return _checked_actions(given, shape)
+        return checked_actions(given, shape)
     actions = given if isinstance(given, jax.Array) else jnp.from_dlpack(given)
     if actions.shape == shape and actions.dtype == jnp.float32 and _finite(actions):
         return actions
-    return _checked_actions(actions, shape)
+    return checked_actions(actions, shape)
 
 
 @jax.jit

@@ -8,6 +8,7 @@ import gymnasium
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
+from reachlab.envs.episode_batch import Now
 from reachlab.envs.functions import EnvState
 from reachlab.envs.gymnasium_shared import (
     METADATA,
@@ -22,7 +23,7 @@ from reachlab.envs.gymnasium_shared import (
 class ReachEnv(gymnasium.Env[Any, np.ndarray]):
     """One arm that has to reach a target.
 
-    `info` holds `is_success` and `distance` [m].
+    `info` holds `is_success`, `distance` [m] and `elapsed_steps`.
     """
 
     metadata = METADATA
@@ -43,7 +44,7 @@ class ReachEnv(gymnasium.Env[Any, np.ndarray]):
         del options
         super().reset(seed=seed)
         now = self._episodes.reset([seed], np.ones(1, bool), self.np_random)
-        return single(now.observation, 0), {"is_success": False, "distance": now.distance.item()}
+        return single(now.observation, 0), _info(now)
 
     def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """What an action led to: observation, reward, terminated, truncated, info.
@@ -52,8 +53,7 @@ class ReachEnv(gymnasium.Env[Any, np.ndarray]):
             InputError: the action is misshapen or not finite; nothing has moved.
         """
         now, reward, terminated, truncated, _ = self._episodes.step([action])
-        info = {"is_success": now.success.item(), "distance": now.distance.item()}
-        return single(now.observation, 0), reward.item(), terminated.item(), truncated.item(), info
+        return single(now.observation, 0), reward.item(), terminated.item(), truncated.item(), _info(now)
 
     def render(self) -> np.ndarray | None:
         """Picture of the arm, `[height, width, 3]` uint8, in render mode `rgb_array`."""
@@ -71,3 +71,7 @@ class ReachEnv(gymnasium.Env[Any, np.ndarray]):
     def close(self) -> None:
         """Close the simulator."""
         self._episodes.env.close()
+
+
+def _info(now: Now) -> dict[str, Any]:
+    return {"is_success": now.success.item(), "distance": now.distance.item(), "elapsed_steps": now.steps.item()}

@@ -122,7 +122,7 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
 
 
 def _info(now: Now) -> dict[str, Any]:
-    return {"is_success": now.success, "distance": now.distance}
+    return {"is_success": now.success, "distance": now.distance, "elapsed_steps": now.steps}
 
 
 def _batch_info(info: dict[str, Any], mask: np.ndarray) -> dict[str, Any]:

@@ -81,7 +81,7 @@ class Packed:
         leaves = [_numbers(packed[:, columns], shape, dtype) for columns, shape, dtype in self._leaves]
         return jax.tree.unflatten(self._structure, leaves)
 
-    def taken(self, packed: Array, in_numpy: bool) -> Any:
+    def taken(self, packed: Any, in_numpy: bool) -> Any:
         """See `Apart.taken`."""
         if not in_numpy:
             return self._in_jax(packed)

@@ -127,7 +127,7 @@ def check_reach(config: RunConfig) -> None:
     found, workspace = survey(setup), " to ".join(_point(corner) for corner in setup.robot.workspace)
     if not found.reached:
         low, high = setup.task.goal_box(setup)
-        limits = "" if config.rules.hold_steps else f" inside its workspace, {workspace} m"
+        limits = f" inside its workspace, {workspace} m" if config.rules.ends_outside else ""
         raise InputError(
             f"none of the targets, {_point(low)} to {_point(high)} m, can be reached: the tool comes to none within"
             f" the success distance of {setup.rules.success_distance:g} m{limits}; `reachlab robot {config.robot}`"
@@ -148,7 +148,7 @@ def _places(config: RunConfig) -> tuple[Any, ...]:
     """All that decides what can be reached."""
     rules = config.rules
     box = (rules.target_low, rules.target_high) if rules.targets == "box" else rules.target_height
-    starts = rules.start_noise if not rules.hold_steps else 0.0
+    starts = rules.start_noise if rules.ends_outside else 0.0
     return (
         config.robot,
         config.base,
@@ -156,7 +156,7 @@ def _places(config: RunConfig) -> tuple[Any, ...]:
         rules.targets,
         box,
         rules.success_distance,
-        not rules.hold_steps,
+        rules.ends_outside,
         starts,
     )
 

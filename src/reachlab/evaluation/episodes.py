@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from reachlab.agents.acting import make_act
+from reachlab.agents.acting import Function, make_act
 from reachlab.agents.policy import Policy
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState, Transition
@@ -71,12 +71,14 @@ class Runner:
     on_host: bool = False
 
 
-def make_runner(env: Env, agent: str) -> Runner:
-    """Runner for an agent of `agents.AGENTS`."""
+def make_runner(env: Env, agent: str | Function) -> Runner:
+    """Runner for an agent of `agents.AGENTS`, or for a function."""
+    traced = env.traced and isinstance(agent, str)
+    init = env.init if traced else env.compile_whole(env.init)
     period, within = env.config.physics.control_period, env.setup.rules.success_distance
 
     def begin(keys: Array) -> tuple[EnvState, Episodes, Array]:
-        state = env.init(keys)
+        state = init(keys)
         count, still = len(keys), jnp.zeros_like(state.arm.q)
         episodes = Episodes(
             goal=state.goal.position,
@@ -93,20 +95,22 @@ def make_runner(env: Env, agent: str) -> Runner:
         return state, episodes, jax.random.fold_in(keys[0], AGENT_STREAM)
 
     act = make_act(env, agent)
-    count_step = env.compile_part(partial(_count, period=period, within=within))
+    count_step = partial(_count, period=period, within=within)
 
     def advance(policy: Policy | None, carry: tuple[EnvState, Episodes, Array]) -> tuple[EnvState, Episodes, Array]:
         state, episodes, key = carry
         state, transition, key = act(policy, state, key, ~episodes.done)
         return state, count_step(episodes, state, transition), key
 
-    if env.traced:
+    if traced:
 
         def run(policy: Policy | None, keys: Array) -> Episodes:
             carry = begin(keys)
             return jax.lax.while_loop(lambda c: ~c[1].done.all(), lambda c: advance(policy, c), carry)[1]
 
         return Runner(jit(run), BATCH)
+
+    count_step = jit(count_step)
 
     def run_on_host(policy: Policy | None, keys: Array, watch: Watch = ignore) -> Episodes:
         carry = begin(keys)

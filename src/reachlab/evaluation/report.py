@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from reachlab.agents import AGENTS
+from reachlab.agents.acting import Function, name_of
 from reachlab.agents.policy import Policy
 from reachlab.envs.core import Env
 from reachlab.envs.random_streams import REPORT_STREAM
@@ -93,7 +94,7 @@ def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
 
 def evaluate(
     env: Env,
-    agent: str,
+    agent: str | Function,
     policy: Policy | None = None,
     *,
     seed: int = 1,
@@ -101,13 +102,16 @@ def evaluate(
     runner: Runner | None = None,
     checkpoint: dict[str, Any] | None = None,
 ) -> Report:
-    """Report of an agent on held-out targets; see `examine`."""
+    """Report of an agent on held-out targets; see `examine`.
+
+    A policy of any other library is evaluated as a function: `evaluate(env, lambda observation: actions)`.
+    """
     return examine(env, agent, policy, seed=seed, episodes=episodes, runner=runner, checkpoint=checkpoint)[0]
 
 
 def examine(
     env: Env,
-    agent: str,
+    agent: str | Function,
     policy: Policy | None = None,
     *,
     seed: int,
@@ -120,7 +124,7 @@ def examine(
 
     Args:
         env: the environment.
-        agent: name in `AGENTS`.
+        agent: name in `AGENTS`, or a function that gives actions `[B, a]` for observations with the batch in front.
         policy: the trained policy, for agent `trained`.
         seed: seed of the targets; equal for all agents and simulators.
         episodes: how many.
@@ -129,7 +133,8 @@ def examine(
         checkpoint: what names the policy in the report, see `Manifest.identity`.
 
     Raises:
-        InputError: no episodes, no such agent, or agent `trained` without a policy.
+        InputError: no episodes, no such agent, agent `trained` without a policy, or a function's actions are misshapen
+            or not finite.
     """
     if episodes < 1:
         raise InputError(f"episodes must be at least 1, got {episodes}.")
@@ -139,7 +144,12 @@ def examine(
 
 
 def summarise(
-    env: Env, agent: str, result: Episodes, seed: int, wall_s: float, checkpoint: dict[str, Any] | None = None
+    env: Env,
+    agent: str | Function,
+    result: Episodes,
+    seed: int,
+    wall_s: float,
+    checkpoint: dict[str, Any] | None = None,
 ) -> Report:
     """Report of finished episodes."""
     count, successes = len(result.done), int(result.success.sum())
@@ -150,10 +160,10 @@ def summarise(
         task=env.config.task,
         robot=env.setup.robot.name,
         sim=env.config.sim,
-        agent=agent,
+        agent=name_of(agent),
         seed=seed,
         episodes=count,
-        checkpoint=checkpoint if AGENTS[agent].trained else None,
+        checkpoint=checkpoint if not isinstance(agent, str) or AGENTS[agent].trained else None,
         randomised=list(env.config.randomise),
         success_rate=successes / count,
         success_interval=wilson_interval(successes, count),

@@ -42,8 +42,8 @@ class TaskConfig(Checked):
     clip_actions: bool = True
     """Clip actions to their box. The tutorial's own code does not."""
     tool_scale: Positive | None = None
-    """Displacement of the tool for an action of 1 with `tool_delta` [m]; by default the tutorial's 0.005 m, in
-    proportion to the arm's workspace."""
+    """Displacement of the tool for an action of 1 with `tool_delta` or `tool_step` [m]; by default the tutorial's
+    0.005 m, in proportion to the arm's workspace."""
     joint_scale: Positive = 0.02
     """Displacement of a joint for an action of 1 with `joint_delta` [rad or m]."""
     success_distance: Positive | None = None
@@ -53,6 +53,8 @@ class TaskConfig(Checked):
     """What happens at the target. `end`: success ends the episode. `continue`: the policy acts until the time limit,
     and success is judged on the last step. `hold`: as `continue`, but while the tool is within the success distance the
     joint command stays as it is, so that the arm rests there; it acts again when the tool is outside."""
+    end_outside: bool = True
+    """Leaving the workspace ends the episode, in failure. Where the target has to be held it does not in any case."""
     max_steps: Count = 1000
     """An episode is truncated on this step."""
     approach_weight: NonNegative | None = None
@@ -71,7 +73,7 @@ class TaskConfig(Checked):
     """Episodes start with every joint within this of its home [rad or m]."""
     hold_steps: NonNegativeInt = 0
     """Success is that the tool was within the success distance, and the joints slow, for so many steps in a row; with
-    0, touching the target is enough, and leaving the workspace ends the episode."""
+    0, touching the target is enough."""
     hold_speed: Positive = 0.05
     """Joint speed below which the tool counts as held [rad/s or m/s]."""
     closeness_weight: NonNegative = 0.2
@@ -80,6 +82,11 @@ class TaskConfig(Checked):
     """Distance at which that reward has fallen to about a half [m]."""
     effort_weight: NonNegative = 0.01
     """Penalty of the `precise` reward for a step with actions of 1."""
+
+    @property
+    def ends_outside(self) -> bool:
+        """Whether leaving the workspace ends an episode."""
+        return self.end_outside and not self.hold_steps
 
 
 @dataclass(frozen=True)

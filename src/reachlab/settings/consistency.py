@@ -19,6 +19,9 @@ from reachlab.settings.validation import InputError, choose
 RANDOMISED = ("dynamics", "view")
 """What can vary from episode to episode; see `RunConfig.randomise`."""
 
+TOOL_ACTIONS = ("tool_delta", "tool_step")
+"""Actions that displace the tool."""
+
 log = logging.getLogger(__name__)
 
 
@@ -66,13 +69,14 @@ PRECISE = Need("reward precise", lambda s: s["reward"] == "precise")
 STOP_EARLY = Need("stop_early", lambda s: s["stop_early"], vital=False)
 
 NEEDS: dict[str, Need] = {
-    "tool_scale": Need("action tool_delta", lambda s: s["action"] == "tool_delta"),
-    "joint_scale": Need("an action of the joints, as joint_delta", lambda s: s["action"] != "tool_delta"),
+    "tool_scale": Need("an action of the tool, as tool_delta", lambda s: s["action"] in TOOL_ACTIONS),
+    "joint_scale": Need("an action of the joints, as joint_delta", lambda s: s["action"] not in TOOL_ACTIONS),
+    "end_outside": Need("hold_steps 0", lambda s: not s["hold_steps"]),
     "target_height": TABLE,
     "target_low": BOX,
     "target_high": BOX,
     "hold_speed": Need("hold_steps above 0 or reward precise", lambda s: s["hold_steps"] or s["reward"] == "precise"),
-    "approach_weight": Need("reward dense or precise", lambda s: s["reward"] != "sparse"),
+    "approach_weight": Need("reward dense or precise", lambda s: s["reward"] in ("dense", "precise")),
     "closeness_weight": PRECISE,
     "closeness_scale": Need(
         "reward precise and closeness_weight above 0", lambda s: s["reward"] == "precise" and s["closeness_weight"] > 0

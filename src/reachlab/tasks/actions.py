@@ -41,6 +41,11 @@ def _tool_box(setup: TaskSetup) -> Bounds:
     return np.array([-0.4, -0.4, -0.6], np.float32), np.array([0.4, 0.4, 0.3], np.float32)
 
 
+def _unit_box(setup: TaskSetup) -> Bounds:
+    del setup
+    return -np.ones(3, np.float32), np.ones(3, np.float32)
+
+
 def _move_tool(setup: TaskSetup, now: Situation, action: Array) -> Array:
     """Joint command whose tool point is displaced by the action, the tool held in its orientation."""
     displacement = action * setup.rules.tool_scale
@@ -52,7 +57,7 @@ def _tool_towards(setup: TaskSetup, now: Situation, believed: Situation) -> Arra
     """Straight line to the target at the box's full speed."""
     del now
     wanted = (believed.goal.position - believed.tool_position) / setup.rules.tool_scale
-    low, high = _tool_box(setup)
+    low, high = ACTIONS[setup.rules.action].bounds(setup)
     excess = jnp.where(wanted > 0, wanted / high, wanted / low).max(axis=-1, keepdims=True)
     return wanted / jnp.maximum(excess, 1.0)
 
@@ -129,6 +134,7 @@ def _correction_towards(setup: TaskSetup, now: Situation, believed: Situation) -
 
 ACTIONS: dict[str, Action] = {
     "tool_delta": Action("a displacement of the tool, its orientation held", _tool_box, _move_tool, _tool_towards),
+    "tool_step": Action("the same in a box of -1 to 1 in each direction", _unit_box, _move_tool, _tool_towards),
     "joint_delta": Action("a displacement of every joint", _joint_box, _move_joints, _joints_towards),
     "joint_residual": Action(
         "a displacement of every joint, added to that of inverse kinematics and fading at the target",

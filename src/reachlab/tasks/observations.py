@@ -20,6 +20,9 @@ SIZE = 84
 Observed = Any
 """An observation: a vector `[..., k]`, a picture `[..., SIZE, SIZE]` uint8, or a dict of them by name."""
 
+GOALS = ("achieved_goal", "desired_goal")
+"""Names of the last fields of an observation in the form of Gymnasium-Robotics' `GoalEnv`."""
+
 LOWEST_GOAL = -0.05
 """Bottom of the observed box [m]: the tutorial's settled object lies just below the workspace."""
 
@@ -75,8 +78,9 @@ class Field:
 class Schema:
     """What an observation is made of, in order.
 
-    Without a picture the observation is one vector, all fields joined; a picture alone is an array; else it is a dict
-    of the fields by name.
+    Without a picture the observation is one vector, all fields joined; a picture alone is an array; with more than that
+    it is a dict of the fields by name. One that ends in `GOALS` is a dict of these and of the others joined, called
+    `observation`.
     """
 
     fields: tuple[Field, ...]
@@ -103,6 +107,11 @@ class Schema:
         """Fields that are not."""
         return tuple(field for field in self.fields if not field.picture)
 
+    @functools.cached_property
+    def has_goals(self) -> bool:
+        """Whether it is in the form of a `GoalEnv`."""
+        return tuple(field.name for field in self.fields[-2:]) == GOALS
+
     @property
     def vector_size(self) -> int:
         """Numbers in all vectors together."""
@@ -113,23 +122,31 @@ class Schema:
         if self.pictures:
             return values[self.fields[0].name] if len(self.fields) == 1 else dict(values)
         parts = [values[field.name] for field in self.fields]
-        module: Any = np if isinstance(parts[0], np.ndarray) else jnp
-        return parts[0] if len(parts) == 1 else module.concatenate(parts, axis=-1)
+        if self.has_goals:
+            return {"observation": _concatenated(parts[:-2]), **dict(zip(GOALS, parts[-2:], strict=True))}
+        return _concatenated(parts)
 
     def split(self, observation: Observed) -> tuple[Any, Any]:
         """Picture and vector `[..., k]` of an observation, each None where it has none."""
+        if self.has_goals:
+            return None, _concatenated([observation["observation"], *(observation[name] for name in GOALS)])
         if not self.pictures:
             return None, observation
         if not self.vectors:
             return observation, None
         parts = [observation[field.name] for field in self.vectors]
-        return observation[self.pictures[0].name], parts[0] if len(parts) == 1 else jnp.concatenate(parts, axis=-1)
+        return observation[self.pictures[0].name], _concatenated(parts)
 
     @property
     def bounds(self) -> tuple[Any, Any]:
         """Lower and upper bounds in the form of an observation."""
         low, high = ({field.name: field.bounds[side] for field in self.fields} for side in (0, 1))
         return self.join(low), self.join(high)
+
+
+def _concatenated(parts: Sequence[Any]) -> Any:
+    module: Any = np if isinstance(parts[0], np.ndarray) else jnp
+    return parts[0] if len(parts) == 1 else module.concatenate(parts, axis=-1)
 
 
 @dataclass(frozen=True)
@@ -234,23 +251,41 @@ def _picture(setup: TaskSetup, now: Situation) -> Array:
     return now.picture
 
 
+def _achieved(setup: TaskSetup, now: Situation) -> Array:
+    """Where the tool truly is, so that rewards can be recomputed."""
+    del setup
+    return now.tool_position if now.achieved is None else now.achieved
+
+
 GOAL = Term("goal", "m", lambda _, now: now.goal.position, _goal_bounds, _goal_constant)
 TOOL = Term("tool", "m", lambda _, now: now.tool_position, _tool_bounds)
 IMAGE = Term("image", "grey", _picture, lambda _: (np.zeros(1, np.uint8), np.full(1, 255, np.uint8)), picture=True)
 
-STATE = (
+ARM = (
     Term("joints", "rad or m", lambda _, now: now.q, _joint_bounds),
     # An arm that is overloaded moves faster than its rated speeds.
     Term("joint_speeds", "rad/s or m/s", lambda _, now: now.qd, lambda s: _within(10 * np.array(s.robot.speed))),
     Term("lag", "rad or m", lambda _, now: now.target_q - now.q, _lag_bounds, lambda setup: np.array(setup.lag) == 0.0),
     TOOL,
+)
+"""Joints, their speeds and how far they are behind their commands, and the tool."""
+
+LAST_ACTION = Term("last_action", "1", lambda _, now: now.last_action, _action_bounds)
+
+STATE = (
+    *ARM,
     GOAL,
     Term("way", "m", _way, _way_bounds),
     Term("way_near", "1", _way_near, lambda _: _within(np.ones(3))),
-    Term("last_action", "1", lambda _, now: now.last_action, _action_bounds),
+    LAST_ACTION,
 )
-"""Joints, their speeds and how far they are behind their commands, tool, goal, the way between them and the same drawn
-together, and the last action."""
+"""The arm, the goal, the way to it from the tool and the same drawn together, and the last action."""
+
+ACHIEVED_AND_DESIRED = (
+    Term(GOALS[0], "m", _achieved, _tool_bounds),
+    Term(GOALS[1], "m", lambda _, now: now.goal.position, _goal_bounds, _goal_constant),
+)
+"""Where the tool is, and where it is asked to be."""
 
 OBSERVATIONS: dict[str, Observation] = {
     "target": Observation("the target's position [m]", (GOAL,)),
@@ -259,6 +294,14 @@ OBSERVATIONS: dict[str, Observation] = {
         "joints, their speeds and lag, tool, target, the way between them far and near, and the last action", STATE
     ),
     "image": Observation("a camera's picture, 84 × 84 grey", (IMAGE,)),
+    "goal": Observation(
+        "the tool's position, achieved_goal and desired_goal [m], as a dict: the form of a GoalEnv",
+        (TOOL, *ACHIEVED_AND_DESIRED),
+    ),
+    "goal+state": Observation(
+        "joints, their speeds and lag, tool and last action, achieved_goal and desired_goal [m], as a dict",
+        (*ARM, LAST_ACTION, *ACHIEVED_AND_DESIRED),
+    ),
     "image+tool": Observation("a camera's picture and the tool's position [m], as a dict", (IMAGE, TOOL)),
 }
 """Observation designs by name."""

@@ -95,7 +95,9 @@ def _judge(setup: TaskSetup, before: Progress, now: Situation, clock: Array) -> 
     """
     rules, after = setup.rules, _remember(setup, before, now)
     distance, error = after.distance, after.error
-    outside = jnp.zeros_like(distance, bool) if rules.hold_steps else outside_workspace(setup.robot, now.tool_position)
+    outside = jnp.zeros_like(distance, bool)
+    if rules.ends_outside:
+        outside = outside_workspace(setup.robot, now.tool_position)
     success = ~outside & (error < rules.success_distance)
     timeout = ~outside & (clock >= rules.max_steps)
     gained, terminated = success.astype(distance.dtype), outside

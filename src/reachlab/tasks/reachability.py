@@ -53,7 +53,7 @@ def survey(setup: TaskSetup) -> Survey:
 
     An orientation that is held counts for nothing: where joint limits leave no choice, position outranks it.
     """
-    random, robot, bounded = np.random.default_rng(0), setup.robot, not setup.rules.hold_steps
+    random, robot, bounded = np.random.default_rng(0), setup.robot, setup.rules.ends_outside
     targets = random.uniform(*setup.task.goal_box(setup), (SAMPLES, 3))
     low, high = np.array(robot.workspace)
     points = _nearest(robot, np.clip(targets, low, high) if bounded else targets)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 from jax import Array
 
@@ -17,6 +18,18 @@ TIMEOUT_REWARD = -0.1
 
 SUCCESS_REWARD = 1.0
 """Reward of reaching the target (the tutorial's)."""
+
+
+GOAL_REWARDS: dict[str, Callable[[Rules, Any], Any]] = {
+    # The rewards of Gymnasium-Robotics' FetchReach and of panda-gym.
+    "goal": lambda rules, distance: -1.0 * (distance >= rules.success_distance),
+    "goal_distance": lambda _, distance: -distance,
+}
+"""Rewards that follow from the distance `[...]` m of tool and goal alone, for arrays of NumPy and of JAX."""
+
+
+def _of_distance(name: str) -> Callable[[Rules, Outcome], dict[str, Array]]:
+    return lambda rules, outcome: {name: GOAL_REWARDS[name](rules, outcome.distance)}
 
 
 def _sparse(config: Rules, outcome: Outcome) -> dict[str, Array]:
@@ -55,5 +68,6 @@ REWARDS: dict[str, Callable[[Rules, Outcome], dict[str, Array]]] = {
     "sparse": _sparse,
     "dense": _dense,
     "precise": _precise,
+    **{name: _of_distance(name) for name in GOAL_REWARDS},
 }
 """Rewards by name; each gives named terms `[B]` whose sum is the reward."""

@@ -1,0 +1,96 @@
+"""Gymnasium's faces with goals, for hindsight replay: rewards and ends can be computed again for any goal.
+
+The methods are those of `gymnasium_robotics.core.GoalEnv`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from reachlab.envs.core import Env
+from reachlab.envs.gymnasium_single import ReachEnv
+from reachlab.envs.gymnasium_vector import ReachVectorEnv
+from reachlab.settings.validation import InputError, choose
+from reachlab.tasks.observations import GOALS, OBSERVATIONS
+from reachlab.tasks.rewards import GOAL_REWARDS
+
+Info = Mapping[str, Any] | Sequence[Mapping[str, Any]]
+"""Infos of one step, of a batch of them, or one of each step."""
+
+
+class Goals:
+    """Rewards and ends as functions of where the tool is and where it was to be, `[..., 3]` m each."""
+
+    env: Env
+
+    def compute_reward(self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Info) -> Any:
+        """Rewards `[...]`: those that a step gives which led there."""
+        del info
+        return GOAL_REWARDS[self.env.setup.rules.reward](self.env.setup.rules, _distance(achieved_goal, desired_goal))
+
+    def compute_terminated(self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Info) -> Any:
+        """Whether the task ends the episode `[...]`."""
+        del info
+        rules, robot = self.env.setup.rules, self.env.setup.robot
+        low, high = np.array(robot.workspace, np.float32)
+        reached = _distance(achieved_goal, desired_goal) < rules.success_distance
+        outside = ((achieved_goal < low) | (achieved_goal > high)).any(axis=-1)
+        return (outside & rules.ends_outside) | (reached & (rules.at_goal == "end"))
+
+    def compute_truncated(self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Info) -> Any:
+        """Whether the clock does `[...]`: so many steps are said in the infos."""
+        steps = info["elapsed_steps"] if isinstance(info, Mapping) else [one["elapsed_steps"] for one in info]
+        ended = self.compute_terminated(achieved_goal, desired_goal, info)
+        return (np.asarray(steps) >= self.env.setup.rules.max_steps) & ~ended
+
+
+class ReachGoalEnv(Goals, ReachEnv):
+    """One arm that has to reach a goal; the observation is a dict with `achieved_goal` and `desired_goal`."""
+
+    def __init__(self, task: str = "tutorial", render_mode: str | None = None, **settings: Any) -> None:
+        """Environment of a task preset, see `ReachEnv`.
+
+        Raises:
+            InputError: see `ReachEnv`; or rewards or ends could not be computed again.
+        """
+        super().__init__(task, render_mode, **settings)
+        self.env = _with_goals(self._episodes.env)
+
+
+class ReachGoalVectorEnv(Goals, ReachVectorEnv):
+    """A batch of arms with goals of their own, stepped together; see `ReachGoalEnv`."""
+
+    def __init__(self, num_envs: int = 1, **settings: Any) -> None:
+        """Batch of environments, see `ReachVectorEnv`.
+
+        Raises:
+            InputError: see `ReachGoalEnv`.
+        """
+        super().__init__(num_envs, **settings)
+        self.env = _with_goals(self._episodes.env)
+
+
+def _with_goals(env: Env) -> Env:
+    """The environment, of which rewards and ends follow from goals.
+
+    Raises:
+        InputError: they do not.
+    """
+    rules = env.setup.rules
+    if not env.schema.has_goals:
+        names = [name for name, design in OBSERVATIONS.items() if design.terms[-1].name == GOALS[-1]]
+        choose("observation of a goal environment", rules.observation, names)
+    choose("reward of a goal environment", rules.reward, GOAL_REWARDS)
+    if rules.hold_steps and rules.at_goal == "end":
+        raise InputError(
+            f"a goal environment cannot end an episode once the goal was held for hold_steps {rules.hold_steps}, which"
+            " its last step does not tell: set at_goal to 'continue', or hold_steps to 0."
+        )
+    return env
+
+
+def _distance(achieved_goal: np.ndarray, desired_goal: np.ndarray) -> Any:
+    return np.linalg.norm(np.asarray(achieved_goal) - desired_goal, axis=-1)
