@@ -13,8 +13,8 @@ import time
 import jax
 import jax.numpy as jnp
 import optax
-from gymnax.wrappers.compat import LegacyStepAPIWrapper
-from rejax import PPO
+from gymnax.wrappers.compat import LegacyStepAPIWrapper  # pyright: ignore[reportMissingImports]
+from rejax import PPO  # pyright: ignore[reportMissingImports]
 
 import reachlab
 import reachlab.gymnax

@@ -63,8 +63,8 @@ class Situation(NamedTuple):
     """What observations, actions and baselines may use, for a batch.
 
     `q, target_q [B, n]` rad or m, `qd [B, n]` rad/s or m/s, the tool's pose `[B, 3]` m and `[B, 4]` wxyz, the goal,
-    `last_action [B, a]`; the camera's `picture [B, SIZE, SIZE]` uint8 where the observation holds one; and where the tool
-    truly is, `achieved [B, 3]` m, if it is measured with noise.
+    `last_action [B, a]`; the camera's `picture [B, SIZE, SIZE]` uint8 where the observation holds one; and where the
+    tool truly is, `achieved [B, 3]` m, if it is measured with noise.
     """
 
     q: Array
