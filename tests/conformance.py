@@ -60,7 +60,12 @@ class Subject:
         self.seen = self.trajectory(0)
 
     def observe(self, state: EnvState) -> np.ndarray:
-        return flat(self.env.observe_now(state))
+        return self.flat(self.env.observe_now(state))
+
+    def flat(self, observation: object) -> np.ndarray:
+        """Observation `[B, k]`, the parts of one that has several joined."""
+        parts = [part for part in self.env.schema.split(observation) if part is not None]
+        return np.concatenate([np.asarray(part).reshape(NUM_ENVS, -1) for part in parts], axis=1)
 
     def start(self, seed: int = 0) -> EnvState:
         return self.init(env_keys(seed, NUM_ENVS))
@@ -74,18 +79,13 @@ class Subject:
         firsts = [self.observe(state)]
         for actions in self.actions(STEPS):
             state, done = self.step(state, actions)
-            seen = self.observe(state) if done.observation is None else flat(done.observation)
+            seen = self.observe(state) if done.observation is None else self.flat(done.observation)
             rows.append([np.array(x) for x in (seen, done.reward, done.done, state.arm.q)])
             state = self.reset(state, done.done)
             if done.done.any():
                 firsts.append(self.observe(state))
         observation, reward, ends, q = (np.stack(column) for column in zip(*rows, strict=True))
         return Trajectory(observation, reward, ends, q, np.stack(firsts))
-
-
-def flat(observation: object) -> np.ndarray:
-    """Observation `[B, k]`, the parts of one that has several joined."""
-    return np.concatenate([np.asarray(part).reshape(NUM_ENVS, -1) for part in jax.tree.leaves(observation)], axis=1)
 
 
 def copied(tree: object) -> list[np.ndarray]:
@@ -116,7 +116,10 @@ def environments_differ(subject: Subject) -> None:
 
 
 def observations_are_finite_and_inside_the_bounds_of_their_schema(subject: Subject) -> None:
-    low, high = (np.concatenate([x.ravel() for x in jax.tree.leaves(side)]) for side in subject.env.schema.bounds)
+    schema = subject.env.schema
+    low, high = (
+        np.concatenate([part.ravel() for part in schema.split(side) if part is not None]) for side in schema.bounds
+    )
     for observation in (subject.seen.observation, subject.seen.first):
         assert observation.shape[1:] == (NUM_ENVS, len(low))
         assert np.isfinite(observation).all()

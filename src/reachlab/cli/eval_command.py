@@ -15,6 +15,9 @@ from reachlab.settings.presets import preset
 from reachlab.settings.validation import InputError, choose
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
+    from reachlab.agents.sb3_policy import SavedModel
     from reachlab.cli.progress import EvalDisplay
     from reachlab.learn.load import Saved
     from reachlab.runs.directory import RunDirectory
@@ -36,8 +39,9 @@ def evaluate(arguments: Eval) -> None:
     from reachlab.runs.directory import RunDirectory
     from reachlab.sims import SIMULATORS
 
-    run = RunDirectory(arguments.run) if arguments.run else None
-    trained, several = _settings(arguments, run), arguments.sim == "all"
+    run = RunDirectory(arguments.run) if arguments.run and not _is_model(arguments.run) else None
+    model = _model(arguments)
+    trained, several = _settings(arguments, run, model), arguments.sim == "all"
     names = list(SIMULATORS) if several else [arguments.sim or trained.sim]
     configs = {name: _evaluated_config(arguments, trained, name) for name in names}
     reports: list[dict[str, Any]] = []
@@ -52,7 +56,7 @@ def evaluate(arguments: Eval) -> None:
                 if name in failed:
                     continue
                 try:
-                    for report, warning in _evaluated(arguments, run, configs[name], loaded, display):
+                    for report, warning in _evaluated(arguments, run, model, configs[name], loaded, display):
                         reports.append(report)
                         unsaved += warning
                 except (InputError, FloatingPointError) as error:
@@ -68,19 +72,46 @@ def evaluate(arguments: Eval) -> None:
         raise InputError(f"no result in {', '.join(failed)}: the reason is above.")
 
 
-def _settings(arguments: Eval, run: RunDirectory | None) -> RunConfig:
-    """Settings of the run, or without one those of the task and the robot that the flags name.
+def _is_model(path: Path) -> bool:
+    """Whether a path names a model of Stable-Baselines3, rather than a run directory."""
+    return path.suffix == ".zip" and not path.is_dir()
+
+
+def _model(arguments: Eval) -> SavedModel | None:
+    """The model of Stable-Baselines3 that the flags name, if they do.
+
+    Raises:
+        InputError: it is not trusted or cannot be loaded, or there is none and flags speak of one.
+    """
+    if arguments.run is None or not _is_model(arguments.run):
+        for name in ("trust", "normaliser"):
+            if getattr(arguments, name):
+                raise InputError(f"--{name} goes with a model of Stable-Baselines3: name its .zip, or leave it out.")
+        return None
+    if not arguments.trust:
+        raise InputError(
+            f"'{arguments.run}' is a model of Stable-Baselines3, which is unpickled and may run any code: add --trust"
+            " if you know where it comes from."
+        )
+    from reachlab.agents.sb3_policy import load_model
+
+    return load_model(arguments.run, arguments.normaliser)
+
+
+def _settings(arguments: Eval, run: RunDirectory | None, model: SavedModel | None) -> RunConfig:
+    """Settings of the run or the model, or without one those of the task and the robot that the flags name.
 
     Raises:
         InputError: no such run, one that is missing or not needed, or a robot that is not named right.
     """
     arm = {name: vars(arguments)[name] for name in ("robot", "tool", "base", "package")}
     named = {"task": arguments.task} | arm
-    if run:
+    known = run.read_config() if run else model.config if model else None
+    if known:
         if given := [f"--{name}" for name, value in named.items() if value]:
             raise InputError(f"a run has its own task and robot: leave {' and '.join(given)} out, or the run.")
-        return run.read_config()
-    if needing := [agent for agent in arguments.agent if AGENTS[agent].trained]:
+        return known
+    if not model and (needing := [agent for agent in arguments.agent if AGENTS[agent].trained]):
         others = ", ".join(name for name, entry in AGENTS.items() if not entry.trained)
         raise InputError(f"agent {needing[0]!r} needs a run: name its directory, or choose --agent among {others}.")
     config = preset(arguments.task or "tutorial")
@@ -112,9 +143,16 @@ def _can_be_used(config: RunConfig) -> bool:
 
 
 def _evaluated(
-    arguments: Eval, run: RunDirectory | None, config: RunConfig, loaded: list[Saved], display: EvalDisplay
+    arguments: Eval,
+    run: RunDirectory | None,
+    model: SavedModel | None,
+    config: RunConfig,
+    loaded: list[Saved],
+    display: EvalDisplay,
 ) -> Iterator[tuple[dict[str, Any], list[str]]]:
     """Report of each agent in one simulator, and where it could not be saved in the run a list with the reason.
+
+    Agent `trained` is the policy of a run, or a model, whose reports are not saved.
 
     What is already `loaded` is used again: all simulators get the same checkpoint, even where a training writes newer
     ones meanwhile.
@@ -128,13 +166,17 @@ def _evaluated(
     name, episodes = config.sim, arguments.episodes
     env = Env(config, 1 if arguments.gui else min(episodes, SIMULATORS[name].most_envs or BATCH))
     try:
+        if model:
+            model.check(env.schema)
         if run and not loaded:
             loaded.append(load_saved(run, env))
         policy, checkpoint = (loaded[0].policy, loaded[0].checkpoint) if loaded else (None, None)
+        checkpoint = model.checkpoint if model else checkpoint
         for agent in arguments.agent:
             display.begin(agent, name)
+            acting = model.act if model and AGENTS[agent].trained else agent
             result, played = examine(
-                env, agent, policy, seed=arguments.seed, episodes=episodes, watch=display, checkpoint=checkpoint
+                env, acting, policy, seed=arguments.seed, episodes=episodes, watch=display, checkpoint=checkpoint
             )
             report = result.to_json()
             rows = {"goal": played.goal, "distance": played.distance, "success": played.success}

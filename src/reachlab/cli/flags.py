@@ -93,7 +93,11 @@ class Eval(Checked):
     """Evaluate a run beside its baselines, or baselines alone, on held-out targets."""
 
     run: Annotated[Path | None, tyro.conf.Positional] = None
-    """Run directory; baselines need none."""
+    """Run directory, or a model of Stable-Baselines3 (.zip); baselines need none."""
+    trust: bool = False
+    """The model's file may run code: it is unpickled."""
+    normaliser: Annotated[Path | None, Optional] = None
+    """What `VecNormalize.save` wrote, if the model was trained with one; it is unpickled too."""
     task: Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")] = None
     """Task preset, where there is no run; see `reachlab list`."""
     robot: Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")] = None

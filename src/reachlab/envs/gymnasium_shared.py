@@ -16,6 +16,7 @@ from reachlab.envs.episode_batch import Now, Result, make_batch
 from reachlab.envs.functions import EnvState
 from reachlab.envs.setup import check
 from reachlab.jax_setup import refuse_fork
+from reachlab.settings.json_form import to_json
 from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError, choose
 from reachlab.tasks.observations import Schema
@@ -101,6 +102,18 @@ def observation_space(schema: Schema) -> Space[Any]:
     """Space of the observations that a schema describes."""
     low, high = schema.bounds
     return Dict({name: box((low[name], high[name])) for name in low}) if isinstance(low, dict) else box((low, high))
+
+
+SETTINGS = "reachlab"
+"""Attribute of action spaces: their environment's settings as plain data. What saves spaces with a policy, as
+Stable-Baselines3 does, thereby saves what the policy was trained on."""
+
+
+def action_space(env: Env) -> Box:
+    """Box of an environment's actions."""
+    space = box(env.action_bounds)
+    setattr(space, SETTINGS, to_json(env.config))
+    return space
 
 
 def box(bounds: Bounds) -> Box:

@@ -13,7 +13,7 @@ from reachlab.envs.functions import EnvState
 from reachlab.envs.gymnasium_shared import (
     METADATA,
     Episodes,
-    box,
+    action_space,
     checked_render_mode,
     observation_space,
     single,
@@ -37,7 +37,7 @@ class ReachEnv(gymnasium.Env[Any, np.ndarray]):
         self.render_mode = checked_render_mode(render_mode)
         self._episodes = Episodes(1, task, settings, AutoresetMode.DISABLED)
         self.observation_space = observation_space(self._episodes.env.schema)
-        self.action_space = box(self._episodes.env.action_bounds)
+        self.action_space = action_space(self._episodes.env)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """First observation of a new episode, and info; equal seeds give equal episodes from there on."""

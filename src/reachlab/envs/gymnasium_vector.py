@@ -13,7 +13,7 @@ from reachlab.envs.episode_batch import Now
 from reachlab.envs.gymnasium_shared import (
     METADATA,
     Episodes,
-    box,
+    action_space,
     checked_render_mode,
     observation_space,
     single,
@@ -53,7 +53,7 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
         self.num_envs = num_envs
         self._episodes = Episodes(num_envs, task, settings, self._mode, in_numpy=self._numpy)
         self.single_observation_space = observation_space(self._episodes.env.schema)
-        self.single_action_space = box(self._episodes.env.action_bounds)
+        self.single_action_space = action_space(self._episodes.env)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._ended = np.zeros(num_envs, bool)

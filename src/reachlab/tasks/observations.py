@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from reachlab.robots.inverse_kinematics import MAX_JOINT_STEP
 from reachlab.tasks.actions import ACTIONS
 from reachlab.tasks.task import Bounds, Goal, Situation, TaskSetup
 
@@ -221,6 +222,12 @@ def _joint_bounds(setup: TaskSetup) -> Bounds:
     return lower - swing, upper + swing
 
 
+def _speed_bounds(setup: TaskSetup) -> Bounds:
+    """What an overloaded arm, or one whose joints are set, comes to: inverse kinematics take two bounded steps."""
+    longest = max(2 * MAX_JOINT_STEP, setup.rules.joint_scale)
+    return _within(np.maximum(10 * np.array(setup.robot.speed), longest / setup.period))
+
+
 def _lag_bounds(setup: TaskSetup) -> Bounds:
     lower, upper = (np.array(limit, np.float32) for limit in (setup.robot.chain.lower, setup.robot.chain.upper))
     return _within(upper - lower)
@@ -263,8 +270,7 @@ IMAGE = Term("image", "grey", _picture, lambda _: (np.zeros(1, np.uint8), np.ful
 
 ARM = (
     Term("joints", "rad or m", lambda _, now: now.q, _joint_bounds),
-    # An arm that is overloaded moves faster than its rated speeds.
-    Term("joint_speeds", "rad/s or m/s", lambda _, now: now.qd, lambda s: _within(10 * np.array(s.robot.speed))),
+    Term("joint_speeds", "rad/s or m/s", lambda _, now: now.qd, _speed_bounds),
     Term("lag", "rad or m", lambda _, now: now.target_q - now.q, _lag_bounds, lambda setup: np.array(setup.lag) == 0.0),
     TOOL,
 )

@@ -1,0 +1,99 @@
+"""Policies that Stable-Baselines3 has saved."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from reachlab.agents.acting import Function
+from reachlab.envs.gymnasium_shared import SETTINGS
+from reachlab.settings.config import RunConfig
+from reachlab.settings.json_form import from_json
+from reachlab.settings.validation import InputError
+from reachlab.tasks.observations import Schema
+
+
+@dataclass(frozen=True)
+class SavedModel:
+    """A model of Stable-Baselines3.
+
+    Attributes:
+        act: its deterministic actions `[B, a]` for observations.
+        config: settings of the environment that it was trained in; None if it was not one of ours.
+        checkpoint: its environment steps, and SHA-256 of its file.
+        shapes: of an observation, by name in a dict.
+    """
+
+    act: Function
+    config: RunConfig | None
+    checkpoint: dict[str, Any]
+    shapes: Any
+
+    def check(self, schema: Schema) -> None:
+        """Make sure that an environment's observations are what the model expects.
+
+        Raises:
+            InputError: they are not.
+        """
+        if (given := _shapes(schema.bounds[0])) != self.shapes:
+            raise InputError(
+                f"the model observes arrays of {self.shapes}, and the environment gives {given}: evaluate it from"
+                " Python in an environment with the settings that it was trained with, see `reachlab.evaluate`."
+            )
+
+
+def load_model(file: Path, normaliser: Path | None = None) -> SavedModel:
+    """A model that `model.save` has written, of any algorithm whose policy has no memory.
+
+    Both files are unpickled, which runs whatever code they hold: load what you trust.
+
+    Args:
+        file: the model.
+        normaliser: what `VecNormalize.save` has written, if the model was trained with one.
+
+    Raises:
+        InputError: Stable-Baselines3 is not installed, or a file cannot be read.
+    """
+    try:
+        from stable_baselines3.common.save_util import load_from_pkl, load_from_zip_file
+    except ModuleNotFoundError:
+        raise InputError("models of Stable-Baselines3 need it: pip install 'reachlab[sb3]'.") from None
+    try:
+        digest = hashlib.sha256(file.read_bytes()).hexdigest()
+        data, parameters, _ = load_from_zip_file(file, device="cpu")
+        policy = _policy(data or {}, parameters)
+        normal = load_from_pkl(normaliser) if normaliser else None
+    except Exception as error:  # unpickling raises whatever it likes
+        why = " ".join(str(error).split()) or "nothing more is known"
+        raise InputError(f"'{file}' cannot be loaded as a model: {type(error).__name__}, {why}.") from None
+
+    def sb3(observation: Any) -> np.ndarray:
+        seen = normal.normalize_obs(observation) if normal else observation
+        return policy.predict(seen, deterministic=True)[0]
+
+    space = policy.observation_space
+    shapes = {name: part.shape for name, part in space.items()} if hasattr(space, "items") else space.shape
+    settings = getattr(policy.action_space, SETTINGS, None)
+    checkpoint = {"steps": (data or {}).get("num_timesteps"), "sha256": digest}
+    return SavedModel(sb3, from_json(settings) if settings else None, checkpoint, shapes)
+
+
+def _policy(data: dict[str, Any], parameters: dict[str, Any]) -> Any:
+    """The policy alone, whatever algorithm trained it."""
+    spaces, options = (data["observation_space"], data["action_space"]), data["policy_kwargs"]
+    policy = data["policy_class"](*spaces, lambda _: 0.0, **options)
+    if hasattr(policy, "lstm_actor"):
+        raise InputError("it has a memory, and its actions do not follow from one observation")
+    policy.load_state_dict(parameters["policy"])
+    policy.set_training_mode(False)
+    return policy
+
+
+def _shapes(observation: Any) -> Any:
+    if isinstance(observation, dict):
+        return {name: part.shape for name, part in observation.items()}
+    return observation.shape
