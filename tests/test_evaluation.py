@@ -308,3 +308,22 @@ def test_speed_and_jerk_are_those_of_a_known_motion(monkeypatch: pytest.MonkeyPa
     assert report.max_joint_speed[1:] == pytest.approx([0] * 6, abs=1e-3)
     # Third differences of q: +move on the first step, -move on the second, then none.
     assert report.jerk == pytest.approx(2 * (move / period**3) ** 2 / 7 / steps, rel=1e-3)
+
+
+def test_a_function_of_observations_is_evaluated_as_an_agent_is() -> None:
+    env = Env(configure("tutorial", max_steps=400), 200)
+    low, high = env.action_bounds
+
+    def straight(observation: np.ndarray) -> np.ndarray:
+        assert observation.shape == (200, 6)
+        wanted = (observation[:, :3] - observation[:, 3:]) / env.setup.rules.tool_scale
+        return wanted / np.maximum(np.where(wanted > 0, wanted / high, wanted / low).max(-1, keepdims=True), 1)
+
+    mine, ours = evaluate(env, straight, seed=3, episodes=200), evaluate(env, "ik", seed=3, episodes=200)
+    assert mine.agent == "straight"
+    assert (mine.success_rate, ours.success_rate) == (1.0, 1.0)
+    assert mine.steps_mean == pytest.approx(ours.steps_mean, abs=0.1)
+    with pytest.raises(InputError, match=r"action must have shape \(3,\) in each of 200 environments, got \(200, 2\)"):
+        evaluate(env, lambda observation: observation[:, :2], seed=3, episodes=200)
+    with pytest.raises(InputError, match="action of environment 0 is nan at index 0"):
+        evaluate(env, lambda _: np.full((200, 3), np.nan), seed=3, episodes=200)

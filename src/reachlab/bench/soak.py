@@ -5,7 +5,9 @@ from __future__ import annotations
 import gc
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
+import gymnasium
 import jax
 import numpy as np
 
@@ -28,8 +30,14 @@ OPENINGS, WARM_UP = 200, 20
 """Times that a simulator is made and closed, and how many of them may still grow the process."""
 
 
+MAKINGS, LONG_RUN = 1000, 10_000_000
+"""Times that an environment of Gymnasium is made, stepped and closed; and steps of one that stays."""
+
+
 def soak() -> Iterator[Row]:
     """The rows of suite `soak`."""
+    yield makings()
+    yield long_run()
     for name in SIMULATORS:
         yield bad_actions(name)
         yield interleavings(name)
@@ -157,8 +165,44 @@ def openings(sim: str, count: int = OPENINGS) -> Row:
         env.close()
         del env
         gc.collect()
+    return _growth(sim, begun, openings=count, warm_up=WARM_UP)
+
+
+def makings(count: int = MAKINGS) -> Row:
+    """Growth of the process while an environment of Gymnasium is made, stepped and closed many times."""
+    begun = (0.0, 0, 0)
+    for number in range(count):
+        if number == WARM_UP:
+            begun = _held()
+        env = gymnasium.make("reachlab:reachlab/Reach-v0", max_steps=100 + number % 2)
+        env.reset(seed=number)
+        env.step(np.zeros(3, np.float32))
+        env.close()
+    gc.collect()
+    return _growth("make and close", begun, makings=count)
+
+
+def long_run(steps: int = LONG_RUN) -> Row:
+    """Growth of the process in a long run of one environment of Gymnasium, episodes ending and beginning."""
+    env = gymnasium.make("reachlab:reachlab/Reach-v0")
+    env.action_space.seed(0)
+    actions = [env.action_space.sample() for _ in range(STEPS)]
+    env.reset(seed=0)
+    begun = (0.0, 0, 0)
+    for number in range(steps):
+        if number == steps // 100:
+            begun = _held()
+        _, _, terminated, truncated, _ = env.step(actions[number % STEPS])
+        if terminated or truncated:
+            env.reset()
+    env.close()
+    return _growth("one environment", begun, steps=steps)
+
+
+def _growth(what: str, begun: tuple[float, int, int], **config: Any) -> Row:
+    """Growth of the process since it held what it did when it had `begun`."""
     memory, files, threads = (now - before for now, before in zip(_held(), begun, strict=True))
-    return row(f"growth/{sim}", memory, "MB", openings=count, warm_up=WARM_UP, files=files, threads=threads)
+    return row(f"growth/{what}", memory, "MB", files=files, threads=threads, **config)
 
 
 def _held() -> tuple[float, int, int]:
