@@ -23,8 +23,9 @@ from reachlab.settings.tables import Lazy
 from reachlab.sims import ArmState, BatchArray, SimulatorEntry
 from reachlab.sims.kinematic import KinematicSimulator
 from reachlab.tasks.actions import Action
-from reachlab.tasks.observations import GOAL, TOOL, Observation, Term
+from reachlab.tasks.observations import GOAL, TOOL
 from reachlab.tasks.reach import PRECISE
+from reachlab.tasks.schema import Observation, Term
 from reachlab.tasks.task import Goal, Outcome, Situation, TaskSetup
 
 ARM = """

@@ -32,7 +32,8 @@ from reachlab.settings.config import LoopConfig
 from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError
 from reachlab.sims import SIMULATORS, make_simulator
-from reachlab.tasks.observations import OBSERVATIONS, SIZE
+from reachlab.tasks.observations import OBSERVATIONS
+from reachlab.tasks.schema import SIZE
 from reachlab.tasks.task import Goal
 
 ROBOT = load_robot("iiwa14", "link_7")

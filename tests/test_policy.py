@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from reachlab.agents.policy import Gaussian, Normaliser, distribution, make_policy, value
 from reachlab.jax_setup import jit
-from reachlab.tasks.observations import Field, Schema
+from reachlab.tasks.schema import Field, Schema
 
 K, A = 5, 3
 

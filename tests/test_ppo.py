@@ -16,7 +16,7 @@ from reachlab.learn.learner import make_learner, make_optimiser
 from reachlab.learn.rollout import Rollout
 from reachlab.settings.config import LoopConfig, PPOConfig, RunConfig
 from reachlab.settings.json_form import override
-from reachlab.tasks.observations import Field, Schema
+from reachlab.tasks.schema import Field, Schema
 
 K, A, T, B = 4, 2, 6, 8
 

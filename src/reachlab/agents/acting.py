@@ -15,7 +15,7 @@ from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState, Transition
 from reachlab.envs.gymnasium_shared import checked_actions
 from reachlab.settings.validation import InputError, choose
-from reachlab.tasks.observations import Observed
+from reachlab.tasks.schema import Observed
 
 Agent = Callable[[Env, Policy | None, EnvState, Array, Array | None], Array]
 """Gives actions `[B, a]` for a state; the key is for agents that sample them, the picture for policies that need it."""

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from reachlab.agents.encoder import FEATURES, Layers, encode, make_encoder
-from reachlab.tasks.observations import SIZE, Observed, Schema
+from reachlab.tasks.schema import SIZE, Observed, Schema
 from reachlab.tasks.task import Bounds
 
 OBSERVATION_CLIP = 10.0

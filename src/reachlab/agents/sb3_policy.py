@@ -14,7 +14,7 @@ from reachlab.envs.gymnasium_shared import SETTINGS
 from reachlab.settings.config import RunConfig
 from reachlab.settings.json_form import from_json
 from reachlab.settings.validation import InputError
-from reachlab.tasks.observations import Schema
+from reachlab.tasks.schema import Schema
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,8 @@ from reachlab.render.view_randomisation import SAMPLES, develop, make_views
 from reachlab.settings.config import RunConfig
 from reachlab.sims import SIMULATORS, BatchArray, make_simulator
 from reachlab.tasks.actions import ACTIONS
-from reachlab.tasks.observations import OBSERVATIONS, SIZE, Observed
+from reachlab.tasks.observations import OBSERVATIONS
+from reachlab.tasks.schema import SIZE, Observed
 from reachlab.tasks.task import Goal, Situation
 
 

@@ -21,7 +21,7 @@ from reachlab.jax_setup import jit
 from reachlab.robots.scalar_algebra import once
 from reachlab.settings.config import RunConfig
 from reachlab.sims import BatchArray
-from reachlab.tasks.observations import Observed
+from reachlab.tasks.schema import Observed
 
 
 class Now(NamedTuple):

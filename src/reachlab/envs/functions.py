@@ -14,8 +14,8 @@ from reachlab.render.view_randomisation import SAMPLES
 from reachlab.robots.kinematics import forward_kinematics
 from reachlab.sims import ArmState, BatchArray
 from reachlab.tasks import actions, observations
-from reachlab.tasks.observations import Observed
 from reachlab.tasks.rewards import REWARDS
+from reachlab.tasks.schema import Observed
 from reachlab.tasks.task import Goal, Progress, Situation, TaskSetup, outside_workspace
 
 POSITION_NOISE, SPEED_NOISE = 0.0005, 0.01

@@ -14,8 +14,9 @@ from reachlab.envs.core import Env
 from reachlab.envs.gymnasium_single import ReachEnv
 from reachlab.envs.gymnasium_vector import ReachVectorEnv
 from reachlab.settings.validation import InputError, choose
-from reachlab.tasks.observations import GOALS, OBSERVATIONS
+from reachlab.tasks.observations import OBSERVATIONS
 from reachlab.tasks.rewards import GOAL_REWARDS
+from reachlab.tasks.schema import GOALS
 
 Info = Mapping[str, Any] | Sequence[Mapping[str, Any]]
 """Infos of one step, of a batch of them, or one of each step."""

@@ -19,7 +19,7 @@ from reachlab.jax_setup import refuse_fork
 from reachlab.settings.json_form import to_json
 from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError, choose
-from reachlab.tasks.observations import Schema
+from reachlab.tasks.schema import Schema
 from reachlab.tasks.task import Bounds
 
 LARGEST_SEED = 2**32

@@ -11,7 +11,7 @@ from jax import Array
 
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState
-from reachlab.tasks.observations import SIZE
+from reachlab.tasks.schema import SIZE
 from reachlab.tasks.task import Goal
 
 DRAWN_AT_ONCE = 1024

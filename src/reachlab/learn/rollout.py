@@ -16,7 +16,7 @@ from reachlab.envs.core import Env, merge
 from reachlab.envs.functions import EnvState, Transition
 from reachlab.jax_setup import jit
 from reachlab.settings.config import LoopConfig
-from reachlab.tasks.observations import Observed
+from reachlab.tasks.schema import Observed
 
 
 @jax.tree_util.register_dataclass

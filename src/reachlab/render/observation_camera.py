@@ -13,7 +13,7 @@ from reachlab.render.offscreen import gl_context
 from reachlab.render.scene import add_table, drawn_spec
 from reachlab.render.view_randomisation import ARM_GREYS, DARKEST, FIELD_OF_VIEW, LUMA, Views
 from reachlab.robots.robot import Robot
-from reachlab.tasks.observations import SIZE
+from reachlab.tasks.schema import SIZE
 
 SLICES, STACKS, QUADS = 10, 6, 1
 """Facets of round shapes, and of flat ones: at 84 pixels more are not seen, and cost three times the time."""

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from reachlab.robots.robot import TUTORIAL_WORKSPACE, Robot
-from reachlab.tasks.observations import SIZE
+from reachlab.tasks.schema import SIZE
 
 LOOKS_AT, DISTANCE, PITCH = (0.55, 0.0, 0.05), 0.7, -70.0
 """Point in the middle of the picture [m], how far the camera is from it [m], and how it looks down [deg]; it looks

@@ -19,7 +19,7 @@ from reachlab.settings.validation import InputError
 from reachlab.sims import SIMULATORS, ArmState, BatchArray, Kind
 from reachlab.sims.pybullet_arm import write_arm
 from reachlab.sims.pybullet_world import World, import_pybullet
-from reachlab.tasks.observations import SIZE
+from reachlab.tasks.schema import SIZE
 from reachlab.tasks.task import Goal
 
 SLOW_STEP = 0.05

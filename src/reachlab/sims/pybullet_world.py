@@ -16,7 +16,7 @@ import numpy as np
 from reachlab.render.view_randomisation import FAR, FIELD_OF_VIEW, NEAR, Views, greys
 from reachlab.robots.robot import PybulletModel, Robot
 from reachlab.settings.validation import InputError
-from reachlab.tasks.observations import SIZE
+from reachlab.tasks.schema import SIZE
 
 GRAVITY = -10.0
 """The tutorial's gravity [m/s²]."""

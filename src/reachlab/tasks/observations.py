@@ -1,11 +1,8 @@
-"""What a policy observes: named terms with units and bounds, and the schema that they make."""
+"""What a policy observes: designs made of named terms with units and bounds."""
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Sequence
 
 import jax.numpy as jnp
 import numpy as np
@@ -13,172 +10,14 @@ from jax import Array
 
 from reachlab.robots.inverse_kinematics import MAX_JOINT_STEP
 from reachlab.tasks.actions import ACTIONS
+from reachlab.tasks.schema import GOALS, Observation, Observed, Term
 from reachlab.tasks.task import Bounds, Goal, Situation, TaskSetup
-
-SIZE = 84
-"""Height and width of a picture [pixels]; the tutorial's."""
-
-Observed = Any
-"""An observation: a vector `[..., k]`, a picture `[..., SIZE, SIZE]` uint8, or a dict of them by name."""
-
-GOALS = ("achieved_goal", "desired_goal")
-"""Names of the last fields of an observation in the form of Gymnasium-Robotics' `GoalEnv`."""
 
 LOWEST_GOAL = -0.05
 """Bottom of the observed box [m]: the tutorial's settled object lies just below the workspace."""
 
 NEAR = 0.02
 """Distance at which the near form of the way to the goal is half as long as a far one [m]."""
-
-
-@dataclass(frozen=True)
-class Term:
-    """A part of an observation.
-
-    Attributes:
-        name: in the schema.
-        unit: of its numbers.
-        value: the term `[B, k]` in a situation; of the camera `[B, SIZE, SIZE]` uint8.
-        bounds: of its numbers `[k]`.
-        constant: which of them never change `[k]`; by default none.
-        picture: it is the camera's picture.
-    """
-
-    name: str
-    unit: str
-    value: Callable[[TaskSetup, Situation], Array]
-    bounds: Callable[[TaskSetup], Bounds]
-    constant: Callable[[TaskSetup], np.ndarray] | None = None
-    picture: bool = False
-
-
-@dataclass(frozen=True)
-class Field:
-    """A term as the policy gets it: name, unit, shape, bounds, and which numbers never change; hashable.
-
-    Bounds and constants are `[k]`, or of a single number for all pixels of a picture.
-    """
-
-    name: str
-    unit: str
-    shape: tuple[int, ...]
-    low: tuple[float, ...]
-    high: tuple[float, ...]
-    constant: tuple[bool, ...]
-    picture: bool
-
-    @property
-    def bounds(self) -> Bounds:
-        """Lower and upper bounds in the field's own shape and type."""
-        kind = np.uint8 if self.picture else np.float32
-        low, high = (np.broadcast_to(np.array(side, kind), self.shape).copy() for side in (self.low, self.high))
-        return low, high
-
-
-@dataclass(frozen=True, eq=False)
-class Schema:
-    """What an observation is made of, in order.
-
-    Without a picture the observation is one vector, all fields joined; a picture alone is an array; with more than that
-    it is a dict of the fields by name. One that ends in `GOALS` is a dict of these and of the others joined, called
-    `observation`.
-    """
-
-    fields: tuple[Field, ...]
-
-    def __eq__(self, other: object) -> bool:
-        """Whether both describe the same; JAX asks at every call of a compiled function, mostly of one and the same."""
-        return self is other or (isinstance(other, Schema) and self.fields == other.fields)
-
-    def __hash__(self) -> int:
-        """Hash, computed once for the same reason."""
-        return self._hash
-
-    @functools.cached_property
-    def _hash(self) -> int:
-        return hash(self.fields)
-
-    @functools.cached_property
-    def pictures(self) -> tuple[Field, ...]:
-        """Fields that are pictures."""
-        return tuple(field for field in self.fields if field.picture)
-
-    @functools.cached_property
-    def vectors(self) -> tuple[Field, ...]:
-        """Fields that are not."""
-        return tuple(field for field in self.fields if not field.picture)
-
-    @functools.cached_property
-    def has_goals(self) -> bool:
-        """Whether it is in the form of a `GoalEnv`."""
-        return tuple(field.name for field in self.fields[-2:]) == GOALS
-
-    @property
-    def vector_size(self) -> int:
-        """Numbers in all vectors together."""
-        return sum(field.shape[0] for field in self.vectors)
-
-    def join(self, values: Mapping[str, Any]) -> Observed:
-        """The observation of its fields' values by name."""
-        if self.pictures:
-            return values[self.fields[0].name] if len(self.fields) == 1 else dict(values)
-        parts = [values[field.name] for field in self.fields]
-        if self.has_goals:
-            return {"observation": _concatenated(parts[:-2]), **dict(zip(GOALS, parts[-2:], strict=True))}
-        return _concatenated(parts)
-
-    def split(self, observation: Observed) -> tuple[Any, Any]:
-        """Picture and vector `[..., k]` of an observation, each None where it has none."""
-        if self.has_goals:
-            return None, _concatenated([observation["observation"], *(observation[name] for name in GOALS)])
-        if not self.pictures:
-            return None, observation
-        if not self.vectors:
-            return observation, None
-        parts = [observation[field.name] for field in self.vectors]
-        return observation[self.pictures[0].name], _concatenated(parts)
-
-    @property
-    def bounds(self) -> tuple[Any, Any]:
-        """Lower and upper bounds in the form of an observation."""
-        low, high = ({field.name: field.bounds[side] for field in self.fields} for side in (0, 1))
-        return self.join(low), self.join(high)
-
-
-def _concatenated(parts: Sequence[Any]) -> Any:
-    module: Any = np if isinstance(parts[0], np.ndarray) else jnp
-    return parts[0] if len(parts) == 1 else module.concatenate(parts, axis=-1)
-
-
-@dataclass(frozen=True)
-class Observation:
-    """An observation design: its terms, and in a sentence what they are."""
-
-    summary: str
-    terms: tuple[Term, ...]
-
-    @property
-    def pictured(self) -> bool:
-        """Whether the camera's picture is in it."""
-        return any(term.picture for term in self.terms)
-
-    def schema(self, setup: TaskSetup) -> Schema:
-        """Its schema on an arm."""
-        return Schema(tuple(_field(term, setup) for term in self.terms))
-
-
-def _field(term: Term, setup: TaskSetup) -> Field:
-    low, high = term.bounds(setup)
-    constant = np.zeros(low.shape, bool) if term.constant is None else term.constant(setup)
-    return Field(
-        name=term.name,
-        unit=term.unit,
-        shape=(SIZE, SIZE) if term.picture else low.shape,
-        low=tuple(low.tolist()),
-        high=tuple(high.tolist()),
-        constant=tuple(constant.tolist()),
-        picture=term.picture,
-    )
 
 
 # --- terms ----------------------------------------------------------------------------------------

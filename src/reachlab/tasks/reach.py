@@ -147,7 +147,10 @@ def _asks(rules: Rules, period: float) -> str:
 def _succeeds(rules: Rules, period: float) -> str:
     if rules.hold_steps:
         return f"at the end {_held(rules, period)}"
-    return f"the tool comes within {1000 * rules.success_distance:.4g} mm of the target, which ends the episode"
+    near = f"within {1000 * rules.success_distance:.4g} mm of the target"
+    return (
+        f"the tool comes {near}, which ends the episode" if rules.at_goal == "end" else f"at the end the tool is {near}"
+    )
 
 
 def _held(rules: Rules, period: float) -> str:

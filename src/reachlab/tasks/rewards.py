@@ -21,15 +21,20 @@ SUCCESS_REWARD = 1.0
 
 
 GOAL_REWARDS: dict[str, Callable[[Rules, Any], Any]] = {
-    # The rewards of Gymnasium-Robotics' FetchReach and of panda-gym.
     "goal": lambda rules, distance: -1.0 * (distance >= rules.success_distance),
     "goal_distance": lambda _, distance: -distance,
 }
 """Rewards that follow from the distance `[...]` m of tool and goal alone, for arrays of NumPy and of JAX."""
 
 
-def _of_distance(name: str) -> Callable[[Rules, Outcome], dict[str, Array]]:
-    return lambda rules, outcome: {name: GOAL_REWARDS[name](rules, outcome.distance)}
+def _goal(config: Rules, outcome: Outcome) -> dict[str, Array]:
+    """-1 for every step that ends outside the success distance: FetchReach's and panda-gym's, for hindsight replay."""
+    return {"goal": GOAL_REWARDS["goal"](config, outcome.distance)}
+
+
+def _goal_distance(config: Rules, outcome: Outcome) -> dict[str, Array]:
+    """-1 for every metre between tool and target: their dense reward."""
+    return {"goal_distance": GOAL_REWARDS["goal_distance"](config, outcome.distance)}
 
 
 def _sparse(config: Rules, outcome: Outcome) -> dict[str, Array]:
@@ -68,6 +73,7 @@ REWARDS: dict[str, Callable[[Rules, Outcome], dict[str, Array]]] = {
     "sparse": _sparse,
     "dense": _dense,
     "precise": _precise,
-    **{name: _of_distance(name) for name in GOAL_REWARDS},
+    "goal": _goal,
+    "goal_distance": _goal_distance,
 }
 """Rewards by name; each gives named terms `[B]` whose sum is the reward."""
