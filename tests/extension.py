@@ -20,7 +20,7 @@ from reachlab.envs.functions import EnvState
 from reachlab.robots.catalogue import KnownRobot
 from reachlab.settings.config import TaskConfig
 from reachlab.settings.tables import Lazy
-from reachlab.sims import ArmState, BatchArray, SimulatorEntry
+from reachlab.sims import ArmState, BatchArray, Moved, SimulatorEntry
 from reachlab.sims.kinematic import KinematicSimulator
 from reachlab.tasks.actions import Action
 from reachlab.tasks.observations import GOAL, TOOL
@@ -77,7 +77,7 @@ TASK = Lazy("hover above the table", "extension:HOVER")
 class Sluggish(KinematicSimulator):
     """Joints go half the way to their command in a step."""
 
-    def step(self, state: ArmState, target_q: BatchArray) -> ArmState:
+    def step(self, state: ArmState | Moved, target_q: BatchArray) -> Moved:
         return super().step(state, (state.q + target_q) / 2)
 
 

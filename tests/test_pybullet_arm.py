@@ -111,8 +111,8 @@ def agrees_with_forward_kinematics(robot, bullet) -> None:
     state, positions, quaternions = bullet.reset(None, q[:1], nowhere(), None), [], []
     for row in q:
         state = bullet.step(state, row[None])
-        positions.append(state.tool_position[0])
-        quaternions.append(state.tool_quaternion[0])
+        positions.append(state.tool.position[0])
+        quaternions.append(state.tool.quaternion[0])
     np.testing.assert_allclose(positions, ours.position, atol=2e-6)
     np.testing.assert_allclose(np.abs((np.array(quaternions) * np.asarray(ours.quaternion)).sum(1)), 1.0, atol=2e-6)
 

@@ -18,7 +18,7 @@ from reachlab.jax_setup import dispatch_inline, first_process, jit
 from reachlab.render.marks import NO_PATH, Marks
 from reachlab.render.view_randomisation import SAMPLES, develop, make_views
 from reachlab.settings.config import RunConfig
-from reachlab.sims import SIMULATORS, BatchArray, make_simulator
+from reachlab.sims import SIMULATORS, ArmState, BatchArray, make_simulator
 from reachlab.tasks.actions import ACTIONS
 from reachlab.tasks.observations import OBSERVATIONS
 from reachlab.tasks.schema import SIZE, Observed
@@ -131,12 +131,12 @@ class Env:
         return stepped
 
     def _step(self, state: EnvState, action: BatchArray, instead: Array | None) -> Stepped:
-        without_engine = replace(state, arm=replace(state.arm, engine=None))
-        taken, target_q = self._parts.command(without_engine, action, instead)
-        arm = self.simulator.step(state.arm, target_q)
-        now = self._functions.true_situation(state, arm, target_q, taken)
-        progress, clock, transition = self._parts.judge(now, state.progress, state.clock, state.key)
-        state = replace(state, arm=arm, target_q=target_q, last_action=taken, progress=progress, clock=clock)
+        before = replace(state, arm=replace(state.arm, engine=None))
+        taken, target_q = self._parts.command(before, action, instead)
+        moved = self.simulator.step(state.arm, target_q)
+        tool, progress, clock, transition = self._parts.judge(before, moved._replace(engine=None), target_q, taken)
+        arm = ArmState(moved.q, moved.qd, tool.position, tool.quaternion, moved.engine)
+        state = EnvState(arm, state.goal, target_q, taken, progress, clock, state.key)
         return state, transition
 
     # --- observations -----------------------------------------------------------------------------

@@ -11,8 +11,9 @@ from jax import Array
 
 from reachlab.envs.random_streams import CHAIN_STREAM, PARTS, VIEW_STREAM, noise_keys
 from reachlab.render.view_randomisation import SAMPLES
-from reachlab.robots.kinematics import forward_kinematics
-from reachlab.sims import ArmState, BatchArray
+from reachlab.robots.kinematics import Pose, forward_kinematics
+from reachlab.robots.scalar_algebra import once
+from reachlab.sims import ArmState, BatchArray, Moved
 from reachlab.tasks import actions, observations
 from reachlab.tasks.rewards import REWARDS
 from reachlab.tasks.schema import Observed
@@ -147,21 +148,24 @@ class EnvFunctions:
         return action, target_q
 
     def judge(
-        self, now: Situation, progress: Progress, clock: Array, keys: Array
-    ) -> tuple[Progress, Array, Transition]:
-        """What is remembered, the clock and the transition of a step that led to a situation."""
-        setup, clock = self.setup, clock + 1
-        progress, outcome = setup.task.judge(setup, progress, now, clock)
+        self, before: EnvState, moved: Moved, target_q: Array, action: Array
+    ) -> tuple[Pose, Progress, Array, Transition]:
+        """The tool's pose, what is remembered, the clock and the transition of a step."""
+        setup, clock = self.setup, before.clock + 1
+        # Computed as it is by itself: to the same bits.
+        tool = once(forward_kinematics(setup.robot.chain, moved.q)) if moved.tool is None else moved.tool
+        now = Situation(moved.q, moved.qd, *tool, before.goal, target_q, action)
+        progress, outcome = setup.task.judge(setup, before.progress, now, clock)
         terms = REWARDS[setup.rules.reward](setup.rules, outcome)
         transition = Transition(
-            observation=None if self.pictured else observations.observe(setup, self.measured(now, keys, clock)),
+            observation=None if self.pictured else observations.observe(setup, self.measured(now, before.key, clock)),
             reward=sum(terms.values(), jnp.zeros_like(outcome.distance)),
             terminated=outcome.terminated,
             truncated=outcome.timeout,
             done=outcome.terminated | outcome.timeout,
             terms={"distance": outcome.distance, "error": outcome.error, "success": outcome.success, **terms},
         )
-        return progress, clock, transition
+        return tool, progress, clock, transition
 
     def observe(self, state: EnvState, picture: BatchArray | None = None) -> Observed:
         """Observation of a state; one that holds a picture is given it."""
@@ -169,13 +173,10 @@ class EnvFunctions:
 
     def situation(self, state: EnvState) -> Situation:
         """What observations and agents may use: as measured, with noise where dynamics vary."""
-        now = self.true_situation(state, state.arm, state.target_q, state.last_action)
+        arm = state.arm
+        pose = arm.tool_position, arm.tool_quaternion
+        now = Situation(arm.q, arm.qd, *pose, state.goal, state.target_q, state.last_action)
         return self.measured(now, state.key, state.clock)
-
-    @staticmethod
-    def true_situation(state: EnvState, arm: ArmState, target_q: Array, action: Array) -> Situation:
-        """The situation of an arm in an episode, without noise."""
-        return Situation(arm.q, arm.qd, arm.tool_position, arm.tool_quaternion, state.goal, target_q, action)
 
     def measured(self, now: Situation, keys: Array, clock: Array) -> Situation:
         """A situation as it is measured."""

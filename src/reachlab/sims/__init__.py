@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal, NamedTuple, Protocol
 
 import jax
 import numpy as np
@@ -11,6 +11,7 @@ from jax import Array
 
 from reachlab.render.marks import Marks
 from reachlab.render.view_randomisation import Views
+from reachlab.robots.kinematics import Pose
 from reachlab.robots.robot import Robot
 from reachlab.settings.config import SimConfig
 from reachlab.settings.tables import Lazy
@@ -35,6 +36,22 @@ class ArmState:
     qd: Array
     tool_position: Array
     tool_quaternion: Array
+    engine: Array | None = None
+
+
+class Moved(NamedTuple):
+    """Where a step took a batch of arms; like `ArmState`, but for the tool.
+
+    Attributes:
+        q, qd: see `ArmState`.
+        tool: its pose; None where it is that of the joints by forward kinematics, which is left to the caller to
+            compute, together with what it computes next.
+        engine: see `ArmState`.
+    """
+
+    q: Array
+    qd: Array
+    tool: Pose | None = None
     engine: Array | None = None
 
 
@@ -69,8 +86,8 @@ class Simulator(Protocol):
         """
         ...
 
-    def step(self, state: ArmState, target_q: BatchArray) -> ArmState:
-        """State one control period later, with the joints commanded to `target_q [B, n]`."""
+    def step(self, state: ArmState | Moved, target_q: BatchArray) -> Moved:
+        """Where the arms are one control period later, with the joints commanded to `target_q [B, n]`."""
         ...
 
     def render(self, state: ArmState, goal: Goal, index: int, marks: Marks) -> np.ndarray:

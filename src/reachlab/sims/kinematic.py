@@ -7,13 +7,13 @@ import jax.numpy as jnp
 from reachlab.robots.kinematics import forward_kinematics
 from reachlab.robots.robot import Robot
 from reachlab.settings.config import SimConfig
-from reachlab.sims import ArmState, BatchArray, Kind
+from reachlab.sims import ArmState, BatchArray, Kind, Moved
 from reachlab.sims.rendering import Drawn
 from reachlab.tasks.task import Goal
 
 
 class KinematicSimulator(Drawn):
-    """Arithmetic in JAX: a step sets the joints and computes where the tool is."""
+    """Arithmetic in JAX: a step sets the joints."""
 
     kind: Kind = "traced"
 
@@ -40,13 +40,9 @@ class KinematicSimulator(Drawn):
             qd = jnp.where(mask[:, None], 0.0, state.qd)
         else:
             qd = jnp.zeros_like(q)
-        return self._arm(q, qd)
-
-    def step(self, state: ArmState, target_q: BatchArray) -> ArmState:
-        """See `Simulator.step`."""
-        return self._arm(target_q, (target_q - state.q) / self._period)
-
-    def _arm(self, q: BatchArray, qd: BatchArray) -> ArmState:
         q, qd = jnp.asarray(q), jnp.asarray(qd)
-        pose = forward_kinematics(self._robot.chain, q)
-        return ArmState(q, qd, pose.position, pose.quaternion)
+        return ArmState(q, qd, *forward_kinematics(self._robot.chain, q))
+
+    def step(self, state: ArmState | Moved, target_q: BatchArray) -> Moved:
+        """See `Simulator.step`."""
+        return Moved(jnp.asarray(target_q), jnp.asarray((target_q - state.q) / self._period))

@@ -16,7 +16,7 @@ from reachlab.robots.kinematics import forward_kinematics
 from reachlab.robots.robot import Robot
 from reachlab.settings.config import SimConfig
 from reachlab.settings.validation import InputError
-from reachlab.sims import ArmState, BatchArray, Kind
+from reachlab.sims import ArmState, BatchArray, Kind, Moved
 from reachlab.sims.rendering import Drawn
 from reachlab.tasks.task import Goal
 
@@ -52,6 +52,7 @@ class MujocoSimulator(Drawn):
         self.lag = _lag(self._model, self._servos, self._speeds)
         self._arms = _Arms(self._batch, self._servos, self._speeds) if randomise_dynamics else None
         self._begin = self._batch.state[0].copy()
+        self._given: Array | None = None  # what `engine` the arms have now, as long as they are as they were given
         self._pose = jit(lambda q: forward_kinematics(robot.chain, q))
 
     def reset(
@@ -65,16 +66,17 @@ class MujocoSimulator(Drawn):
         """See `Simulator.reset`."""
         del goal
         chosen = np.ones(len(q), bool) if state is None or mask is None else np.asarray(mask)
-        if state is not None:
-            self._restore(state)
+        self._restore(state)
         self._batch.state[chosen] = self._begin
         for rows, columns in ((self._qpos, self._positions), (self._ctrl, self._servos)):
             rows[np.ix_(chosen, columns)] = np.asarray(q)[chosen]
         if self._arms and dynamics is not None:
             self._arms.become(np.where(chosen[:, None], np.asarray(dynamics, np.float64), self._arms.sampled))
-        return self._arm()
+        moved = self._moved()
+        pose = self._pose(moved.q)
+        return ArmState(moved.q, moved.qd, pose.position, pose.quaternion, moved.engine)
 
-    def step(self, state: ArmState, target_q: BatchArray) -> ArmState:
+    def step(self, state: ArmState | Moved, target_q: BatchArray) -> Moved:
         """See `Simulator.step`.
 
         Raises:
@@ -88,23 +90,28 @@ class MujocoSimulator(Drawn):
             index, kind = np.argwhere(warnings)[0]
             warnings[:] = 0
             raise FloatingPointError(f"MuJoCo warned of {mujoco.mjtWarning(kind).name[7:]} in environment {index}")
-        return self._arm()
+        return self._moved()
 
-    def _restore(self, state: ArmState) -> None:
+    def _restore(self, state: ArmState | Moved | None) -> None:
+        """Make the arms, which are about to move, those of a state; mostly they are."""
+        given, self._given = self._given, None
+        if state is None or given is state.engine:
+            return
         rows, columns = np.asarray(state.engine).view(np.float64), self._batch.state.shape[1]
         self._batch.state[:] = rows[:, :columns]
         if self._arms:
             self._arms.become(rows[:, columns:])
 
-    def _arm(self) -> ArmState:
+    def _moved(self) -> Moved:
         """State of NumPy rows: what is compiled takes them in faster than JAX would convert them here."""
         q = self._qpos[:, self._positions].astype(np.float32)
         qd = self._qvel[:, self._speeds].astype(np.float32)
-        # From the joints: the engine's own site positions are one physics step old after a step.
-        position, quaternion = self._pose(q)
         rows = [self._batch.state, *([self._arms.sampled] if self._arms else [])]
         engine = np.concatenate(rows, axis=1).view(np.uint32)
-        return ArmState(cast("Array", q), cast("Array", qd), position, quaternion, cast("Array", engine))
+        engine.flags.writeable = False  # who holds it holds what the arms are, see `_restore`
+        self._given = cast("Array", engine)
+        # No tool: the engine's own site positions are one physics step old after a step.
+        return Moved(cast("Array", q), cast("Array", qd), engine=self._given)
 
 
 class _Arms:

@@ -13,10 +13,11 @@ from jax import Array
 
 from reachlab.render.marks import Marks
 from reachlab.render.view_randomisation import Views
+from reachlab.robots.kinematics import Pose
 from reachlab.robots.robot import Robot
 from reachlab.settings.config import SimConfig
 from reachlab.settings.validation import InputError
-from reachlab.sims import SIMULATORS, ArmState, BatchArray, Kind
+from reachlab.sims import SIMULATORS, ArmState, BatchArray, Kind, Moved
 from reachlab.sims.pybullet_arm import write_arm
 from reachlab.sims.pybullet_world import World, import_pybullet
 from reachlab.tasks.schema import SIZE
@@ -87,12 +88,12 @@ class PybulletSimulator:
         for index in np.flatnonzero(chosen):
             self._open_worlds[index].drop(points[index])
             self._open_worlds[index].set_joints(wanted[index])
-        now = self._arm(wanted, np.zeros_like(wanted))
+        now = ArmState(cast("Array", wanted), cast("Array", np.zeros_like(wanted)), *self._tool())
         if state is None:
             return now
         return jax.tree.map(lambda new, old: np.where(chosen[:, None], new, old), now, state)
 
-    def step(self, state: ArmState, target_q: BatchArray) -> ArmState:
+    def step(self, state: ArmState | Moved, target_q: BatchArray) -> Moved:
         """See `Simulator.step`."""
         start = time.perf_counter()
         for world in self._open_worlds:
@@ -103,16 +104,16 @@ class PybulletSimulator:
             world.set_joints(joints)
         if self._pace:
             time.sleep(max(0.0, self._pace - (time.perf_counter() - start)))
-        return self._arm(q, (q - np.asarray(state.q)) / self._period)
+        return Moved(cast("Array", q), cast("Array", (q - np.asarray(state.q)) / self._period), self._tool())
 
-    def _arm(self, q: np.ndarray, qd: np.ndarray) -> ArmState:
-        """State of NumPy rows: what is compiled takes them in faster than JAX would convert them here."""
+    def _tool(self) -> Pose:
+        """Poses of NumPy rows: what is compiled takes them in faster than JAX would convert them here."""
         positions, quaternions = zip(*(world.link() for world in self._open_worlds), strict=True)
         position, quaternion = np.array(positions, np.float32), np.array(quaternions, np.float32)[:, [3, 0, 1, 2]]
         if self._offset:
             w, x, y, z = quaternion.T
             position += self._offset * np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], 1)
-        return ArmState(*(cast("Array", rows) for rows in (q, qd, position, quaternion)))
+        return Pose(cast("Array", position), cast("Array", quaternion))
 
     def render(self, state: ArmState, goal: Goal, index: int, marks: Marks) -> np.ndarray:
         """See `Simulator.render`."""
