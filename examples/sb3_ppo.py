@@ -18,7 +18,7 @@ SETTINGS = {"observation": "target+tool", "reward": "dense"}
 
 def learn(steps: int, seed: int) -> tuple[PPO, VecNormalize]:
     """The trained model, and the environment that normalises its observations."""
-    env = VecNormalize(make_vec_env(64, "tutorial", seed=seed, **SETTINGS), norm_reward=False)
+    env = VecNormalize(make_vec_env("reachlab/Reach-v0", 64, seed, **SETTINGS), norm_reward=False)
     model = PPO(
         "MlpPolicy",
         env,

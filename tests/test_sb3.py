@@ -36,7 +36,7 @@ def one_thread() -> None:
 
 @pytest.fixture(scope="module")
 def env() -> ReachVecEnv:
-    return make_vec_env(NUM_ENVS, **SHORT)
+    return make_vec_env(n_envs=NUM_ENVS, **SHORT)
 
 
 def pushes(steps: int) -> Iterator[np.ndarray]:
@@ -96,7 +96,7 @@ def test_a_batch_is_stable_baselines3s_vector_of_single_environments(env: ReachV
 
 
 def test_make_vec_env_seeds_the_first_reset() -> None:
-    batch, single = make_vec_env(2, seed=7), gymnasium.make("reachlab/Reach-v0")
+    batch, single = make_vec_env(n_envs=2, seed=7), gymnasium.make("reachlab/Reach-v0")
     assert np.asarray(batch.reset())[1] == pytest.approx(single.reset(seed=8)[0])
 
 
@@ -137,7 +137,19 @@ def test_a_wrong_action_names_its_environment(env: ReachVecEnv) -> None:
 
 def test_wrong_settings_are_refused_in_one_sentence() -> None:
     with pytest.raises(InputError, match=r"setting 'max_step' is not one of: .*Did you mean 'max_steps'"):
-        make_vec_env(2, max_step=3)
+        make_vec_env(n_envs=2, max_step=3)
+
+
+def test_an_id_of_others_is_refused_in_one_sentence() -> None:
+    with pytest.raises(InputError, match=r"environment id 'CartPole-v1' is not one of: .*reachlab/ReachGoal-v0"):
+        make_vec_env("CartPole-v1")
+
+
+def test_the_settings_of_an_id_are_its_own_where_they_are_not_changed() -> None:
+    env = make_vec_env("reachlab:reachlab/ReachGoal-v0", 2, max_steps=7)
+    rules = env.get_attr("env")[0].setup.rules
+    assert (rules.action, rules.max_steps) == ("tool_step", 7)
+    assert env.observation_space == gymnasium.make("reachlab/ReachGoal-v0").observation_space
 
 
 def test_without_stable_baselines3_the_extra_is_named() -> None:
@@ -147,7 +159,7 @@ def test_without_stable_baselines3_the_extra_is_named() -> None:
 
 
 def test_pictures_are_tiled() -> None:
-    env = make_vec_env(2, render_mode="rgb_array")
+    env = make_vec_env(n_envs=2, render_mode="rgb_array")
     env.reset()
     try:
         pictures = env.get_images()
@@ -174,9 +186,9 @@ def test_ppo_learns_and_is_told_returns_and_successes(env: ReachVecEnv) -> None:
 
 def test_statistics_of_a_monitor_are_the_same() -> None:
     with pytest.warns(UserWarning, match="already wrapped with a `Monitor`"):
-        env = VecMonitor(make_vec_env(NUM_ENVS, seed=3, **SHORT))
+        env = VecMonitor(make_vec_env(n_envs=NUM_ENVS, seed=3, **SHORT))
     env.reset()
-    bare = make_vec_env(NUM_ENVS, seed=3, **SHORT)
+    bare = make_vec_env(n_envs=NUM_ENVS, seed=3, **SHORT)
     bare.reset()
     for actions in pushes(60):
         for monitored, told in zip(env.step(actions)[3], bare.step(actions)[3], strict=True):
