@@ -38,7 +38,7 @@ def learn(steps: int, seed: int) -> tuple[PPO, VecNormalize]:
 def main() -> None:
     """Learn, evaluate on held-out goals, and print the result as JSON."""
     parser = argparse.ArgumentParser()
-    parser.add_argument("--steps", type=int, default=400_000)
+    parser.add_argument("--steps", type=int, default=600_000)
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
     torch.set_num_threads(1)  # the networks are small

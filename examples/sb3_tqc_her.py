@@ -24,7 +24,7 @@ def learn(steps: int, seed: int) -> TQC:
         replay_buffer_class=HerReplayBuffer,
         buffer_size=max(steps, 1000),
         learning_starts=1000,  # no episode has ended before
-        gradient_steps=4,  # for each step of all environments
+        gradient_steps=2,  # for each step of all environments
         batch_size=256,
         learning_rate=1e-3,
         gamma=0.95,
