@@ -18,7 +18,7 @@ SETTINGS = {"observation": "target+tool", "reward": "dense"}
 
 def learn(steps: int, seed: int) -> tuple[PPO, VecNormalize]:
     """The trained model, and the environment that normalises its observations."""
-    env = VecNormalize(make_vec_env(64, "tutorial", seed=seed, **SETTINGS), norm_reward=False)
+    env = VecNormalize(make_vec_env("reachlab/Reach-v0", 64, seed, **SETTINGS), norm_reward=False)
     model = PPO(
         "MlpPolicy",
         env,
@@ -38,7 +38,7 @@ def learn(steps: int, seed: int) -> tuple[PPO, VecNormalize]:
 def main() -> None:
     """Learn, evaluate on held-out goals, and print the result as JSON."""
     parser = argparse.ArgumentParser()
-    parser.add_argument("--steps", type=int, default=400_000)
+    parser.add_argument("--steps", type=int, default=600_000)
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
     torch.set_num_threads(1)  # the networks are small

@@ -3,7 +3,6 @@
 import argparse
 import json
 import time
-from typing import Any
 
 import gymnasium
 import numpy as np
@@ -14,18 +13,18 @@ from stable_baselines3 import HerReplayBuffer
 import reachlab
 from reachlab.sb3 import make_vec_env
 
-SETTINGS: dict[str, Any] = dict(gymnasium.spec("reachlab/ReachGoal-v0").kwargs)
+ENV_ID = "reachlab/ReachGoal-v0"
 
 
 def learn(steps: int, seed: int) -> TQC:
     """The trained model."""
     return TQC(
         "MultiInputPolicy",
-        make_vec_env(8, seed=seed, **SETTINGS),
+        make_vec_env(ENV_ID, 8, seed),
         replay_buffer_class=HerReplayBuffer,
         buffer_size=max(steps, 1000),
         learning_starts=1000,  # no episode has ended before
-        gradient_steps=4,  # for each step of all environments
+        gradient_steps=2,  # for each step of all environments
         batch_size=256,
         learning_rate=1e-3,
         gamma=0.95,
@@ -51,7 +50,7 @@ def main() -> None:
     def act(observation: dict[str, np.ndarray]) -> np.ndarray:
         return model.predict(observation, deterministic=True)[0]
 
-    held_out = reachlab.Env(reachlab.configure(**SETTINGS), num_envs=1000)
+    held_out = reachlab.Env(reachlab.configure(**gymnasium.spec(ENV_ID).kwargs), num_envs=1000)
     report = reachlab.evaluate(held_out, act, seed=5000, episodes=1000)
     print(json.dumps({"success": report.success_rate, "interval": report.success_interval, **result}))
 

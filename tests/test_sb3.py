@@ -1,10 +1,9 @@
-"""The Stable-Baselines3 face, held against its own checker, its own vector environment and its own learners."""
+"""The Stable-Baselines3 face, held against its own vector environment and its own learners."""
 
 from __future__ import annotations
 
 import subprocess
 import sys
-import warnings
 from collections.abc import Iterator
 from typing import Any
 
@@ -14,8 +13,7 @@ import pytest
 import stable_baselines3.common.env_util as sb3_env_util
 import torch
 from gymnasium.wrappers import RescaleAction
-from stable_baselines3 import PPO
-from stable_baselines3.common.env_checker import check_env
+from stable_baselines3 import PPO, SAC, HerReplayBuffer
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecMonitor
@@ -36,7 +34,7 @@ def one_thread() -> None:
 
 @pytest.fixture(scope="module")
 def env() -> ReachVecEnv:
-    return make_vec_env(NUM_ENVS, **SHORT)
+    return make_vec_env(n_envs=NUM_ENVS, **SHORT)
 
 
 def pushes(steps: int) -> Iterator[np.ndarray]:
@@ -46,17 +44,6 @@ def pushes(steps: int) -> Iterator[np.ndarray]:
         if step % 20 == 0:
             actions = random.uniform((-1.5, -1.5, -3.0), (1.5, 1.5, 0.8), (NUM_ENVS, 3)).astype(np.float32)
         yield actions
-
-
-@pytest.mark.parametrize("name", ["reachlab/KukaReach-v0", "reachlab/Reach-v0"])
-@pytest.mark.parametrize("action", ["tool_delta", "joint_delta"])
-def test_stable_baselines3s_checker_finds_nothing_but_the_tutorials_box(name: str, action: str) -> None:
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        check_env(gymnasium.make(name, action=action).unwrapped)
-    said = [str(warning.message) for warning in caught]
-    assert len(said) == (action == "tool_delta"), said
-    assert all("symmetric and normalized" in sentence for sentence in said)
 
 
 def assert_same_infos(ours: list[dict[str, Any]], theirs: list[dict[str, Any]], where: str) -> None:
@@ -96,7 +83,7 @@ def test_a_batch_is_stable_baselines3s_vector_of_single_environments(env: ReachV
 
 
 def test_make_vec_env_seeds_the_first_reset() -> None:
-    batch, single = make_vec_env(2, seed=7), gymnasium.make("reachlab/Reach-v0")
+    batch, single = make_vec_env(n_envs=2, seed=7), gymnasium.make("reachlab/Reach-v0")
     assert np.asarray(batch.reset())[1] == pytest.approx(single.reset(seed=8)[0])
 
 
@@ -137,7 +124,19 @@ def test_a_wrong_action_names_its_environment(env: ReachVecEnv) -> None:
 
 def test_wrong_settings_are_refused_in_one_sentence() -> None:
     with pytest.raises(InputError, match=r"setting 'max_step' is not one of: .*Did you mean 'max_steps'"):
-        make_vec_env(2, max_step=3)
+        make_vec_env(n_envs=2, max_step=3)
+
+
+def test_an_id_of_others_is_refused_in_one_sentence() -> None:
+    with pytest.raises(InputError, match=r"environment id 'CartPole-v1' is not one of: .*reachlab/ReachGoal-v0"):
+        make_vec_env("CartPole-v1")
+
+
+def test_the_settings_of_an_id_are_its_own_where_they_are_not_changed() -> None:
+    env = make_vec_env("reachlab:reachlab/ReachGoal-v0", 2, max_steps=7)
+    rules = env.get_attr("env")[0].setup.rules
+    assert (rules.action, rules.max_steps) == ("tool_step", 7)
+    assert env.observation_space == gymnasium.make("reachlab/ReachGoal-v0").observation_space
 
 
 def test_without_stable_baselines3_the_extra_is_named() -> None:
@@ -147,7 +146,7 @@ def test_without_stable_baselines3_the_extra_is_named() -> None:
 
 
 def test_pictures_are_tiled() -> None:
-    env = make_vec_env(2, render_mode="rgb_array")
+    env = make_vec_env(n_envs=2, render_mode="rgb_array")
     env.reset()
     try:
         pictures = env.get_images()
@@ -172,11 +171,39 @@ def test_ppo_learns_and_is_told_returns_and_successes(env: ReachVecEnv) -> None:
     assert np.isfinite(mean)
 
 
+def test_hindsight_replay_pays_for_a_goal_what_the_environment_would_have_paid() -> None:
+    env = make_vec_env("reachlab/ReachGoal-v0", NUM_ENVS, seed=0, max_steps=20)
+    settings: dict[str, Any] = {"buffer_size": 600, "learning_starts": 120, "batch_size": 32, "seed": 0}
+    model = SAC("MultiInputPolicy", env, replay_buffer_class=HerReplayBuffer, **settings, device="cpu")
+    model.learn(300)
+    assert isinstance(model.replay_buffer, HerReplayBuffer)
+    sampled = model.replay_buffer.sample(500)
+    achieved, desired = (sampled.next_observations[name].numpy() for name in ("achieved_goal", "desired_goal"))
+    assert np.array_equal(desired, sampled.observations["desired_goal"].numpy())
+    assert sampled.rewards.numpy()[:, 0] == pytest.approx(env.env_method("compute_reward", achieved, desired, {})[0])
+    assert {0.0, -1.0} == set(sampled.rewards.numpy()[:, 0].tolist())
+    assert not sampled.dones.any(), "the clock alone ends episodes"
+
+
+def test_goal_observations_are_dicts_the_last_of_an_episode_too() -> None:
+    env = make_vec_env("reachlab/ReachGoal-v0", NUM_ENVS, seed=0, max_steps=1)
+    first = env.reset()
+    observation, _, done, infos = env.step(np.ones((NUM_ENVS, 3), np.float32))
+    assert isinstance(first, dict)
+    assert isinstance(observation, dict)
+    assert done.all()
+    for index, info in enumerate(infos):
+        last = info["terminal_observation"]
+        assert env.observation_space.contains(last)
+        assert np.array_equal(last["desired_goal"], first["desired_goal"][index])
+        assert np.linalg.norm(last["achieved_goal"] - last["desired_goal"]) == pytest.approx(info["distance"], abs=1e-6)
+
+
 def test_statistics_of_a_monitor_are_the_same() -> None:
     with pytest.warns(UserWarning, match="already wrapped with a `Monitor`"):
-        env = VecMonitor(make_vec_env(NUM_ENVS, seed=3, **SHORT))
+        env = VecMonitor(make_vec_env(n_envs=NUM_ENVS, seed=3, **SHORT))
     env.reset()
-    bare = make_vec_env(NUM_ENVS, seed=3, **SHORT)
+    bare = make_vec_env(n_envs=NUM_ENVS, seed=3, **SHORT)
     bare.reset()
     for actions in pushes(60):
         for monitored, told in zip(env.step(actions)[3], bare.step(actions)[3], strict=True):

@@ -26,6 +26,10 @@ SUITES: dict[str, Lazy] = {
         "Steps a second through Gymnasium's environments, beside the tutorial's own and the bare engine.",
         "reachlab.bench.gymnasium:gymnasium_faces",
     ),
+    "learners": Lazy(
+        "Steps a second of Stable-Baselines3's PPO on a batch, and on its own vector of environments.",
+        "reachlab.bench.learners:learners",
+    ),
     "precise": Lazy(
         "Precision under full dynamics beside inverse kinematics, on nominal and on perturbed arms.",
         "reachlab.bench.precise:precise",

@@ -42,8 +42,11 @@ class Goals:
         return (outside & rules.ends_outside) | (reached & (rules.at_goal == "end"))
 
     def compute_truncated(self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Info) -> Any:
-        """Whether the clock does `[...]`: so many steps are said in the infos."""
-        steps = info["elapsed_steps"] if isinstance(info, Mapping) else [one["elapsed_steps"] for one in info]
+        """Whether the clock does `[...]`; never where the infos do not tell how many steps were taken."""
+        if isinstance(info, Mapping):
+            steps = info.get("elapsed_steps", 0)
+        else:
+            steps = [one.get("elapsed_steps", 0) for one in info]
         ended = self.compute_terminated(achieved_goal, desired_goal, info)
         return (np.asarray(steps) >= self.env.setup.rules.max_steps) & ~ended
 

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import gymnasium
 import numpy as np
+from gymnasium.envs.registration import load_env_creator
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
-from reachlab.envs.gymnasium_vector import ReachVectorEnv
 from reachlab.settings.validation import InputError, choose
+
+if TYPE_CHECKING:
+    from reachlab.envs.gymnasium_vector import ReachVectorEnv
 
 SHARED = ("compute_reward", "compute_terminated", "compute_truncated")
 """Methods that are the same function for every environment; hindsight replay asks for the first."""
@@ -23,13 +27,18 @@ class ReachVecEnv(VecEnv):
     Infos hold what `ReachEnv` tells, and where an episode ended what `DummyVecEnv` and `Monitor` add.
     """
 
-    def __init__(self, num_envs: int = 1, **settings: Any) -> None:
-        """Batch of environments; settings, task and render mode as for `ReachEnv`.
+    def __init__(self, env_id: str = "reachlab/Reach-v0", num_envs: int = 1, **settings: Any) -> None:
+        """Batch of environments of an id, whose settings are changed by those given; see `ReachEnv`.
 
         Raises:
-            InputError: see `ReachEnv`.
+            InputError: no id of this package; or see `ReachEnv`.
         """
-        self.env = ReachVectorEnv(num_envs, autoreset_mode="SameStep", **settings)
+        ours = [name for name, spec in gymnasium.registry.items() if spec.namespace == "reachlab"]
+        spec = gymnasium.spec(choose("environment id", env_id.removeprefix("reachlab:"), ours))
+        make_batch: Any = load_env_creator(spec.vector_entry_point)  # pyright: ignore[reportArgumentType]
+        self.env: ReachVectorEnv = make_batch(
+            num_envs=num_envs, autoreset_mode="SameStep", **{**spec.kwargs, **settings}
+        )
         super().__init__(num_envs, self.env.single_observation_space, self.env.single_action_space)
         self.metadata = self.env.metadata
         self._actions = np.zeros(self.env.action_space.shape or (), np.float32)

@@ -1,0 +1,137 @@
+"""PPO in one compiled program, in PureJaxRL's style: an arm learns to touch a point on the table."""
+
+import argparse
+import json
+import time
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import optax
+from jax import Array
+from jax.nn.initializers import orthogonal
+
+import reachlab
+from reachlab.jax_setup import jit  # with `jax.jit` the environment's steps take longer, see `reachlab.gymnax`
+
+SETTINGS: dict[str, Any] = {"observation": "target+tool", "reward": "dense"}
+NUM_ENVS, ROLLOUT_STEPS = 64, 64
+EPOCHS, MINIBATCHES = 4, 4
+LEARNING_RATE = 2e-3  # at the start; it falls to 0
+GAMMA, GAE_LAMBDA = 0.98, 0.9
+CLIP, VALUE_WEIGHT, MAX_GRAD_NORM = 0.2, 0.5, 0.5
+INITIAL_STD, HIDDEN = 0.2, 64  # half of the action box; units of a layer
+
+
+def perceptron(key: Array, inputs: int, outputs: int, last_gain: float) -> list[tuple[Array, Array]]:
+    """Weights and biases of a perceptron."""
+    layers = [(inputs, HIDDEN, 2**0.5), (HIDDEN, HIDDEN, 2**0.5), (HIDDEN, outputs, last_gain)]
+    keys = jax.random.split(key, len(layers))
+    return [(orthogonal(gain)(k, (a, b)), jnp.zeros(b)) for k, (a, b, gain) in zip(keys, layers, strict=True)]
+
+
+def output(layers: list[tuple[Array, Array]], x: Array) -> Array:
+    """What a perceptron makes of inputs `[..., inputs]`."""
+    for weight, bias in layers[:-1]:
+        x = jnp.tanh(x @ weight + bias)
+    return x @ layers[-1][0] + layers[-1][1]
+
+
+def log_probability(parameters: dict[str, Any], observation: Array, action: Array) -> Array:
+    """Logarithm of an action's probability density, but for a constant."""
+    noise = (action - output(parameters["actor"], observation)) / jnp.exp(parameters["log_std"])
+    return -(0.5 * noise**2 + parameters["log_std"]).sum(-1)
+
+
+def powers(observation: Array) -> Array:
+    """Sums of ones, observations and their squares, over the batch."""
+    return jnp.stack([observation**power for power in range(3)]).sum(1)
+
+
+def scaled(sums: Array, observation: Array) -> Array:
+    """The observation with the mean taken away and in standard deviations, of `powers` that were added up."""
+    mean, square = sums[1:] / sums[0]
+    return jnp.clip((observation - mean) / jnp.sqrt(jnp.maximum(square - mean**2, 1e-6)), -10, 10)
+
+
+def loss(parameters: dict[str, Any], batch: list[Array]) -> Array:
+    """PPO's loss of policy and value."""
+    observation, action, before, value, advantage = batch
+    ratio = jnp.exp(log_probability(parameters, observation, action) - before)
+    weight = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
+    gain = jnp.minimum(ratio * weight, jnp.clip(ratio, 1 - CLIP, 1 + CLIP) * weight).mean()
+    misfit = ((output(parameters["critic"], observation)[..., 0] - value - advantage) ** 2).mean()
+    return VALUE_WEIGHT * misfit - gain
+
+
+def train(env: reachlab.Env, updates: int, key: Array) -> tuple[dict[str, Any], Array]:
+    """The trained parameters, and the sums that scale observations."""
+    box, size = jnp.asarray(env.schema.bounds), len(env.action_bounds[0])
+    rates = optax.linear_schedule(LEARNING_RATE, 0.0, updates * EPOCHS * MINIBATCHES)
+    optimiser = optax.chain(optax.clip_by_global_norm(MAX_GRAD_NORM), optax.adam(rates, eps=1e-5))
+
+    def iteration(carry: Any, key: Array) -> tuple[Any, None]:
+        parameters, memory, sums, state = carry
+        for_batches, *for_actions = jax.random.split(key, 1 + ROLLOUT_STEPS)
+
+        def value(seen: Any) -> Array:
+            return output(parameters["critic"], scaled(sums, seen))[:, 0]
+
+        def step(state: Any, key: Array) -> tuple[Any, Any]:
+            seen: Any = env.observe(state)
+            x = scaled(sums, seen)
+            noise = jnp.exp(parameters["log_std"]) * jax.random.normal(key, (NUM_ENVS, size))
+            action = output(parameters["actor"], x) + noise
+            kept = (x, action, log_probability(parameters, x, action), value(seen))
+            state, now = env.step(state, action)
+            # An episode that only ran out of time would have earned more: what its last observation promises.
+            reward = now.reward + GAMMA * now.truncated * value(now.observation)
+            return env.reset(state, now.done), (kept, reward, 1.0 - now.done, powers(seen))
+
+        def advantage(carry: tuple[Array, Array], now: Any) -> tuple[Any, Array]:
+            (following, next_value), (value, reward, goes_on) = carry, now
+            advantage = reward + GAMMA * goes_on * (next_value + GAE_LAMBDA * following) - value
+            return (advantage, value), advantage
+
+        def descend(carry: Any, chosen: Array) -> tuple[Any, None]:
+            parameters, memory = carry
+            change, memory = optimiser.update(jax.grad(loss)(parameters, [x[chosen] for x in rollout]), memory)
+            return (optax.apply_updates(parameters, change), memory), None
+
+        state, (kept, reward, goes_on, watched) = jax.lax.scan(step, state, jnp.stack(for_actions))
+        start = jnp.zeros(NUM_ENVS), value(env.observe(state))
+        _, advantages = jax.lax.scan(advantage, start, (kept[-1], reward, goes_on), reverse=True)
+        rollout = [x.reshape(-1, *x.shape[2:]) for x in (*kept, advantages)]
+        numbers = jnp.tile(jnp.arange(NUM_ENVS * ROLLOUT_STEPS), (EPOCHS, 1))
+        batches = jax.random.permutation(for_batches, numbers, axis=1, independent=True)
+        carry, _ = jax.lax.scan(descend, (parameters, memory), batches.reshape(EPOCHS * MINIBATCHES, -1))
+        return (*carry, sums + watched.sum(0), state), None
+
+    for_actor, for_critic, for_env, for_learning = jax.random.split(key, 4)
+    actor, critic = perceptron(for_actor, box.shape[1], size, 0.01), perceptron(for_critic, box.shape[1], 1, 1.0)
+    parameters = {"actor": actor, "critic": critic, "log_std": jnp.full(size, jnp.log(INITIAL_STD))}
+    state = env.init(jax.random.split(for_env, NUM_ENVS))
+    carry = parameters, optimiser.init(parameters), powers(box), state
+    (parameters, _, sums, _), _ = jax.lax.scan(iteration, carry, jax.random.split(for_learning, updates))
+    return parameters, sums
+
+
+def main() -> None:
+    """Learn, evaluate on held-out goals, and print the result as JSON."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--steps", type=int, default=600_000)
+    parser.add_argument("--seed", type=int, default=0)
+    args = parser.parse_args()
+    began = time.perf_counter()
+    config = reachlab.configure("tutorial", **SETTINGS)
+    env, updates = reachlab.Env(config, NUM_ENVS), -(-args.steps // (NUM_ENVS * ROLLOUT_STEPS))
+    parameters, sums = jax.block_until_ready(jit(lambda key: train(env, updates, key))(jax.random.key(args.seed)))
+    steps, wall_s = updates * NUM_ENVS * ROLLOUT_STEPS, round(time.perf_counter() - began, 1)
+    result = {"steps": steps, "seed": args.seed, "wall_s": wall_s}
+    act = jax.jit(lambda observation: output(parameters["actor"], scaled(sums, observation)))
+    report = reachlab.evaluate(reachlab.Env(config, 1000), act, seed=5000, episodes=1000)
+    print(json.dumps({"success": report.success_rate, "interval": report.success_interval, **result}))
+
+
+if __name__ == "__main__":
+    main()
