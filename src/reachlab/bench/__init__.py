@@ -22,9 +22,9 @@ SUITES: dict[str, Lazy] = {
         "The simulators against each other, against bare engines, and against the tutorial's way.",
         "reachlab.bench.simulators:simulators",
     ),
-    "gymnasium": Lazy(
+    "environments": Lazy(
         "Steps a second through Gymnasium's environments, beside the tutorial's own and the bare engine.",
-        "reachlab.bench.gymnasium:gymnasium_faces",
+        "reachlab.bench.environments:environments",
     ),
     "learners": Lazy(
         "Steps a second of Stable-Baselines3's PPO on a batch, and on its own vector of environments.",

@@ -1,4 +1,4 @@
-"""Suite `gymnasium`: steps a second through Gymnasium's environments, random actions and resets included."""
+"""Suite `environments`: steps a second through Gymnasium's environments, random actions and resets included."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ PRECISE_ENVS, PRECISE_STEPS = 256, 101
 """Environments under full dynamics, and steps of an episode with the one that begins it."""
 
 
-def gymnasium_faces() -> Iterator[Row]:
-    """The rows of suite `gymnasium`."""
+def environments() -> Iterator[Row]:
+    """The rows of suite `environments`."""
     author, ours = author_steps(), single_steps()
     rates = [(author(), ours()) for _ in range(ROUNDS)]
     slow, fast = (max(column) for column in zip(*rates, strict=True))
