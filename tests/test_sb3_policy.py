@@ -14,34 +14,40 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from reachlab.agents.sb3_policy import load_model
 from reachlab.cli.main import main
+from reachlab.envs.core import Env
+from reachlab.envs.random_streams import env_keys
+from reachlab.evaluation.episodes import make_runner
+from reachlab.evaluation.report import wilson_interval
+from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError
 
-ENVS, EPISODES = 50, 300
+EPISODES = 200
 
 
 @pytest.fixture(scope="module")
-def trained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, float]:
-    """A model that is half trained, its normaliser, and its success by SB3's own evaluation."""
+def trained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, np.ndarray]:
+    """A model that is half trained, its normaliser, and which episodes of seed 900 it solves in SB3's hands."""
     from reachlab.sb3 import make_vec_env
 
     folder = tmp_path_factory.mktemp("model")
-    settings: dict[str, Any] = {"observation": "target+tool", "success_distance": 0.2, "max_steps": 200}
-    env = VecNormalize(make_vec_env(n_envs=32, seed=0, **settings), norm_reward=False)
+    name, settings = "reachlab/Reach-v0", {"observation": "target+tool", "success_distance": 0.2, "max_steps": 200}
+    env = VecNormalize(make_vec_env(name, n_envs=32, seed=0, **settings), norm_reward=False)
     model = PPO("MlpPolicy", env, n_steps=64, batch_size=1024, n_epochs=4, learning_rate=2e-3, seed=0, device="cpu")
     model.learn(30_000)
     model.save(folder / "model")
     env.save(str(folder / "normaliser.pkl"))
-    env.training = False
-    judged = VecNormalize.load(str(folder / "normaliser.pkl"), make_vec_env(n_envs=ENVS, seed=900, **settings))
+    held_out = make_vec_env(name, n_envs=EPISODES, seed=900, **settings)
+    judged = VecNormalize.load(str(folder / "normaliser.pkl"), held_out)
     judged.training = False
-    successes = []
+    solved: dict[int, bool] = {}
 
-    def count(local: dict[str, Any], _: dict[str, Any]) -> None:
+    def remember(local: dict[str, Any], _: dict[str, Any]) -> None:
         if local["done"]:
-            successes.append(local["info"]["is_success"])
+            solved.setdefault(local["i"], local["info"]["is_success"])
 
-    evaluate_policy(model, judged, n_eval_episodes=EPISODES, callback=count)
-    return folder / "model.zip", folder / "normaliser.pkl", float(np.mean(successes))
+    # One for each environment: the first episode of its seed.
+    evaluate_policy(model, judged, n_eval_episodes=EPISODES, callback=remember)
+    return folder / "model.zip", folder / "normaliser.pkl", np.array([solved[i] for i in range(EPISODES)])
 
 
 def run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
@@ -51,22 +57,31 @@ def run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]
     return code, said.out, said.err
 
 
-def test_a_model_is_as_good_as_stable_baselines3_says(
-    trained: tuple[Path, Path, float], capsys: pytest.CaptureFixture[str]
+def test_a_model_solves_the_very_episodes_that_it_solves_in_stable_baselines3(
+    trained: tuple[Path, Path, np.ndarray],
 ) -> None:
-    model, normaliser, theirs = trained
+    model = load_model(*trained[:2])
+    assert model.config is not None
+    played = make_runner(Env(model.config, EPISODES), model.act).run(None, env_keys(900, EPISODES))
+    assert np.array_equal(np.asarray(played.success), trained[2])
+    assert 0.1 < trained[2].mean() < 0.95
+
+
+def test_eval_reports_on_a_model(trained: tuple[Path, Path, np.ndarray], capsys: pytest.CaptureFixture[str]) -> None:
+    model, normaliser, solved = trained
     words = (str(model), "--trust", "--normaliser", str(normaliser), "--episodes", str(EPISODES), "--json")
     code, out, _ = run(capsys, *words)
     report = json.loads(out)
     assert code == 0
     assert report["agent"] == "sb3"
     assert report["checkpoint"]["steps"] == 30_720
-    # Both have drawn: the difference of two rates is within twice the standard error of one, times the root of two.
-    error = np.sqrt(max(theirs * (1 - theirs), 0.01) / EPISODES)
-    assert abs(report["success_rate"] - theirs) < 2 * np.sqrt(2) * error + 0.02
+    low, high = report["success_interval"]
+    theirs = wilson_interval(int(solved.sum()), EPISODES)
+    assert low < theirs[1]
+    assert theirs[0] < high
 
 
-def test_a_model_knows_its_settings_and_how_its_file_is_called(trained: tuple[Path, Path, float]) -> None:
+def test_a_model_knows_its_settings_and_how_its_file_is_called(trained: tuple[Path, Path, np.ndarray]) -> None:
     model = load_model(trained[0])
     assert model.config is not None
     assert model.config.rules.max_steps == 200
@@ -75,7 +90,7 @@ def test_a_model_knows_its_settings_and_how_its_file_is_called(trained: tuple[Pa
 
 
 def test_a_model_is_unpickled_only_if_it_is_trusted(
-    trained: tuple[Path, Path, float], capsys: pytest.CaptureFixture[str]
+    trained: tuple[Path, Path, np.ndarray], capsys: pytest.CaptureFixture[str]
 ) -> None:
     code, out, said = run(capsys, str(trained[0]))
     assert (code, out) == (2, "")
@@ -105,9 +120,7 @@ def test_what_is_no_model_is_refused_in_one_sentence(
     assert sentence in " ".join(said.split())
 
 
-def test_a_model_is_not_asked_about_observations_that_it_does_not_know(trained: tuple[Path, Path, float]) -> None:
-    from reachlab import Env, configure
-
+def test_a_model_is_not_asked_about_observations_that_it_does_not_know(trained: tuple[Path, Path, np.ndarray]) -> None:
     env = Env(configure(observation="target"), 1)
     with pytest.raises(InputError, match=r"observes arrays of \(6,\), and the environment gives \(3,\)"):
         load_model(trained[0]).check(env.schema)
