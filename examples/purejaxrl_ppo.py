@@ -119,7 +119,7 @@ def train(env: reachlab.Env, updates: int, key: Array) -> tuple[dict[str, Any], 
 def main() -> None:
     """Learn, evaluate on held-out goals, and print the result as JSON."""
     parser = argparse.ArgumentParser()
-    parser.add_argument("--steps", type=int, default=600_000)
+    parser.add_argument("--steps", type=int, default=1_000_000)
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
     began = time.perf_counter()
