@@ -80,8 +80,8 @@ def train(env: reachlab.Env, updates: int, key: Array) -> tuple[dict[str, Any], 
         def step(state: Any, key: Array) -> tuple[Any, Any]:
             seen: Any = env.observe(state)
             x = scaled(sums, seen)
-            noise = jnp.exp(parameters["log_std"]) * jax.random.normal(key, (NUM_ENVS, size))
-            action = output(parameters["actor"], x) + noise
+            noise = jax.random.normal(key, (NUM_ENVS, size))
+            action = output(parameters["actor"], x) + jnp.exp(parameters["log_std"]) * noise
             kept = (x, action, log_probability(parameters, x, action), value(seen))
             state, now = env.step(state, action)
             # An episode that only ran out of time would have earned more: what its last observation promises.
@@ -102,16 +102,15 @@ def train(env: reachlab.Env, updates: int, key: Array) -> tuple[dict[str, Any], 
         start = jnp.zeros(NUM_ENVS), value(env.observe(state))
         _, advantages = jax.lax.scan(advantage, start, (kept[-1], reward, goes_on), reverse=True)
         rollout = [x.reshape(-1, *x.shape[2:]) for x in (*kept, advantages)]
-        numbers = jnp.tile(jnp.arange(NUM_ENVS * ROLLOUT_STEPS), (EPOCHS, 1))
-        batches = jax.random.permutation(for_batches, numbers, axis=1, independent=True)
-        carry, _ = jax.lax.scan(descend, (parameters, memory), batches.reshape(EPOCHS * MINIBATCHES, -1))
+        orders = [jax.random.permutation(key, len(rollout[0])) for key in jax.random.split(for_batches, EPOCHS)]
+        batches = jnp.concatenate(orders).reshape(EPOCHS * MINIBATCHES, -1)
+        carry, _ = jax.lax.scan(descend, (parameters, memory), batches)
         return (*carry, sums + watched.sum(0), state), None
 
     for_actor, for_critic, for_env, for_learning = jax.random.split(key, 4)
     actor, critic = perceptron(for_actor, box.shape[1], size, 0.01), perceptron(for_critic, box.shape[1], 1, 1.0)
     parameters = {"actor": actor, "critic": critic, "log_std": jnp.full(size, jnp.log(INITIAL_STD))}
-    state = env.init(jax.random.split(for_env, NUM_ENVS))
-    carry = parameters, optimiser.init(parameters), powers(box), state
+    carry = parameters, optimiser.init(parameters), powers(box), env.init(jax.random.split(for_env, NUM_ENVS))
     (parameters, _, sums, _), _ = jax.lax.scan(iteration, carry, jax.random.split(for_learning, updates))
     return parameters, sums
 
