@@ -3,6 +3,7 @@
 import argparse
 import json
 import time
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -12,11 +13,12 @@ from jax import Array
 from jax.nn.initializers import orthogonal
 
 import reachlab
+from reachlab.evaluation.episodes import make_runner
 from reachlab.jax_setup import jit  # with `jax.jit` the environment's steps take longer, see `reachlab.gymnax`
 
 SETTINGS: dict[str, Any] = {"observation": "target+tool", "reward": "dense"}
 NUM_ENVS, ROLLOUT_STEPS = 64, 64
-EPOCHS, MINIBATCHES = 4, 4
+EPOCHS, MINIBATCHES, VALIDATION = 4, 4, 16  # updates from one validation to the next
 LEARNING_RATE = 2e-3  # at the start; it falls to 0
 GAMMA, GAE_LAMBDA = 0.98, 0.9
 CLIP, VALUE_WEIGHT, MAX_GRAD_NORM = 0.2, 0.5, 0.5
@@ -64,8 +66,11 @@ def loss(parameters: dict[str, Any], batch: list[Array]) -> Array:
     return VALUE_WEIGHT * misfit - gain
 
 
-def train(env: reachlab.Env, updates: int, key: Array) -> tuple[dict[str, Any], Array]:
-    """The trained parameters, and the sums that scale observations."""
+def make_training(env: reachlab.Env, updates: int) -> tuple[Callable[[Array], Any], Callable[[Any, Array], Any]]:
+    """Functions that give what a training begins with, and what it has come to after an iteration for each key.
+
+    These are parameters, the optimiser's memory, the sums that scale observations, and the environment's state.
+    """
     box, size = jnp.asarray(env.schema.bounds), len(env.action_bounds[0])
     rates = optax.linear_schedule(LEARNING_RATE, 0.0, updates * EPOCHS * MINIBATCHES)
     optimiser = optax.chain(optax.clip_by_global_norm(MAX_GRAD_NORM), optax.adam(rates, eps=1e-5))
@@ -80,8 +85,8 @@ def train(env: reachlab.Env, updates: int, key: Array) -> tuple[dict[str, Any], 
         def step(state: Any, key: Array) -> tuple[Any, Any]:
             seen: Any = env.observe(state)
             x = scaled(sums, seen)
-            noise = jnp.exp(parameters["log_std"]) * jax.random.normal(key, (NUM_ENVS, size))
-            action = output(parameters["actor"], x) + noise
+            noise = jax.random.normal(key, (NUM_ENVS, size))
+            action = output(parameters["actor"], x) + jnp.exp(parameters["log_std"]) * noise
             kept = (x, action, log_probability(parameters, x, action), value(seen))
             state, now = env.step(state, action)
             # An episode that only ran out of time would have earned more: what its last observation promises.
@@ -102,35 +107,46 @@ def train(env: reachlab.Env, updates: int, key: Array) -> tuple[dict[str, Any], 
         start = jnp.zeros(NUM_ENVS), value(env.observe(state))
         _, advantages = jax.lax.scan(advantage, start, (kept[-1], reward, goes_on), reverse=True)
         rollout = [x.reshape(-1, *x.shape[2:]) for x in (*kept, advantages)]
-        numbers = jnp.tile(jnp.arange(NUM_ENVS * ROLLOUT_STEPS), (EPOCHS, 1))
-        batches = jax.random.permutation(for_batches, numbers, axis=1, independent=True)
-        carry, _ = jax.lax.scan(descend, (parameters, memory), batches.reshape(EPOCHS * MINIBATCHES, -1))
+        orders = [jax.random.permutation(key, len(rollout[0])) for key in jax.random.split(for_batches, EPOCHS)]
+        batches = jnp.concatenate(orders).reshape(EPOCHS * MINIBATCHES, -1)
+        carry, _ = jax.lax.scan(descend, (parameters, memory), batches)
         return (*carry, sums + watched.sum(0), state), None
 
-    for_actor, for_critic, for_env, for_learning = jax.random.split(key, 4)
-    actor, critic = perceptron(for_actor, box.shape[1], size, 0.01), perceptron(for_critic, box.shape[1], 1, 1.0)
-    parameters = {"actor": actor, "critic": critic, "log_std": jnp.full(size, jnp.log(INITIAL_STD))}
-    state = env.init(jax.random.split(for_env, NUM_ENVS))
-    carry = parameters, optimiser.init(parameters), powers(box), state
-    (parameters, _, sums, _), _ = jax.lax.scan(iteration, carry, jax.random.split(for_learning, updates))
-    return parameters, sums
+    def begin(key: Array) -> Any:
+        for_actor, for_critic, for_env = jax.random.split(key, 3)
+        actor, critic = perceptron(for_actor, box.shape[1], size, 0.01), perceptron(for_critic, box.shape[1], 1, 1.0)
+        parameters = {"actor": actor, "critic": critic, "log_std": jnp.full(size, jnp.log(INITIAL_STD))}
+        return parameters, optimiser.init(parameters), powers(box), env.init(jax.random.split(for_env, NUM_ENVS))
+
+    return jit(begin), jit(lambda carry, keys: jax.lax.scan(iteration, carry, keys)[0])
 
 
 def main() -> None:
-    """Learn, evaluate on held-out goals, and print the result as JSON."""
+    """Learn until every goal of a validation is reached, evaluate on others, and print the result as JSON."""
     parser = argparse.ArgumentParser()
-    parser.add_argument("--steps", type=int, default=600_000)
+    parser.add_argument("--steps", type=int, default=1_000_000, help="environment steps, rounded up to a validation")
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
     began = time.perf_counter()
     config = reachlab.configure("tutorial", **SETTINGS)
-    env, updates = reachlab.Env(config, NUM_ENVS), -(-args.steps // (NUM_ENVS * ROLLOUT_STEPS))
-    parameters, sums = jax.block_until_ready(jit(lambda key: train(env, updates, key))(jax.random.key(args.seed)))
-    steps, wall_s = updates * NUM_ENVS * ROLLOUT_STEPS, round(time.perf_counter() - began, 1)
-    result = {"steps": steps, "seed": args.seed, "wall_s": wall_s}
-    act = jax.jit(lambda observation: output(parameters["actor"], scaled(sums, observation)))
-    report = reachlab.evaluate(reachlab.Env(config, 1000), act, seed=5000, episodes=1000)
-    print(json.dumps({"success": report.success_rate, "interval": report.success_interval, **result}))
+    updates = -(-args.steps // (NUM_ENVS * ROLLOUT_STEPS))
+    begin, advance = make_training(reachlab.Env(config, NUM_ENVS), updates)
+    held_out, decide = reachlab.Env(config, 1000), jax.jit(lambda actor, sums, seen: output(actor, scaled(sums, seen)))
+
+    def act(observation: Array) -> Array:
+        return decide(carry[0]["actor"], carry[2], observation)
+
+    runner = make_runner(held_out, act)  # compiled once
+    key = jax.random.key(args.seed)
+    carry, done, success = begin(key), 0, 0.0
+    while done < updates and success < 1:
+        carry = advance(carry, jax.random.split(jax.random.fold_in(key, done), VALIDATION))
+        done += VALIDATION
+        success = reachlab.evaluate(held_out, act, seed=1, runner=runner).success_rate
+    steps, wall_s = done * NUM_ENVS * ROLLOUT_STEPS, round(time.perf_counter() - began, 1)
+    report = reachlab.evaluate(held_out, act, seed=5000, runner=runner)
+    judged = {"success": report.success_rate, "interval": report.success_interval}
+    print(json.dumps({**judged, "steps": steps, "seed": args.seed, "wall_s": wall_s}))
 
 
 if __name__ == "__main__":
