@@ -39,6 +39,7 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--steps", type=int, default=1_000_000, help="environment steps at most")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--save", help="name of the model and of its normaliser, for `reachlab eval`")
     args = parser.parse_args()
     torch.set_num_threads(1)  # the networks are small
     began = time.perf_counter()
@@ -60,6 +61,9 @@ def main() -> None:
     goes_on = ConvertCallback(lambda *_: judge(VALIDATION_SEED).success_rate < 1)
     model.learn(args.steps, EveryNTimesteps(VALIDATION_STEPS, goes_on))
     result = {"steps": model.num_timesteps, "seed": args.seed, "wall_s": round(time.perf_counter() - began, 1)}
+    if args.save:
+        model.save(f"{args.save}.zip")
+        env.save(f"{args.save}.pkl")
     report = judge(FRESH_SEED)
     print(json.dumps({"success": report.success_rate, "interval": report.success_interval, **result}))
 
