@@ -153,6 +153,17 @@ def test_it_has_the_spaces_of_env(made: tuple[Any, Any]) -> None:
         assert space.contains(space.sample(jax.random.PRNGKey(0)))
 
 
+def test_goals_are_observed_as_a_dict() -> None:
+    env, params = reachlab.gymnax.make("tutorial", observation="goal", reward="goal", end_outside=False)
+    observation, state = env.reset(jax.random.key(0), params)
+    space = env.observation_space(params)
+    assert set(observation) == set(space.spaces) == {"observation", "achieved_goal", "desired_goal"}
+    assert all(observation[name].shape == part.shape for name, part in space.spaces.items())
+    after, _, reward, *_ = env.step(jax.random.key(1), state, jnp.zeros(3), params)
+    assert set(after) == set(observation)
+    assert reward == -1
+
+
 def test_observe_and_discount_are_those_of_the_state(made: tuple[Any, Any]) -> None:
     env, params = made
     key = jax.random.key(0)

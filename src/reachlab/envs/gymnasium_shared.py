@@ -14,10 +14,9 @@ from gymnasium.vector import AutoresetMode
 from reachlab.envs.core import Env
 from reachlab.envs.episode_batch import Now, Result, make_batch
 from reachlab.envs.functions import EnvState
-from reachlab.envs.setup import check
+from reachlab.envs.setup import configure_env
 from reachlab.jax_setup import refuse_fork
 from reachlab.settings.json_form import to_json
-from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError, choose
 from reachlab.tasks.schema import Schema
 from reachlab.tasks.task import Bounds
@@ -43,10 +42,7 @@ class Episodes:
         """
         if num_envs < 1:
             raise InputError(f"num_envs must be at least 1, got {num_envs}.")
-        # What varies in the training that a preset describes does not vary here, unless it is asked for.
-        config = configure(task, **{"randomise": (), **settings})
-        check(config)
-        self.env = Env(config, num_envs)
+        self.env = Env(configure_env(task, settings), num_envs)
         self._batch, self._begun = make_batch(self.env, mode, in_numpy=in_numpy), False
         self._shape = (num_envs, len(self.env.action_bounds[0]))
         self._checked = checked_actions if in_numpy else _checked_in_jax

@@ -6,15 +6,13 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from flax import struct  # pyright: ignore[reportMissingImports]
 from gymnax.environments import environment, spaces  # pyright: ignore[reportMissingImports]
 from jax import Array
 
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState
-from reachlab.envs.setup import check
-from reachlab.settings.presets import configure
+from reachlab.envs.setup import configure_env
 from reachlab.settings.validation import InputError
 
 
@@ -47,9 +45,7 @@ class GymnaxEnv(environment.Environment[GymnaxState, environment.EnvParams]):
         Raises:
             InputError: a task or setting that does not exist, a value that is not allowed, or what JAX cannot trace.
         """
-        # What varies in the training that a preset describes does not vary here, unless it is asked for.
-        config = configure(task, **{"randomise": (), **settings})
-        check(config)
+        config = configure_env(task, settings)
         self._env = Env(config, 1)
         if not self._env.traced:
             self._env.close()
@@ -107,15 +103,17 @@ class GymnaxEnv(environment.Environment[GymnaxState, environment.EnvParams]):
     def action_space(self, params: environment.EnvParams | None = None) -> spaces.Box:
         """Box of the actions `[a]`."""
         del params
-        return _box(*self._env.action_bounds)
+        return _space(*self._env.action_bounds)
 
-    def observation_space(self, params: environment.EnvParams | None = None) -> spaces.Box:
-        """Box of the observations `[k]`."""
+    def observation_space(self, params: environment.EnvParams | None = None) -> spaces.Space:
+        """Box of the observations `[k]`, or a dict of boxes where they are in goal form."""
         del params
-        return _box(*self._env.schema.bounds)
+        return _space(*self._env.schema.bounds)
 
 
-def _box(low: np.ndarray, high: np.ndarray) -> spaces.Box:
+def _space(low: Any, high: Any) -> Any:
+    if isinstance(low, dict):
+        return spaces.Dict({name: _space(low[name], high[name]) for name in low})
     return spaces.Box(jnp.asarray(low), jnp.asarray(high), low.shape, low.dtype)
 
 

@@ -12,7 +12,7 @@ from reachlab.robots.robot import Robot
 from reachlab.settings.config import Rules, RunConfig, TaskConfig
 from reachlab.settings.consistency import Facts, check_consistency
 from reachlab.settings.json_form import flatten, override, to_json
-from reachlab.settings.presets import in_simulator, preset
+from reachlab.settings.presets import configure, in_simulator, preset
 from reachlab.settings.validation import InputError, choose
 from reachlab.sims import SIMULATORS
 from reachlab.tasks import TASKS
@@ -64,6 +64,19 @@ def check(config: RunConfig, base: RunConfig | None = None) -> None:
     check_names(config)
     facts = Facts(OBSERVATIONS[config.rules.observation].pictured, SIMULATORS[config.sim].dynamics)
     check_consistency(config, facts, base)
+
+
+def configure_env(task: str, settings: Mapping[str, Any]) -> RunConfig:
+    """Configuration of an environment for other learners: a preset with the settings changed.
+
+    What varies in the training that a preset describes does not vary in it, unless it is asked for.
+
+    Raises:
+        InputError: a setting that does not exist, a value that is not allowed, or see `check`.
+    """
+    config = configure(task, **{"randomise": (), **settings})
+    check(config)
+    return config
 
 
 def make_setup(config: RunConfig) -> TaskSetup:
