@@ -7,6 +7,7 @@ from typing import Any
 
 import gymnax.wrappers
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from gymnax.environments import spaces
