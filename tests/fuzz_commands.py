@@ -36,6 +36,7 @@ from reachlab.agents import AGENTS
 from reachlab.cli import main as cli
 from reachlab.cli.verbs import VERBS
 from reachlab.robots.catalogue import ROBOTS
+from reachlab.runs.sinks import SINKS
 from reachlab.settings.consistency import RANDOMISED
 from reachlab.settings.json_form import flatten, to_json
 from reachlab.settings.presets import preset
@@ -86,6 +87,7 @@ PATHS: dict[str, Sequence[str]] = {
     "save": ["page.html", "no/page.html", "."],
     "resume": [*RUNS, "."],
     "teacher": [*RUNS],
+    "normaliser": ["gone.pkl", "."],
     "run": [*RUNS],
     "runs": [*RUNS],
 }
@@ -124,7 +126,10 @@ def flags_of(cls: type) -> dict[str, Any]:
     """Annotations of a verb's flags by name; those of the dataclasses in it stand beside them."""
     found: dict[str, Any] = {}
     for name, hint in hints(cls).items():
-        found |= flags_of(typing.cast("type", hint)) if dataclasses.is_dataclass(hint) else {name: hint}
+        if name == "sinks":
+            found |= {sink: bool for sink in SINKS if sink != "wandb"}  # which may not leave this machine
+        else:
+            found |= flags_of(typing.cast("type", hint)) if dataclasses.is_dataclass(hint) else {name: hint}
     return found
 
 
