@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json as jsonlib
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 from reachlab.agents import AGENTS
 from reachlab.cli.flags import Eval
@@ -106,10 +106,14 @@ def _settings(arguments: Eval, run: RunDirectory | None, model: SavedModel | Non
     """
     arm = {name: vars(arguments)[name] for name in ("robot", "tool", "base", "package")}
     named = {"task": arguments.task} | arm
-    if run or (model and model.config):
+    known = model.config if model else None
+    if run or known:
         if given := [f"--{name}" for name, value in named.items() if value]:
             raise InputError(f"a run has its own task and robot: leave {' and '.join(given)} out, or the run.")
-        return run.read_config() if run else cast("SavedModel", model).config
+    if run:
+        return run.read_config()
+    if known:
+        return known
     if not model and (needing := [agent for agent in arguments.agent if AGENTS[agent].trained]):
         others = ", ".join(name for name, entry in AGENTS.items() if not entry.trained)
         raise InputError(f"agent {needing[0]!r} needs a run: name its directory, or choose --agent among {others}.")
