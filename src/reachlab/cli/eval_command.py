@@ -107,9 +107,8 @@ def _settings(arguments: Eval, run: RunDirectory | None, model: SavedModel | Non
     arm = {name: vars(arguments)[name] for name in ("robot", "tool", "base", "package")}
     named = {"task": arguments.task} | arm
     known = model.config if model else None
-    if run or known:
-        if given := [f"--{name}" for name, value in named.items() if value]:
-            raise InputError(f"a run has its own task and robot: leave {' and '.join(given)} out, or the run.")
+    if (run or known) and (given := [f"--{name}" for name, value in named.items() if value]):
+        raise InputError(f"a run has its own task and robot: leave {' and '.join(given)} out, or the run.")
     if run:
         return run.read_config()
     if known:
