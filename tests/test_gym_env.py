@@ -6,7 +6,7 @@ import copy
 import subprocess
 import sys
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
+from pushes import pushes
 from reachlab.envs.core import Env
 from reachlab.envs.gymnasium_single import ReachEnv
 from reachlab.envs.gymnasium_vector import ReachVectorEnv
@@ -257,15 +258,6 @@ def assert_same_step(ours: tuple[Any, ...], theirs: tuple[Any, ...], where: str)
     assert_same_info(ours[-1], theirs[-1], where)
 
 
-def pushes(steps: int) -> Iterator[np.ndarray]:
-    """Actions that keep their direction long enough to leave the workspace or to reach the target."""
-    random, actions = np.random.default_rng(1), np.zeros((NUM_ENVS, 3), np.float32)
-    for step in range(steps):
-        if step % 20 == 0:
-            actions = random.uniform((-1.5, -1.5, -3.0), (1.5, 1.5, 0.8), (NUM_ENVS, 3)).astype(np.float32)
-        yield actions
-
-
 @pytest.mark.parametrize("mode", AutoresetMode)
 def test_a_batch_is_gymnasiums_vector_of_single_environments(singles: list[ReachEnv], mode: AutoresetMode) -> None:
     theirs = SyncVectorEnv([lambda env=env: env for env in singles], autoreset_mode=mode)
@@ -273,7 +265,7 @@ def test_a_batch_is_gymnasiums_vector_of_single_environments(singles: list[Reach
     assert ours.metadata["autoreset_mode"] is mode
     assert_same_step(ours.reset(seed=21), theirs.reset(seed=21), "reset")
     ends = {"terminated": 0, "truncated": 0, "success": 0}
-    for number, actions in enumerate(pushes(300)):
+    for number, actions in enumerate(pushes(NUM_ENVS, 300)):
         one, other = ours.step(actions), theirs.step(actions)
         assert_same_step(one, other, f"step {number}")
         done = one[2] | one[3]
@@ -344,7 +336,7 @@ def test_jax_arrays_hold_the_same_numbers_and_go_to_pytorch_without_a_copy() -> 
     ours = ReachVectorEnv(num_envs=NUM_ENVS, arrays="jax", autoreset_mode="SameStep", **SHORT)
     theirs = ReachVectorEnv(num_envs=NUM_ENVS, autoreset_mode="SameStep", **SHORT)
     assert np.array_equal(ours.reset(seed=3)[0], theirs.reset(seed=3)[0])
-    for actions in pushes(60):
+    for actions in pushes(NUM_ENVS, 60):
         one, other = ours.step(torch.from_numpy(actions)), theirs.step(actions)
         assert all(isinstance(x, jax.Array) for x in (*one[:4], one[4]["distance"], one[4]["is_success"]))
         assert all(np.array_equal(x, np.asarray(y, x.dtype)) for x, y in zip(one[:4], other[:4], strict=True))

@@ -15,7 +15,8 @@ from gymnasium_robotics.core import GoalEnv
 from stable_baselines3.common.env_checker import check_env as stable_baselines3s_checker
 
 import reachlab
-from reachlab.envs.gymnasium_goal import ReachGoalEnv
+from reachlab.envs.gymnasium_goal import ReachGoalEnv, ReachGoalVectorEnv
+from reachlab.settings.validation import InputError
 from reachlab.sims import SIMULATORS
 
 IDS = sorted(name for name, spec in gymnasium.registry.items() if spec.namespace == reachlab.__name__)
@@ -100,3 +101,31 @@ def test_the_methods_are_those_of_gymnasium_robotics(goal_env: ReachGoalEnv, met
     assert list(inspect.signature(getattr(ReachGoalEnv, method)).parameters) == list(asked)
     answer = getattr(goal_env, method)(achieved_goal=np.zeros((4, 3)), desired_goal=np.zeros((4, 3)), info={})
     assert np.shape(answer) == (4,)
+
+
+@pytest.mark.parametrize(
+    ("settings", "sentence"),
+    [
+        ({"observation": "state"}, "observation of a goal environment 'state' is not one of: goal, goal.state"),
+        ({"reward": "dense"}, "reward of a goal environment 'dense' is not one of: goal, goal_distance"),
+        ({"hold_steps": 3, "at_goal": "end"}, "cannot end an episode once the goal was held for hold_steps 3"),
+    ],
+)
+@pytest.mark.parametrize("make", [gymnasium.make, gymnasium.make_vec])
+def test_what_cannot_be_computed_again_is_refused(make: Any, settings: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(InputError, match=sentence):
+        make("reachlab/ReachGoal-v0", **settings)
+
+
+def test_a_goal_that_has_to_be_held_is_a_goal_too() -> None:
+    settings = {"task": "precise", "action": "joint_delta", "tool_scale": None, "success_distance": 0.01}
+    envs = gymnasium.make_vec("reachlab/ReachGoal-v0", num_envs=4, observation="goal+state", **settings)
+    assert isinstance(envs, ReachGoalVectorEnv)
+    envs.reset(seed=0)
+    for _ in range(60):
+        observation, rewards, _, truncated, info = envs.step(envs.action_space.sample())
+        goals = observation["achieved_goal"], observation["desired_goal"]
+        under_way = info["elapsed_steps"] > 0
+        assert np.array_equal(rewards[under_way], envs.compute_reward(*goals, info)[under_way])
+        assert np.array_equal(truncated, envs.compute_truncated(*goals, info))
+    envs.close()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Iterator
 from typing import Any
 
 import gymnasium
@@ -18,6 +17,8 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecMonitor
 
+from pushes import pushes
+from reachlab.envs.gymnasium_shared import SETTINGS
 from reachlab.envs.sb3_vector import ReachVecEnv
 from reachlab.sb3 import make_vec_env
 from reachlab.settings.validation import InputError
@@ -35,15 +36,6 @@ def one_thread() -> None:
 @pytest.fixture(scope="module")
 def env() -> ReachVecEnv:
     return make_vec_env(n_envs=NUM_ENVS, **SHORT)
-
-
-def pushes(steps: int) -> Iterator[np.ndarray]:
-    """Actions that keep their direction long enough to leave the workspace or to reach the target."""
-    random, actions = np.random.default_rng(1), np.zeros((NUM_ENVS, 3), np.float32)
-    for step in range(steps):
-        if step % 20 == 0:
-            actions = random.uniform((-1.5, -1.5, -3.0), (1.5, 1.5, 0.8), (NUM_ENVS, 3)).astype(np.float32)
-        yield actions
 
 
 def assert_same_infos(ours: list[dict[str, Any]], theirs: list[dict[str, Any]], where: str) -> None:
@@ -68,7 +60,7 @@ def test_a_batch_is_stable_baselines3s_vector_of_single_environments(env: ReachV
     assert env.reset() == pytest.approx(theirs.reset(), abs=1e-4)
     assert_same_infos(env.reset_infos, theirs.reset_infos, "reset")
     ends = {"success": 0, "outside": 0, "timeout": 0}
-    for number, actions in enumerate(pushes(400)):
+    for number, actions in enumerate(pushes(NUM_ENVS, 400)):
         ours, other = env.step(actions), theirs.step(actions)
         for one, two in zip(ours[:3], other[:3], strict=True):
             assert one == pytest.approx(two, abs=1e-3), f"step {number}"
@@ -134,8 +126,8 @@ def test_an_id_of_others_is_refused_in_one_sentence() -> None:
 
 def test_the_settings_of_an_id_are_its_own_where_they_are_not_changed() -> None:
     env = make_vec_env("reachlab:reachlab/ReachGoal-v0", 2, max_steps=7)
-    rules = env.get_attr("env")[0].setup.rules
-    assert (rules.action, rules.max_steps) == ("tool_step", 7)
+    rules = getattr(env.action_space, SETTINGS)["rules"]
+    assert (rules["action"], rules["max_steps"]) == ("tool_step", 7)
     assert env.observation_space == gymnasium.make("reachlab/ReachGoal-v0").observation_space
 
 
@@ -205,7 +197,7 @@ def test_statistics_of_a_monitor_are_the_same() -> None:
     env.reset()
     bare = make_vec_env(n_envs=NUM_ENVS, seed=3, **SHORT)
     bare.reset()
-    for actions in pushes(60):
+    for actions in pushes(NUM_ENVS, 60):
         for monitored, told in zip(env.step(actions)[3], bare.step(actions)[3], strict=True):
             assert ("episode" in monitored) == ("episode" in told)
             if "episode" in told:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 from pathlib import Path
 from typing import Any
 
@@ -118,6 +119,14 @@ def test_what_is_no_model_is_refused_in_one_sentence(
     code, out, said = run(capsys, *words)
     assert (code, out) == (2, "")
     assert sentence in " ".join(said.split())
+
+
+@pytest.mark.parametrize("held", [None, 3])
+def test_a_normaliser_that_is_none_is_named(trained: tuple[Path, Path, np.ndarray], tmp_path: Path, held: Any) -> None:
+    if held is not None:
+        (tmp_path / "n.pkl").write_bytes(pickle.dumps(held))
+    with pytest.raises(InputError, match=r"n\.pkl' cannot be loaded as a normaliser"):
+        load_model(trained[0], tmp_path / "n.pkl")
 
 
 def test_a_model_is_not_asked_about_observations_that_it_does_not_know(trained: tuple[Path, Path, np.ndarray]) -> None:

@@ -80,7 +80,6 @@ def test_presets_trouble_nobody_whatever_is_chosen_with_them(task: str, caplog: 
 WITHOUT_EFFECT: list[tuple[dict[str, Any], str]] = [
     ({"joint_scale": 0.1}, "joint_scale has an effect only with an action of the joints, as joint_delta"),
     ({"action": "joint_delta", "tool_scale": 0.1}, "tool_scale has an effect only with an action of the tool"),
-    ({"task": "precise", "end_outside": False}, "end_outside has an effect only with hold_steps 0"),
     ({"targets": "box", "target_height": 0.1}, "target_height has an effect only with targets table"),
     ({"target_low": (0.4, 0.0, 0.2)}, "target_low has an effect only with targets box"),
     ({"target_high": (0.4, 0.0, 0.2)}, "target_high has an effect only with targets box"),

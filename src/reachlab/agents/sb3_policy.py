@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -62,24 +64,32 @@ def load_model(file: Path, normaliser: Path | None = None) -> SavedModel:
         from stable_baselines3.common.save_util import load_from_pkl, load_from_zip_file
     except ModuleNotFoundError:
         raise InputError("models of Stable-Baselines3 need it: pip install 'reachlab[sb3]'.") from None
-    try:
+    with _loading(file, "a model"):
         digest = hashlib.sha256(file.read_bytes()).hexdigest()
         data, parameters, _ = load_from_zip_file(file, device="cpu")
-        policy = _policy(data or {}, parameters)
-        normal = load_from_pkl(normaliser) if normaliser else None
-    except Exception as error:  # unpickling raises whatever it likes
-        why = " ".join(str(error).split()) or "nothing more is known"
-        raise InputError(f"'{file}' cannot be loaded as a model: {type(error).__name__}, {why}.") from None
+        data = data or {}
+        policy = _policy(data, parameters)
+    normalise = None
+    if normaliser:
+        with _loading(normaliser, "a normaliser"):
+            normalise = load_from_pkl(normaliser).normalize_obs
 
     def sb3(observation: Any) -> np.ndarray:
-        seen = normal.normalize_obs(observation) if normal else observation
-        return policy.predict(seen, deterministic=True)[0]
+        return policy.predict(normalise(observation) if normalise else observation, deterministic=True)[0]
 
-    space = policy.observation_space
-    shapes = {name: part.shape for name, part in space.items()} if hasattr(space, "items") else space.shape
     settings = getattr(policy.action_space, SETTINGS, None)
-    checkpoint = {"steps": (data or {}).get("num_timesteps"), "sha256": digest}
-    return SavedModel(sb3, from_json(settings) if settings else None, checkpoint, shapes)
+    checkpoint = {"steps": data.get("num_timesteps"), "sha256": digest}
+    return SavedModel(sb3, from_json(settings) if settings else None, checkpoint, _shapes(policy.observation_space))
+
+
+@contextlib.contextmanager
+def _loading(file: Path, what: str) -> Iterator[None]:
+    """Say of whatever unpickling raises which file it is about."""
+    try:
+        yield
+    except Exception as error:
+        why = " ".join(str(error).split()) or "nothing more is known"
+        raise InputError(f"'{file}' cannot be loaded as {what}: {type(error).__name__}, {why}.") from None
 
 
 def _policy(data: dict[str, Any], parameters: dict[str, Any]) -> Any:
@@ -87,13 +97,14 @@ def _policy(data: dict[str, Any], parameters: dict[str, Any]) -> Any:
     spaces, options = (data["observation_space"], data["action_space"]), data["policy_kwargs"]
     policy = data["policy_class"](*spaces, lambda _: 0.0, **options)
     if hasattr(policy, "lstm_actor"):
-        raise InputError("it has a memory, and its actions do not follow from one observation")
+        raise NotImplementedError("it has a memory, and its actions do not follow from one observation")
     policy.load_state_dict(parameters["policy"])
     policy.set_training_mode(False)
     return policy
 
 
 def _shapes(observation: Any) -> Any:
-    if isinstance(observation, dict):
+    """Shapes of an observation or of a space of them."""
+    if isinstance(observation, Mapping):
         return {name: part.shape for name, part in observation.items()}
     return observation.shape

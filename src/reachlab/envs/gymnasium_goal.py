@@ -11,12 +11,14 @@ from typing import Any
 import numpy as np
 
 from reachlab.envs.core import Env
+from reachlab.envs.gymnasium_shared import Episodes
 from reachlab.envs.gymnasium_single import ReachEnv
 from reachlab.envs.gymnasium_vector import ReachVectorEnv
+from reachlab.settings.config import Rules
 from reachlab.settings.validation import InputError, choose
 from reachlab.tasks.observations import OBSERVATIONS
 from reachlab.tasks.rewards import GOAL_REWARDS
-from reachlab.tasks.schema import GOALS
+from reachlab.tasks.schema import GOALS, Schema
 
 Info = Mapping[str, Any] | Sequence[Mapping[str, Any]]
 """Infos of one step, of a batch of them, or one of each step."""
@@ -25,18 +27,20 @@ Info = Mapping[str, Any] | Sequence[Mapping[str, Any]]
 class Goals:
     """Rewards and ends as functions of where the tool is and where it was to be, `[..., 3]` m each."""
 
-    env: Env
+    _episodes: Episodes
 
     def compute_reward(self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Info) -> Any:
         """Rewards `[...]`: those that a step gives which led there."""
         del info
-        return GOAL_REWARDS[self.env.setup.rules.reward](self.env.setup.rules, _distance(achieved_goal, desired_goal))
+        rules = self._episodes.env.setup.rules
+        return GOAL_REWARDS[rules.reward](rules, _distance(achieved_goal, desired_goal))
 
     def compute_terminated(self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Info) -> Any:
         """Whether the task ends the episode `[...]`."""
         del info
-        rules, robot = self.env.setup.rules, self.env.setup.robot
-        low, high = np.array(robot.workspace, np.float32)
+        setup = self._episodes.env.setup
+        rules = setup.rules
+        low, high = np.array(setup.robot.workspace, np.float32)
         reached = _distance(achieved_goal, desired_goal) < rules.success_distance
         outside = ((achieved_goal < low) | (achieved_goal > high)).any(axis=-1)
         return (outside & rules.ends_outside) | (reached & (rules.at_goal == "end"))
@@ -48,7 +52,7 @@ class Goals:
         else:
             steps = [one.get("elapsed_steps", 0) for one in info]
         ended = self.compute_terminated(achieved_goal, desired_goal, info)
-        return (np.asarray(steps) >= self.env.setup.rules.max_steps) & ~ended
+        return (np.asarray(steps) >= self._episodes.env.setup.rules.max_steps) & ~ended
 
 
 class ReachGoalEnv(Goals, ReachEnv):
@@ -61,7 +65,7 @@ class ReachGoalEnv(Goals, ReachEnv):
             InputError: see `ReachEnv`; or rewards or ends could not be computed again.
         """
         super().__init__(task, render_mode, **settings)
-        self.env = _with_goals(self._episodes.env)
+        _check_goals(self._episodes.env)
 
 
 class ReachGoalVectorEnv(Goals, ReachVectorEnv):
@@ -74,17 +78,24 @@ class ReachGoalVectorEnv(Goals, ReachVectorEnv):
             InputError: see `ReachGoalEnv`.
         """
         super().__init__(num_envs, **settings)
-        self.env = _with_goals(self._episodes.env)
+        _check_goals(self._episodes.env)
 
 
-def _with_goals(env: Env) -> Env:
-    """The environment, of which rewards and ends follow from goals.
+def _check_goals(env: Env) -> None:
+    """Make sure that rewards and ends of an environment follow from goals; it is closed otherwise.
 
     Raises:
         InputError: they do not.
     """
-    rules = env.setup.rules
-    if not env.schema.has_goals:
+    try:
+        _check_rules(env.setup.rules, env.schema)
+    except InputError:
+        env.close()
+        raise
+
+
+def _check_rules(rules: Rules, schema: Schema) -> None:
+    if not schema.has_goals:
         names = [name for name, design in OBSERVATIONS.items() if design.terms[-1].name == GOALS[-1]]
         choose("observation of a goal environment", rules.observation, names)
     choose("reward of a goal environment", rules.reward, GOAL_REWARDS)
@@ -93,7 +104,6 @@ def _with_goals(env: Env) -> Env:
             f"a goal environment cannot end an episode once the goal was held for hold_steps {rules.hold_steps}, which"
             " its last step does not tell: set at_goal to 'continue', or hold_steps to 0."
         )
-    return env
 
 
 def _distance(achieved_goal: np.ndarray, desired_goal: np.ndarray) -> Any:

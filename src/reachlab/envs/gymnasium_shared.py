@@ -66,9 +66,9 @@ class Episodes:
         refuse_fork()
         seeded = np.array([seed is not None or not self._begun for seed in seeds])
         numbers = [int(random.integers(LARGEST_SEED)) if seed is None else seed % LARGEST_SEED for seed in seeds]
-        everywhere = mask if self._begun else np.ones_like(mask)
+        now = self._batch.reset(np.array(numbers, np.uint32), seeded, mask if self._begun else np.ones_like(mask))
         self._begun = True
-        return self._batch.reset(np.array(numbers, np.uint32), seeded, everywhere)
+        return now
 
     def step(self, actions: Any) -> Result:
         """What actions `[B, a]` led to.

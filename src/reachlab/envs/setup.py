@@ -62,7 +62,11 @@ def check(config: RunConfig, base: RunConfig | None = None) -> None:
         InputError: a name that does not exist, settings that contradict each other, or one without effect.
     """
     check_names(config)
-    facts = Facts(OBSERVATIONS[config.rules.observation].pictured, SIMULATORS[config.sim].dynamics)
+    facts = Facts(
+        pictures=OBSERVATIONS[config.rules.observation].pictured,
+        dynamics=SIMULATORS[config.sim].dynamics,
+        scale=ACTIONS[config.rules.action].scale,
+    )
     check_consistency(config, facts, base)
 
 

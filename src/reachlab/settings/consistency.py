@@ -19,9 +19,6 @@ from reachlab.settings.validation import InputError, choose
 RANDOMISED = ("dynamics", "view")
 """What can vary from episode to episode; see `RunConfig.randomise`."""
 
-TOOL_ACTIONS = ("tool_delta", "tool_step")
-"""Actions that displace the tool."""
-
 log = logging.getLogger(__name__)
 
 
@@ -32,10 +29,12 @@ class Facts:
     Attributes:
         pictures: the observation holds the camera's picture.
         dynamics: the simulator can vary the arm.
+        scale: the setting by which actions are multiplied, if there is one.
     """
 
     pictures: bool
     dynamics: bool
+    scale: str | None
 
 
 @dataclass(frozen=True)
@@ -69,9 +68,8 @@ PRECISE = Need("reward precise", lambda s: s["reward"] == "precise")
 STOP_EARLY = Need("stop_early", lambda s: s["stop_early"], vital=False)
 
 NEEDS: dict[str, Need] = {
-    "tool_scale": Need("an action of the tool, as tool_delta", lambda s: s["action"] in TOOL_ACTIONS),
-    "joint_scale": Need("an action of the joints, as joint_delta", lambda s: s["action"] not in TOOL_ACTIONS),
-    "end_outside": Need("hold_steps 0", lambda s: not s["hold_steps"]),
+    "tool_scale": Need("an action of the tool, as tool_delta", lambda s: s.facts.scale == "tool_scale"),
+    "joint_scale": Need("an action of the joints, as joint_delta", lambda s: s.facts.scale == "joint_scale"),
     "target_height": TABLE,
     "target_low": BOX,
     "target_high": BOX,

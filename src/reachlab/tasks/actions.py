@@ -27,12 +27,14 @@ class Action:
         command: next joint command `[B, n]` in a situation for an action `[B, a]`; within the joint limits.
         towards: the action `[B, a]` with which inverse kinematics goes to the target, in a situation and in what it
             believes of that situation.
+        scale: the setting by which an action of 1 is multiplied, if there is one.
     """
 
     summary: str
     bounds: Callable[[TaskSetup], Bounds]
     command: Callable[[TaskSetup, Situation, Array], Array]
     towards: Callable[[TaskSetup, Situation, Situation], Array]
+    scale: str | None = None
 
 
 def _tool_box(setup: TaskSetup) -> Bounds:
@@ -133,14 +135,19 @@ def _correction_towards(setup: TaskSetup, now: Situation, believed: Situation) -
 
 
 ACTIONS: dict[str, Action] = {
-    "tool_delta": Action("a displacement of the tool, its orientation held", _tool_box, _move_tool, _tool_towards),
-    "tool_step": Action("the same in a box of -1 to 1 in each direction", _unit_box, _move_tool, _tool_towards),
-    "joint_delta": Action("a displacement of every joint", _joint_box, _move_joints, _joints_towards),
+    "tool_delta": Action(
+        "a displacement of the tool, its orientation held", _tool_box, _move_tool, _tool_towards, "tool_scale"
+    ),
+    "tool_step": Action(
+        "the same in a box of -1 to 1 in each direction", _unit_box, _move_tool, _tool_towards, "tool_scale"
+    ),
+    "joint_delta": Action("a displacement of every joint", _joint_box, _move_joints, _joints_towards, "joint_scale"),
     "joint_residual": Action(
         "a displacement of every joint, added to that of inverse kinematics and fading at the target",
         _joint_box,
         _correct_joints,
         _correction_towards,
+        "joint_scale",
     ),
 }
 """Action designs by name."""
