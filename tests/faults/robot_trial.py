@@ -53,9 +53,9 @@ def main() -> None:
         root = Path(sys.argv[1]) / str(number)
         file = write(root, files)
         opened.clear()
-        start = time.perf_counter()
+        start = time.process_time()
         said = try_out(file)
-        took = time.perf_counter() - start
+        took = time.process_time() - start
         outside = [path for path in map(Path, opened) if not path.is_relative_to(root / "robot")]
         outside = [str(path) for path in outside if path.name != "package.xml"]
         line = {"name": name, "said": said, "took": took, "peak": peak_memory(), "outside": outside}

@@ -203,7 +203,7 @@ class Env:
 
     def reached(self, state: EnvState, index: int = 0) -> bool:
         """Whether a goal is reached now: the tool is near enough and, where the task asks for it, was held there."""
-        return bool(np.asarray(state.progress.error)[index] < self.setup.rules.success_distance)
+        return bool(np.asarray(state.progress.solved(self.setup.rules))[index])
 
     def close(self) -> None:
         """Close the simulator."""

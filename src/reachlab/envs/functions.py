@@ -64,7 +64,8 @@ class Transition:
         terminated: the task ended the episode `[B]`.
         truncated: the clock did `[B]`.
         done: the episode ended, either way `[B]`.
-        terms: `distance` [m], the `error` that counts at the end [m], `success` and each term of the reward, `[B]`.
+        terms: `distance` [m], the `error` that counts at the end [m], where the goal has an orientation `angle` and
+            `angle_error` [rad], `success` and each term of the reward, `[B]`.
     """
 
     observation: Observed
@@ -79,6 +80,14 @@ Stepped = tuple[EnvState, Transition]
 """State and transition after a step."""
 
 Tree = TypeVar("Tree")
+
+
+def _errors(progress: Progress) -> dict[str, Array]:
+    """Errors of a step by name `[B]`."""
+    errors = {"distance": progress.distance, "error": progress.error}
+    if progress.angle is None or progress.angle_error is None:
+        return errors
+    return {**errors, "angle": progress.angle, "angle_error": progress.angle_error}
 
 
 @dataclass(frozen=True)
@@ -126,7 +135,7 @@ class EnvFunctions:
             goal=goal,
             target_q=arm.q,
             last_action=jnp.zeros((len(goal.position), size)),
-            progress=self.setup.task.begin(self.setup, goal.distance(arm.tool_position)),
+            progress=self.setup.task.begin(self.setup, goal, arm.tool),
             clock=jnp.zeros(len(goal.position), jnp.int32),
             key=key,
         )
@@ -155,7 +164,8 @@ class EnvFunctions:
         # Computed as it is by itself: to the same bits.
         tool = once(forward_kinematics(setup.robot.chain, moved.q)) if moved.tool is None else moved.tool
         now = Situation(moved.q, moved.qd, *tool, before.goal, target_q, action)
-        progress, outcome = setup.task.judge(setup, before.progress, now, clock)
+        outcome = setup.task.judge(setup, before.progress, now, clock)
+        progress = outcome.progress
         terms = REWARDS[setup.rules.reward](setup.rules, outcome)
         transition = Transition(
             observation=None if self.pictured else observations.observe(setup, self.measured(now, before.key, clock)),
@@ -163,7 +173,7 @@ class EnvFunctions:
             terminated=outcome.terminated,
             truncated=outcome.timeout,
             done=outcome.terminated | outcome.timeout,
-            terms={"distance": outcome.distance, "error": outcome.error, "success": outcome.success, **terms},
+            terms={**_errors(progress), "success": outcome.success, **terms},
         )
         return tool, progress, clock, transition
 
@@ -186,7 +196,7 @@ class EnvFunctions:
         q, qd = now.q + POSITION_NOISE * noise[:, 0], now.qd + SPEED_NOISE * noise[:, 1]
         pose = forward_kinematics(self.setup.robot.chain, q)
         measured = now._replace(q=q, qd=qd, tool_position=pose.position, tool_quaternion=pose.quaternion)
-        return measured._replace(achieved=now.tool_position)
+        return measured._replace(achieved=Pose(now.tool_position, now.tool_quaternion))
 
     def view_samples(self, keys: Array) -> Array:
         """Random numbers `[B, SAMPLES]` of the views of episodes, see `make_views`; zeros where views do not vary."""

@@ -18,9 +18,10 @@ from reachlab.sims import SIMULATORS
 from reachlab.tasks import TASKS
 from reachlab.tasks.actions import ACTIONS
 from reachlab.tasks.observations import OBSERVATIONS
-from reachlab.tasks.reach import AT_GOAL, TARGETS
+from reachlab.tasks.reach import AT_GOAL
 from reachlab.tasks.reachability import SAMPLES, survey
 from reachlab.tasks.rewards import REWARDS
+from reachlab.tasks.targets import TARGETS
 from reachlab.tasks.task import Task, TaskSetup
 
 NAMES: dict[str, tuple[str, Mapping[str, object]]] = {
@@ -62,10 +63,13 @@ def check(config: RunConfig, base: RunConfig | None = None) -> None:
         InputError: a name that does not exist, settings that contradict each other, or one without effect.
     """
     check_names(config)
+    observation, action = OBSERVATIONS[config.rules.observation], ACTIONS[config.rules.action]
     facts = Facts(
-        pictures=OBSERVATIONS[config.rules.observation].pictured,
+        pictures=observation.pictured,
         dynamics=SIMULATORS[config.sim].dynamics,
-        scale=ACTIONS[config.rules.action].scale,
+        scale=action.scale,
+        turns=action.turns,
+        needs_pose=observation.needs_pose,
     )
     check_consistency(config, facts, base)
 
@@ -112,7 +116,7 @@ def _on_arm(rules: TaskConfig, robot: Robot) -> Rules:
         "approach_weight": usual.approach_weight / scale,
         "target_height": float(robot.workspace[0][2]) + usual.target_height * scale,
     }
-    given = {name: value for name, value in vars(rules).items() if value is not None}
+    given = {name: value for name, value in vars(rules).items() if value is not None or name not in lengths}
     return Rules(**(lengths | given))
 
 

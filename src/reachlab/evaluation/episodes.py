@@ -17,6 +17,7 @@ from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState, Transition
 from reachlab.envs.random_streams import AGENT_STREAM, episode_keys
 from reachlab.jax_setup import jit
+from reachlab.settings.config import Rules
 
 Watch = Callable[[int], None]
 """Called with the number of episodes that have ended."""
@@ -39,6 +40,7 @@ class Episodes:
         done: the episode has ended `[B]`; nothing of it changes any more.
         success: it ended in success `[B]`.
         distance: the error that counts at its end `[B]` [m], see `Progress.error`.
+        angle: that of the orientation `[B]` [rad]; None where any will do.
         steps: its length `[B]`.
         arrival: step from which on the tool stays within the distance of success `[B]`.
         returns: sum of its rewards `[B]`.
@@ -51,6 +53,7 @@ class Episodes:
     done: Array
     success: Array
     distance: Array
+    angle: Array | None
     steps: Array
     arrival: Array
     returns: Array
@@ -75,7 +78,7 @@ def make_runner(env: Env, agent: str | Function) -> Runner:
     """Runner for an agent of `agents.AGENTS`, or for a function."""
     traced = env.traced and isinstance(agent, str)
     init = env.init if traced else env.compile_whole(env.init)
-    period, within = env.config.physics.control_period, env.setup.rules.success_distance
+    period, rules = env.config.physics.control_period, env.setup.rules
 
     def begin(keys: Array) -> tuple[EnvState, Episodes, Array]:
         state = init(keys)
@@ -85,8 +88,9 @@ def make_runner(env: Env, agent: str | Function) -> Runner:
             done=jnp.zeros(count, bool),
             success=jnp.zeros(count, bool),
             distance=state.distance,
+            angle=state.progress.angle_error,
             steps=jnp.zeros(count, jnp.int32),
-            arrival=(state.distance >= within).astype(jnp.int32),
+            arrival=(~state.progress.near(rules)).astype(jnp.int32),
             returns=jnp.zeros(count),
             max_speed=still,
             squared_jerk=jnp.zeros(count),
@@ -95,7 +99,7 @@ def make_runner(env: Env, agent: str | Function) -> Runner:
         return state, episodes, jax.random.fold_in(keys[0], AGENT_STREAM)
 
     act = make_act(env, agent)
-    count_step = partial(_count, period=period, within=within)
+    count_step = partial(_count, period=period, rules=rules)
 
     def advance(policy: Policy | None, carry: tuple[EnvState, Episodes, Array]) -> tuple[EnvState, Episodes, Array]:
         state, episodes, key = carry
@@ -122,7 +126,7 @@ def make_runner(env: Env, agent: str | Function) -> Runner:
     return Runner(run_on_host, env.num_envs, on_host=True)
 
 
-def _count(episodes: Episodes, state: EnvState, transition: Transition, period: float, within: float) -> Episodes:
+def _count(episodes: Episodes, state: EnvState, transition: Transition, period: float, rules: Rules) -> Episodes:
     q, moved, change = episodes.motion
     moved_now = state.arm.q - q
     change_now = moved_now - moved
@@ -132,8 +136,9 @@ def _count(episodes: Episodes, state: EnvState, transition: Transition, period: 
         done=transition.done,
         success=transition.terms["success"],
         distance=transition.terms["error"],
+        angle=transition.terms.get("angle_error"),
         steps=episodes.steps + 1,
-        arrival=jnp.where(transition.terms["distance"] < within, episodes.arrival, episodes.steps + 2),
+        arrival=jnp.where(state.progress.near(rules), episodes.arrival, episodes.steps + 2),
         returns=episodes.returns + transition.reward,
         max_speed=jnp.maximum(episodes.max_speed, jnp.abs(state.arm.qd)),
         squared_jerk=episodes.squared_jerk + jerk,

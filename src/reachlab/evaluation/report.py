@@ -27,6 +27,9 @@ NORMAL_95 = 1.959963984540054
 WITHIN = (100, 50, 20, 10, 5, 2, 1)
 """Errors of which `success_within` speaks [mm]."""
 
+WITHIN_PAIRS = ((50, 0.2), (10, 0.05), (2, 0.02))
+"""Errors of which `success_within_pairs` speaks [mm, rad]; the first are Isaac Lab's for its pose tasks."""
+
 FRESH_SEED = 5000
 """Tables take their held-out goals from this seed on. No setting was chosen on them: choose on the seeds below."""
 
@@ -42,8 +45,11 @@ class Report:
         success_rate: share of episodes that ended in success.
         success_interval: its 95 % Wilson interval.
         success_within: share within so many millimetres at the end; None where success ends the episode.
+        success_within_pairs: of goals with an orientation, share within both of so many millimetres and radians, each
+            pair named "10 mm, 0.05 rad"; None for others, or where success ends the episode.
         final_error_mm: the error that counts at the end, see `Progress.error`: median, p95, p99, max; None if it is
             infinite.
+        final_angle_rad: the same of the orientation; None where any will do.
         return_mean: mean sum of rewards.
         steps_mean: mean length, to success or the end.
         time_to_reach_s: mean time of the successes until the tool is there for good [s]; None without any.
@@ -64,7 +70,9 @@ class Report:
     success_rate: float
     success_interval: tuple[float, float]
     success_within: dict[str, float] | None
+    success_within_pairs: dict[str, float] | None
     final_error_mm: dict[str, float | None]
+    final_angle_rad: dict[str, float | None] | None
     return_mean: float
     steps_mean: float
     time_to_reach_s: float | None
@@ -154,7 +162,8 @@ def summarise(
     """Report of finished episodes."""
     count, successes = len(result.done), int(result.success.sum())
     error = np.asarray(result.distance, np.float64) * 1000
-    period = env.config.physics.control_period
+    angle = None if result.angle is None else np.asarray(result.angle, np.float64)
+    period, ends = env.config.physics.control_period, env.config.rules.at_goal == "end"
     reached = result.arrival[np.asarray(result.success)]
     return Report(
         task=env.config.task,
@@ -167,10 +176,10 @@ def summarise(
         randomised=list(env.config.randomise),
         success_rate=successes / count,
         success_interval=wilson_interval(successes, count),
-        success_within=_shares_within(error) if env.config.rules.at_goal != "end" else None,
-        final_error_mm={
-            name: _finite(np.quantile(error, share, method="inverted_cdf")) for name, share in QUANTILES.items()
-        },
+        success_within=None if ends else _shares_within(error),
+        success_within_pairs=None if ends or angle is None else _shares_within_pairs(error, angle),
+        final_error_mm=_quantiles(error),
+        final_angle_rad=None if angle is None else _quantiles(angle),
         return_mean=float(result.returns.mean()),
         steps_mean=float(result.steps.mean()),
         time_to_reach_s=float(reached.mean() * period) if successes else None,
@@ -183,6 +192,14 @@ def summarise(
 
 def _shares_within(error: np.ndarray) -> dict[str, float]:
     return {str(limit): float((error <= limit).mean()) for limit in WITHIN}
+
+
+def _shares_within_pairs(error: np.ndarray, angle: np.ndarray) -> dict[str, float]:
+    return {f"{mm} mm, {rad} rad": float(((error <= mm) & (angle <= rad)).mean()) for mm, rad in WITHIN_PAIRS}
+
+
+def _quantiles(error: np.ndarray) -> dict[str, float | None]:
+    return {name: _finite(np.quantile(error, share, method="inverted_cdf")) for name, share in QUANTILES.items()}
 
 
 def _finite(value: np.floating[Any]) -> float | None:

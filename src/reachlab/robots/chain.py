@@ -45,6 +45,13 @@ class Chain:
         """Whether it has the six joints that an orientation takes; with fewer the tool's tilt alone is held."""
         return self.n >= JOINTS_OF_A_POSE
 
+    @property
+    def longest(self) -> float:
+        """Length of all its offsets and slides in one line [m]; the tool is never further from the base's frame."""
+        offsets = sum(float(np.linalg.norm(np.array(offset))) for _, offset in self.frames)
+        limits = zip(self.lower, self.upper, self.slides, strict=True)
+        return offsets + sum(max(abs(low), abs(high)) for low, high, slides in limits if slides)
+
     def tool_at(self, q: Sequence[float] | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Position `[3]` m and quaternion `[4]` wxyz of the tool at one joint vector `[n]`, without JAX."""
         transform = np.eye(4)

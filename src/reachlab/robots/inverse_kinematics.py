@@ -154,7 +154,8 @@ def inverse_kinematics(
         position_tolerance: largest position error [m] of a converged pose.
         angle_tolerance: largest angle error [rad] of a converged pose.
     """
-    seeds = jax.random.uniform(key, (restarts, chain.n), minval=np.array(chain.lower), maxval=np.array(chain.upper))
+    shape = (max(restarts, 1), chain.n)
+    seeds = jax.random.uniform(key, shape, minval=np.array(chain.lower), maxval=np.array(chain.upper))
     start = jnp.broadcast_to(start, (*target.position.shape[:-1], chain.n))
 
     def errors(q: Array) -> tuple[Vec, Vec, list[tuple[Scalar, ...]], Array, Array, Array]:
@@ -196,7 +197,7 @@ def _orientation(chain: Chain, frames: Frames, quaternion: Array) -> tuple[Vec, 
     """
     target, columns = rotation_from_quaternion(*components(quaternion)), jacobian_columns(chain, frames)
     if chain.poses:
-        return _rotation_error(frames.rotation, target), columns
+        return rotation_error(frames.rotation, target), columns
     approach = Vec(*chain.approach)
     axis, down = frames.rotation.apply(approach), target.apply(approach).z
     out = frames.position.minus(frames.origins[0])
@@ -208,7 +209,7 @@ def _orientation(chain: Chain, frames: Frames, quaternion: Array) -> tuple[Vec, 
     return angular, once([(*column[:3], *across.times(across.dot(Vec(*column[3:])))) for column in columns])
 
 
-def _rotation_error(current: Rotation, target: Rotation) -> Vec:
+def rotation_error(current: Rotation, target: Rotation) -> Vec:
     """World-frame rotation vector from `current` to `target`, as `2 sin(θ/2)` times the axis.
 
     It equals the rotation vector to third order, is smooth up to half a turn and needs no arc tangent.

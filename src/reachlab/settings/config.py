@@ -44,8 +44,9 @@ class TaskConfig(Checked):
     tool_scale: Positive | None = None
     """Displacement of the tool for an action of 1 with `tool_delta` or `tool_step` [m]; by default the tutorial's
     0.005 m, in proportion to the arm's workspace."""
-    joint_scale: Positive = 0.02
-    """Displacement of a joint for an action of 1 with `joint_delta` [rad or m]."""
+    joint_scale: Positive | None = 0.02
+    """Displacement of a joint for an action of 1 with `joint_delta` [rad or m]; None: what its full speed takes it in a
+    control period."""
     success_distance: Positive | None = None
     """Tool to target within this distance is a success [m]; by default the tutorial's 0.1 m, in proportion to the arm's
     workspace."""
@@ -60,8 +61,14 @@ class TaskConfig(Checked):
     approach_weight: NonNegative | None = None
     """Reward of the `dense` reward for each metre that the tool comes closer [1/m]; by default 5/m, in inverse
     proportion to the arm's workspace."""
+    success_angle: Positive = 0.05
+    """Where an orientation is asked for: tool to target within this angle too is a success [rad]."""
+    angle_weight: NonNegative = 0.1
+    """Distance that a radian of the angle to the target counts as in rewards and corrections [m/rad]."""
     targets: str = "table"
-    """Where targets are sampled: on the `table`, or in a `box`."""
+    """Where targets are sampled; see `reachlab list`."""
+    target_turn: Point | None = None
+    """Ask for an orientation: the held one turned by up to this roll, pitch and yaw about the world's axes [rad]."""
     target_height: Annotated[float, Range(-10.0, 10.0)] | None = None
     """Height of the targets on the table [m]; by default the tutorial's -0.0083 m, where its object settles, in
     proportion to the arm's workspace and from its floor."""
@@ -87,6 +94,11 @@ class TaskConfig(Checked):
     def ends_outside(self) -> bool:
         """Whether leaving the workspace ends an episode."""
         return self.end_outside and not self.hold_steps
+
+    @property
+    def asks_orientation(self) -> bool:
+        """Whether the tool's orientation is asked for."""
+        return self.target_turn is not None or self.targets == "any"
 
 
 @dataclass(frozen=True)

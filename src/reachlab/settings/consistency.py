@@ -30,11 +30,15 @@ class Facts:
         pictures: the observation holds the camera's picture.
         dynamics: the simulator can vary the arm.
         scale: the setting by which actions are multiplied, if there is one.
+        turns: an action can bring the tool into any orientation.
+        needs_pose: the observation needs a goal with an orientation.
     """
 
     pictures: bool
     dynamics: bool
     scale: str | None
+    turns: bool
+    needs_pose: bool
 
 
 @dataclass(frozen=True)
@@ -48,6 +52,11 @@ class Asked:
     def __getitem__(self, name: str) -> Any:
         """Value of a setting."""
         return self.settings[name]
+
+
+def asks_orientation(settings: Mapping[str, Any]) -> bool:
+    """As `TaskConfig.asks_orientation`."""
+    return settings["target_turn"] is not None or settings["targets"] == "any"
 
 
 @dataclass(frozen=True)
@@ -64,6 +73,7 @@ MUJOCO = Need("sim mujoco", lambda s: s["sim"] == "mujoco")
 PYBULLET = Need("sim pybullet", lambda s: s["sim"] == "pybullet")
 TABLE = Need("targets table", lambda s: s["targets"] == "table")
 BOX = Need("targets box", lambda s: s["targets"] == "box")
+TURNED = Need("target_turn or targets any", lambda s: asks_orientation(s.settings))
 PRECISE = Need("reward precise", lambda s: s["reward"] == "precise")
 STOP_EARLY = Need("stop_early", lambda s: s["stop_early"], vital=False)
 
@@ -73,6 +83,9 @@ NEEDS: dict[str, Need] = {
     "target_height": TABLE,
     "target_low": BOX,
     "target_high": BOX,
+    "target_turn": Need("targets box or table", lambda s: s["targets"] != "any"),
+    "success_angle": TURNED,
+    "angle_weight": TURNED,
     "hold_speed": Need("hold_steps above 0 or reward precise", lambda s: s["hold_steps"] or s["reward"] == "precise"),
     "approach_weight": Need("reward dense or precise", lambda s: s["reward"] in ("dense", "precise")),
     "closeness_weight": PRECISE,
@@ -91,6 +104,18 @@ NEEDS: dict[str, Need] = {
     "validation_interval": STOP_EARLY,
 }
 """What settings need to have an effect; those that are not here always have one."""
+
+
+def _orientation(s: Asked) -> str | None:
+    turned = asks_orientation(s.settings)
+    if not turned and s.facts.needs_pose:
+        return f"observation {s['observation']!r} needs a target with an orientation: set target_turn, or targets to 'any'."
+    if turned and not s.facts.turns:
+        return (
+            f"action {s['action']!r} holds the tool's orientation and cannot bring it into another: choose one of the"
+            " joints, as joint_delta."
+        )
+    return None
 
 
 def _at_goal(s: Asked) -> str | None:
@@ -147,7 +172,7 @@ def _action_held_too_long(s: Asked) -> str | None:
 
 
 CONTRADICTIONS: tuple[Callable[[Asked], str | None], ...] = (
-    *(_at_goal, _held_too_long, _crossed_box, _minibatches, _randomised, _action_held_too_long),
+    *(_at_goal, _orientation, _held_too_long, _crossed_box, _minibatches, _randomised, _action_held_too_long),
 )
 """What cannot be: each gives its sentence, or nothing."""
 

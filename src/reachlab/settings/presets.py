@@ -29,9 +29,12 @@ def _touches(config: RunConfig) -> bool:
     return not config.rules.hold_steps
 
 
+HELD_TASKS = ("precise", "pose")
+"""Tasks in which the tool is held at the goal under full dynamics."""
+
 RULES: list[Rule] = [
     Rule(
-        lambda c: c.task == "precise",
+        lambda c: c.task in HELD_TASKS,
         {
             "sim": "mujoco",
             "randomise": ("dynamics",),
@@ -62,9 +65,14 @@ RULES: list[Rule] = [
             "anneal_steps": 4_000_000,
         },
     ),
+    # Half a turn of the tool takes the wrist longer than any way takes the arm.
+    Rule(
+        lambda c: c.task == "pose",
+        {"observation": "pose", "target_turn": (0.5236, 0.5236, 2.0944), "max_steps": 200, "joint_scale": None},
+    ),
     # A policy that has to hold the tool without inverse kinematics to help it learns more slowly.
     Rule(
-        lambda c: c.task == "precise" and c.rules.action != "joint_residual",
+        lambda c: c.task in HELD_TASKS and c.rules.action != "joint_residual",
         {
             "effort_weight": 0.1,
             "gamma": 0.97,

@@ -38,6 +38,11 @@ class ArmState:
     tool_quaternion: Array
     engine: Array | None = None
 
+    @property
+    def tool(self) -> Pose:
+        """The tool's pose."""
+        return Pose(self.tool_position, self.tool_quaternion)
+
 
 class Moved(NamedTuple):
     """Where a step took a batch of arms; like `ArmState`, but for the tool.

@@ -11,7 +11,7 @@ from jax import Array
 
 from reachlab.robots.inverse_kinematics import ik_displace, ik_point_step
 from reachlab.robots.kinematics import forward_kinematics
-from reachlab.tasks.task import Bounds, Situation, TaskSetup
+from reachlab.tasks.task import Bounds, Situation, TaskSetup, gap
 
 TINY = 1e-6
 """Divides in place of a smaller number."""
@@ -28,6 +28,7 @@ class Action:
         towards: the action `[B, a]` with which inverse kinematics goes to the target, in a situation and in what it
             believes of that situation.
         scale: the setting by which an action of 1 is multiplied, if there is one.
+        turns: whether it can bring the tool into any orientation.
     """
 
     summary: str
@@ -35,6 +36,7 @@ class Action:
     command: Callable[[TaskSetup, Situation, Array], Array]
     towards: Callable[[TaskSetup, Situation, Situation], Array]
     scale: str | None = None
+    turns: bool = True
 
 
 def _tool_box(setup: TaskSetup) -> Bounds:
@@ -69,10 +71,17 @@ def _joint_box(setup: TaskSetup) -> Bounds:
     return -ones, ones
 
 
+def _joint_scale(setup: TaskSetup) -> Array:
+    """Displacement of each joint for an action of 1 `[n]`."""
+    scale = setup.rules.joint_scale
+    full_speed = np.array(setup.robot.speed, np.float32) * setup.period
+    return jnp.array(full_speed if scale is None else np.full_like(full_speed, scale))
+
+
 def _move_joints(setup: TaskSetup, now: Situation, action: Array) -> Array:
     """Joint command displaced by the action."""
     chain = setup.robot.chain
-    return jnp.clip(now.target_q + action * setup.rules.joint_scale, jnp.array(chain.lower), jnp.array(chain.upper))
+    return jnp.clip(now.target_q + action * _joint_scale(setup), jnp.array(chain.lower), jnp.array(chain.upper))
 
 
 NEAR_GAIN, FAR_GAIN = 0.5, 2.5
@@ -89,6 +98,29 @@ arm jerks for little gain."""
 
 
 def _joints_towards(setup: TaskSetup, now: Situation, believed: Situation) -> Array:
+    """Joint displacement that brings the tool to the target: to the joints of a pose, or to a point."""
+    return (_towards_point if believed.goal.joints is None else _towards_joints)(setup, now, believed)
+
+
+APPROACH_ANGLE = 0.1
+"""The same distance for a joint on its way to where it is known to have to be [rad or m]."""
+
+
+def _towards_joints(setup: TaskSetup, now: Situation, believed: Situation) -> Array:
+    """Joint displacement that brings every joint to where the goal has it, each by itself.
+
+    As `_towards_point`, each joint a share of its own way; no Jacobian is singular and no limit in between.
+    """
+    del now
+    assert believed.goal.joints is not None, "asked before"  # noqa: S101
+    lag, period = jnp.array(setup.lag), setup.period
+    far = jnp.minimum(jnp.abs(believed.goal.joints - believed.q) / APPROACH_ANGLE, 1.0)
+    way = believed.goal.joints - (believed.q + far * lag * believed.qd)
+    share = jnp.minimum((NEAR_GAIN + far * (FAR_GAIN - NEAR_GAIN)) * period / jnp.maximum(lag, TINY), 1.0)
+    return jnp.clip(share * way / _joint_scale(setup), *_joint_box(setup))
+
+
+def _towards_point(setup: TaskSetup, now: Situation, believed: Situation) -> Array:
     """Joint displacement that brings the tool to the target in whatever orientation, by resolved-rate control.
 
     Each step goes a share of the way (Whitney, "Resolved motion rate control of manipulators and human prostheses",
@@ -103,7 +135,7 @@ def _joints_towards(setup: TaskSetup, now: Situation, believed: Situation) -> Ar
     share = jnp.minimum((NEAR_GAIN + far * (FAR_GAIN - NEAR_GAIN)) * period / max(lag.max(), TINY), 1.0)
     wanted = share * way
     wanted *= jnp.minimum(TOOL_SPEED * period / (jnp.linalg.norm(wanted, axis=-1, keepdims=True) + TINY), 1.0)
-    step = ik_point_step(chain, caught_up, believed.target_q, wanted) / setup.rules.joint_scale
+    step = ik_point_step(chain, caught_up, believed.target_q, wanted) / _joint_scale(setup)
     return jnp.clip(step, *_joint_box(setup))
 
 
@@ -113,10 +145,12 @@ distance from which on corrections fade, to nothing at the target [m]: with its 
 of inverse kinematics, which is proportional to the distance, outweighs them."""
 
 
-def _fade(now: Situation) -> Array:
+def _fade(setup: TaskSetup, now: Situation) -> Array:
     """What a correction of 1 is worth in a situation `[B, 1]`."""
-    distance = jnp.linalg.norm(now.goal.position - now.tool_position, axis=-1, keepdims=True)
-    return CORRECTION * jnp.minimum(jnp.square(distance / CORRECTION_FADE), 1.0)
+    away = jnp.linalg.norm(now.goal.position - now.tool_position, axis=-1, keepdims=True)
+    if (angle := now.goal.angle(now.tool_quaternion)) is not None:
+        away = gap(setup.rules, away, angle[..., None])
+    return CORRECTION * jnp.minimum(jnp.square(away / CORRECTION_FADE), 1.0)
 
 
 def _correct_joints(setup: TaskSetup, now: Situation, action: Array) -> Array:
@@ -124,22 +158,22 @@ def _correct_joints(setup: TaskSetup, now: Situation, action: Array) -> Array:
 
     Residual policy learning: Silver et al., arXiv:1812.06298; Johannink et al., arXiv:1812.03201.
     """
-    corrected = _joints_towards(setup, now, now) + _fade(now) * action
+    corrected = _joints_towards(setup, now, now) + _fade(setup, now) * action
     return _move_joints(setup, now, jnp.clip(corrected, *_joint_box(setup)))
 
 
 def _correction_towards(setup: TaskSetup, now: Situation, believed: Situation) -> Array:
     """Nothing, but where the situation is believed to be another."""
     correction = _joints_towards(setup, believed, believed) - _joints_towards(setup, now, now)
-    return jnp.clip(correction / jnp.maximum(_fade(now), TINY), *_joint_box(setup))
+    return jnp.clip(correction / jnp.maximum(_fade(setup, now), TINY), *_joint_box(setup))
 
 
 ACTIONS: dict[str, Action] = {
     "tool_delta": Action(
-        "a displacement of the tool, its orientation held", _tool_box, _move_tool, _tool_towards, "tool_scale"
+        "a displacement of the tool, its orientation held", _tool_box, _move_tool, _tool_towards, "tool_scale", False
     ),
     "tool_step": Action(
-        "the same in a box of -1 to 1 in each direction", _unit_box, _move_tool, _tool_towards, "tool_scale"
+        "the same in a box of -1 to 1 in each direction", _unit_box, _move_tool, _tool_towards, "tool_scale", False
     ),
     "joint_delta": Action("a displacement of every joint", _joint_box, _move_joints, _joints_towards, "joint_scale"),
     "joint_residual": Action(

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from reachlab.robots.inverse_kinematics import MAX_JOINT_STEP
+from reachlab.robots.inverse_kinematics import MAX_JOINT_STEP, rotation_error
+from reachlab.robots.kinematics import Pose, components, stack
+from reachlab.robots.scalar_algebra import rotation_from_quaternion
 from reachlab.tasks.actions import ACTIONS
 from reachlab.tasks.schema import GOALS, Observation, Observed, Term
 from reachlab.tasks.task import Bounds, Goal, Situation, TaskSetup
@@ -41,12 +43,7 @@ def _goal_constant(setup: TaskSetup) -> np.ndarray:
 
 def _tool_bounds(setup: TaskSetup) -> Bounds:
     """A cube that holds every point the arm can reach: all its offsets and slides in one line."""
-    chain = setup.robot.chain
-    offsets = sum(float(np.linalg.norm(np.array(offset))) for _, offset in chain.frames)
-    slides = sum(
-        max(abs(low), abs(high)) for low, high, s in zip(chain.lower, chain.upper, chain.slides, strict=True) if s
-    )
-    return _within(np.full(3, offsets + slides))
+    return _within(np.full(3, setup.robot.chain.longest))
 
 
 def _within(size: np.ndarray | Sequence[float]) -> Bounds:
@@ -63,13 +60,18 @@ def _joint_bounds(setup: TaskSetup) -> Bounds:
 
 def _speed_bounds(setup: TaskSetup) -> Bounds:
     """What an overloaded arm, or one whose joints are set, comes to: inverse kinematics take two bounded steps."""
-    longest = max(2 * MAX_JOINT_STEP, setup.rules.joint_scale)
+    longest = max(2 * MAX_JOINT_STEP, setup.rules.joint_scale or 0.0)
     return _within(np.maximum(10 * np.array(setup.robot.speed), longest / setup.period))
 
 
 def _lag_bounds(setup: TaskSetup) -> Bounds:
     lower, upper = (np.array(limit, np.float32) for limit in (setup.robot.chain.lower, setup.robot.chain.upper))
     return _within(upper - lower)
+
+
+def _joint_way_bounds(setup: TaskSetup) -> Bounds:
+    low, high = _joint_bounds(setup)
+    return low - high, high - low
 
 
 def _way_bounds(setup: TaskSetup) -> Bounds:
@@ -99,8 +101,64 @@ def _picture(setup: TaskSetup, now: Situation) -> Array:
 
 def _achieved(setup: TaskSetup, now: Situation) -> Array:
     """Where the tool truly is, so that rewards can be recomputed."""
+    pose = Pose(now.tool_position, now.tool_quaternion) if now.achieved is None else now.achieved
+    return jnp.concatenate(pose, axis=-1) if setup.rules.asks_orientation else pose.position
+
+
+def _desired(setup: TaskSetup, now: Situation) -> Array:
     del setup
-    return now.tool_position if now.achieved is None else now.achieved
+    if now.goal.quaternion is None:
+        return now.goal.position
+    return jnp.concatenate([now.goal.position, now.goal.quaternion], axis=-1)
+
+
+def _or_pose(bounds: Callable[[TaskSetup], Bounds]) -> Callable[[TaskSetup], Bounds]:
+    """Bounds of a position or, where an orientation is asked for, of a pose."""
+
+    def of(setup: TaskSetup) -> Bounds:
+        low, high = bounds(setup)
+        numbers = np.ones(4 * setup.rules.asks_orientation, np.float32)
+        return np.concatenate([low, -numbers]), np.concatenate([high, numbers])
+
+    return of
+
+
+def _desired_constant(setup: TaskSetup) -> np.ndarray:
+    return np.concatenate([_goal_constant(setup), np.zeros(4 * setup.rules.asks_orientation, bool)])
+
+
+def _axes(quaternion: Array) -> Array:
+    """First two axes `[..., 6]` of an orientation `[..., 4]`: the same for both quaternions of it, and continuous.
+
+    Zhou et al., "On the continuity of rotation representations in neural networks", CVPR 2019.
+    """
+    turned = rotation_from_quaternion(*components(quaternion))
+    return jnp.stack([jnp.asarray(number) for axis in turned[:2] for number in axis], axis=-1)
+
+
+def _goal_axes(setup: TaskSetup, now: Situation) -> Array:
+    del setup
+    assert now.goal.quaternion is not None, "checked with the settings"  # noqa: S101
+    return _axes(now.goal.quaternion)
+
+
+def _turn(setup: TaskSetup, now: Situation) -> Array:
+    """From the tool's orientation to the goal's: twice the sine of half the angle, times the axis."""
+    del setup
+    assert now.goal.quaternion is not None, "checked with the settings"  # noqa: S101
+    tool, goal = (rotation_from_quaternion(*components(q)) for q in (now.tool_quaternion, now.goal.quaternion))
+    return stack(rotation_error(tool, goal), now.tool_position)
+
+
+def _turn_near(setup: TaskSetup, now: Situation) -> Array:
+    turn = _turn(setup, now)
+    return turn / (jnp.linalg.norm(turn, axis=-1, keepdims=True) + NEAR / setup.rules.angle_weight)
+
+
+def _joint_way(setup: TaskSetup, now: Situation) -> Array:
+    del setup
+    assert now.goal.joints is not None, "found with every pose"  # noqa: S101
+    return now.goal.joints - now.q
 
 
 GOAL = Term("goal", "m", lambda _, now: now.goal.position, _goal_bounds, _goal_constant)
@@ -126,17 +184,33 @@ STATE = (
 )
 """The arm, the goal, the way to it from the tool and the same drawn together, and the last action."""
 
-ACHIEVED_AND_DESIRED = (
-    Term(GOALS[0], "m", _achieved, _tool_bounds),
-    Term(GOALS[1], "m", lambda _, now: now.goal.position, _goal_bounds, _goal_constant),
+POSE = (
+    *STATE,
+    Term("tool_axes", "1", lambda _, now: _axes(now.tool_quaternion), lambda _: _within(np.ones(6))),
+    Term("goal_axes", "1", _goal_axes, lambda _: _within(np.ones(6))),
+    Term("turn", "rad", _turn, lambda _: _within(np.full(3, 2.0))),
+    Term("turn_near", "1", _turn_near, lambda _: _within(np.ones(3))),
+    Term("joint_way", "rad or m", _joint_way, _joint_way_bounds),
 )
-"""Where the tool is, and where it is asked to be."""
+"""The same with both orientations, the turn between them, and the way of the joints to a solution of the goal."""
+
+ACHIEVED_AND_DESIRED = (
+    Term(GOALS[0], "m", _achieved, _or_pose(_tool_bounds)),
+    Term(GOALS[1], "m", _desired, _or_pose(_goal_bounds), _desired_constant),
+)
+"""Where the tool is, and where it is asked to be: positions, or poses with a quaternion wxyz."""
 
 OBSERVATIONS: dict[str, Observation] = {
     "target": Observation("the target's position [m]", (GOAL,)),
     "target+tool": Observation("the target's and the tool's positions [m]", (GOAL, TOOL)),
     "state": Observation(
         "joints, their speeds and lag, tool, target, the way between them far and near, and the last action", STATE
+    ),
+    "pose": Observation(
+        "as state, and the orientations of tool and target, the turn between them far and near, and the way of the joints"
+        " to where they have the target",
+        POSE,
+        needs_pose=True,
     ),
     "image": Observation("a camera's picture, 84 × 84 grey", (IMAGE,)),
     "goal": Observation(

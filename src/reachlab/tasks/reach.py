@@ -1,17 +1,16 @@
-"""Reaching a point: touching it, as the tutorial asks, or holding the tool there."""
+"""Reaching a point or a pose: touching it, as the tutorial asks, or holding the tool there."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 
+from reachlab.robots.kinematics import Pose
 from reachlab.settings.config import Rules
 from reachlab.settings.validation import InputError
-from reachlab.tasks.task import Bounds, Goal, Outcome, Progress, Situation, Task, TaskSetup, outside_workspace
+from reachlab.tasks.targets import TARGETS
+from reachlab.tasks.task import Bounds, Goal, Outcome, Progress, Situation, Task, TaskSetup, gap, outside_workspace
 
 AT_GOAL = {
     "end": "success ends the episode",
@@ -24,34 +23,12 @@ AT_GOAL = {
 # --- goals and starts -----------------------------------------------------------------------------
 
 
-def _table_corners(setup: TaskSetup) -> Bounds:
-    """The workspace's x and y, at the configured height."""
-    low, high = np.array(setup.robot.workspace, np.float32)
-    low[2] = high[2] = setup.rules.target_height
-    return low, high
-
-
-def _box_corners(setup: TaskSetup) -> Bounds:
-    """The configured box, by default the robot's."""
-    given = (setup.rules.target_low, setup.rules.target_high)
-    low, high = (own if one is None else one for one, own in zip(given, setup.robot.goal_box, strict=True))
-    return np.array(low, np.float32), np.array(high, np.float32)
-
-
-TARGETS: dict[str, Callable[[TaskSetup], Bounds]] = {"table": _table_corners, "box": _box_corners}
-"""Where goals are sampled, by name: lower and upper corner `[3]` m."""
-
-
 def _goal_box(setup: TaskSetup) -> Bounds:
-    return TARGETS[setup.rules.targets](setup)
+    return TARGETS[setup.rules.targets].corners(setup)
 
 
 def _sample_goal(setup: TaskSetup, key: Array) -> Goal:
-    """Point `[3]`, uniform in the box."""
-    low, high = _goal_box(setup)
-    wide = low < high
-    sampled = jax.random.uniform(key, (int(wide.sum()),), minval=low[wide], maxval=high[wide])
-    return Goal(jnp.array(low).at[np.flatnonzero(wide)].set(sampled))
+    return TARGETS[setup.rules.targets].sample(setup, key)
 
 
 def _sample_start(setup: TaskSetup, key: Array) -> Array:
@@ -67,49 +44,53 @@ def _sample_start(setup: TaskSetup, key: Array) -> Array:
 # --- success and the end --------------------------------------------------------------------------
 
 
-def _begin(setup: TaskSetup, distance: Array) -> Progress:
+def _begin(setup: TaskSetup, goal: Goal, tool: Pose) -> Progress:
     """Nothing is held yet."""
+    distance, angle = goal.distance(tool.position), goal.angle(tool.quaternion)
     if not (steps := setup.rules.hold_steps):
-        return Progress(distance)
-    return Progress(distance, jnp.zeros((len(distance), steps)), jnp.zeros((len(distance), steps), bool))
+        return Progress(distance, angle)
+    nothing = jnp.zeros((len(distance), steps))
+    return Progress(distance, angle, nothing, None if angle is None else nothing, nothing.astype(bool))
 
 
 def _remember(setup: TaskSetup, before: Progress, now: Situation) -> Progress:
-    """The distances of the last steps, this one's included."""
-    distance = now.goal.distance(now.tool_position)
+    """The errors of the last steps, this one's included."""
+    distance, angle = now.goal.distance(now.tool_position), now.goal.angle(now.tool_quaternion)
     if before.recent is None or before.still is None:
-        return Progress(distance)
+        return Progress(distance, angle)
+
+    def pushed(recent: Array | None, latest: Array | None) -> Array | None:
+        if recent is None or latest is None:
+            return None
+        return jnp.concatenate([recent[:, 1:], latest[:, None]], axis=1)
+
     still = jnp.abs(now.qd).max(axis=-1) < setup.rules.hold_speed
-    return Progress(
-        distance,
-        jnp.concatenate([before.recent[:, 1:], distance[:, None]], axis=1),
-        jnp.concatenate([before.still[:, 1:], still[:, None]], axis=1),
-    )
+    held = pushed(before.recent, distance), pushed(before.recent_angle, angle), pushed(before.still, still)
+    return Progress(distance, angle, *held)
 
 
-def _judge(setup: TaskSetup, before: Progress, now: Situation, clock: Array) -> tuple[Progress, Outcome]:
+def _judge(setup: TaskSetup, before: Progress, now: Situation, clock: Array) -> Outcome:
     """See `Task.judge`.
 
     Leaving the workspace outranks success, and where success ends the episode it outranks a time-out on the same step.
     Where the goal has to be held, leaving the workspace does not end the episode.
     """
     rules, after = setup.rules, _remember(setup, before, now)
-    distance, error = after.distance, after.error
-    outside = jnp.zeros_like(distance, bool)
+    outside = jnp.zeros_like(after.distance, bool)
     if rules.ends_outside:
         outside = outside_workspace(setup.robot, now.tool_position)
-    success = ~outside & (error < rules.success_distance)
+    success = ~outside & after.solved(rules)
     timeout = ~outside & (clock >= rules.max_steps)
-    gained, terminated = success.astype(distance.dtype), outside
+    gained, terminated = success.astype(after.distance.dtype), outside
     if rules.at_goal == "end":
         timeout, terminated = timeout & ~success, outside | success
     else:
-        gained = gained - (before.error < rules.success_distance)
+        gained = gained - before.solved(rules)
     speed, effort = jnp.abs(now.qd).max(axis=-1), jnp.square(now.last_action).mean(axis=-1)
-    return after, Outcome(
-        distance_before=before.distance,
-        distance=distance,
-        error=error,
+    return Outcome(
+        gap_before=gap(rules, before.distance, before.angle),
+        gap=gap(rules, after.distance, after.angle),
+        progress=after,
         speed=speed,
         effort=effort,
         outside=outside,
@@ -122,7 +103,7 @@ def _judge(setup: TaskSetup, before: Progress, now: Situation, clock: Array) -> 
 
 def _rests(setup: TaskSetup, progress: Progress) -> Array | None:
     """At the goal, where the rules say that the arm rests there."""
-    return progress.distance < setup.rules.success_distance if setup.rules.at_goal == "hold" else None
+    return progress.near(setup.rules) if setup.rules.at_goal == "hold" else None
 
 
 def _check(setup: TaskSetup) -> None:
@@ -137,25 +118,30 @@ def _check(setup: TaskSetup) -> None:
 def _asks(rules: Rules, period: float) -> str:
     steps = f"{rules.max_steps:,} steps ({rules.max_steps * period:.2g} s)"
     box = f"the box from {rules.target_low} to {rules.target_high} m" if rules.target_low else "the arm's box"
-    where = f"in {box}" if rules.targets == "box" else f"on the {rules.targets}"
+    where = f"in {box}" if rules.targets == "box" else TARGETS[rules.targets].summary
+    what = "a pose" if rules.asks_orientation else "a point"
     if not rules.hold_steps:
-        near = f"{1000 * rules.success_distance:.4g} mm"
-        return f"touch a point {where}: the tool comes within {near} of it, in at most {steps}"
-    return f"hold a point {where}: {_held(rules, period)}; an episode has {steps}"
+        return f"touch {what} {where}: the tool comes {_near(rules)} of it, in at most {steps}"
+    return f"hold {what} {where}: {_held(rules, period)}; an episode has {steps}"
 
 
 def _succeeds(rules: Rules, period: float) -> str:
     if rules.hold_steps:
         return f"at the end {_held(rules, period)}"
-    near = f"within {1000 * rules.success_distance:.4g} mm of the target"
+    near = f"{_near(rules)} of the target"
     return (
         f"the tool comes {near}, which ends the episode" if rules.at_goal == "end" else f"at the end the tool is {near}"
     )
 
 
+def _near(rules: Rules) -> str:
+    turned = f" and {rules.success_angle:.4g} rad" if rules.asks_orientation else ""
+    return f"within {1000 * rules.success_distance:.4g} mm{turned}"
+
+
 def _held(rules: Rules, period: float) -> str:
     return (
-        f"the tool has been within {1000 * rules.success_distance:.4g} mm for {rules.hold_steps} steps"
+        f"the tool has been {_near(rules)} for {rules.hold_steps} steps"
         f" ({rules.hold_steps * period:.2g} s), no joint faster than {rules.hold_speed:g} rad/s"
     )
 
@@ -181,3 +167,6 @@ TUTORIAL = _reach(tool="wrist")
 
 PRECISE = _reach(tool="flange")
 """The flange is held at a point in the air."""
+
+POSE = PRECISE
+"""The flange is held in a pose; the rules say in which."""

@@ -8,7 +8,7 @@ from typing import Any
 from jax import Array
 
 from reachlab.settings.config import Rules
-from reachlab.tasks.task import Outcome
+from reachlab.tasks.task import Outcome, gap, within
 
 OUTSIDE_REWARD = -0.1
 """Reward of leaving the workspace (the tutorial's)."""
@@ -20,21 +20,21 @@ SUCCESS_REWARD = 1.0
 """Reward of reaching the target (the tutorial's)."""
 
 
-GOAL_REWARDS: dict[str, Callable[[Rules, Any], Any]] = {
-    "goal": lambda rules, distance: -1.0 * (distance >= rules.success_distance),
-    "goal_distance": lambda _, distance: -distance,
+GOAL_REWARDS: dict[str, Callable[[Rules, Any, Any | None], Any]] = {
+    "goal": lambda rules, distance, angle: -1.0 * ~within(rules, distance, angle),
+    "goal_distance": lambda rules, distance, angle: -gap(rules, distance, angle),
 }
-"""Rewards that follow from the distance `[...]` m of tool and goal alone, for arrays of NumPy and of JAX."""
+"""Rewards that follow from tool and goal alone, of distances `[...]` m and angles in rad or None, in NumPy and JAX."""
 
 
 def _goal(config: Rules, outcome: Outcome) -> dict[str, Array]:
-    """-1 for every step that ends outside the success distance: FetchReach's and panda-gym's, for hindsight replay."""
-    return {"goal": GOAL_REWARDS["goal"](config, outcome.distance)}
+    """-1 for every step that does not end at the goal: FetchReach's and panda-gym's, for hindsight replay."""
+    return {"goal": GOAL_REWARDS["goal"](config, outcome.distance, outcome.progress.angle)}
 
 
 def _goal_distance(config: Rules, outcome: Outcome) -> dict[str, Array]:
     """-1 for every metre between tool and target: their dense reward."""
-    return {"goal_distance": GOAL_REWARDS["goal_distance"](config, outcome.distance)}
+    return {"goal_distance": GOAL_REWARDS["goal_distance"](config, outcome.distance, outcome.progress.angle)}
 
 
 def _sparse(config: Rules, outcome: Outcome) -> dict[str, Array]:
@@ -53,16 +53,16 @@ def _sparse(config: Rules, outcome: Outcome) -> dict[str, Array]:
 
 def _dense(config: Rules, outcome: Outcome) -> dict[str, Array]:
     """As sparse, and for every metre that the tool comes closer."""
-    approach = config.approach_weight * (outcome.distance_before - outcome.distance)
+    approach = config.approach_weight * (outcome.gap_before - outcome.gap)
     return {**_sparse(config, outcome), "approach": approach}
 
 
 def _precise(config: Rules, outcome: Outcome) -> dict[str, Array]:
     """For coming closer, for being within millimetres, for being still there, and against effort."""
-    close = config.closeness_scale / (config.closeness_scale + outcome.distance)
+    close = config.closeness_scale / (config.closeness_scale + outcome.gap)
     still = config.hold_speed / (config.hold_speed + outcome.speed)
     return {
-        "approach": config.approach_weight * (outcome.distance_before - outcome.distance),
+        "approach": config.approach_weight * (outcome.gap_before - outcome.gap),
         "closeness": config.closeness_weight * close,
         "stillness": config.closeness_weight * close * still,
         "effort": -config.effort_weight * outcome.effort,

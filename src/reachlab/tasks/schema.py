@@ -144,10 +144,11 @@ def _concatenated(parts: Sequence[Any]) -> Any:
 
 @dataclass(frozen=True)
 class Observation:
-    """An observation design: its terms, and in a sentence what they are."""
+    """An observation design: its terms, in a sentence what they are, and whether they need an orientation to go to."""
 
     summary: str
     terms: tuple[Term, ...]
+    needs_pose: bool = False
 
     @property
     def pictured(self) -> bool:

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from reachlab.robots.kinematics import angle_between
+from reachlab.robots.kinematics import Pose, angle_between
 from reachlab.robots.robot import Robot
 from reachlab.settings.config import Rules
 
@@ -45,10 +45,17 @@ class TaskSetup:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Goal:
-    """Where the tool is asked to be: `position [..., 3]` m and, where asked for, `quaternion [..., 4]` wxyz."""
+    """Where the tool is asked to be.
+
+    Attributes:
+        position: `[..., 3]` [m].
+        quaternion: `[..., 4]`, wxyz; None where any orientation will do.
+        joints: joints `[..., n]` at which the tool is there [rad or m]; None where nobody has looked for them.
+    """
 
     position: Array
     quaternion: Array | None = None
+    joints: Array | None = None
 
     def distance(self, tool_position: Array) -> Array:
         """Distance `[...]` m from the tool at `[..., 3]` m to the goal."""
@@ -64,7 +71,7 @@ class Situation(NamedTuple):
 
     `q, target_q [B, n]` rad or m, `qd [B, n]` rad/s or m/s, the tool's pose `[B, 3]` m and `[B, 4]` wxyz, the goal,
     `last_action [B, a]`; the camera's `picture [B, SIZE, SIZE]` uint8 where the observation holds one; and where the
-    tool truly is, `achieved [B, 3]` m, if it is measured with noise.
+    tool truly is, `achieved`, if it is measured with noise.
     """
 
     q: Array
@@ -75,7 +82,7 @@ class Situation(NamedTuple):
     target_q: Array
     last_action: Array
     picture: Array | None = None
-    achieved: Array | None = None
+    achieved: Pose | None = None
 
 
 @jax.tree_util.register_dataclass
@@ -85,12 +92,16 @@ class Progress:
 
     Attributes:
         distance: tool to goal `[B]` [m].
-        recent: the same after each of the last steps `[B, hold_steps]` [m]; None where touching the goal is enough.
+        angle: between their orientations `[B]` [rad]; None where any will do.
+        recent: the distance after each of the last steps `[B, hold_steps]` [m]; None where touching the goal is enough.
+        recent_angle: the angle after them `[B, hold_steps]` [rad], likewise.
         still: whether every joint was slow after them `[B, hold_steps]`.
     """
 
     distance: Array
+    angle: Array | None = None
     recent: Array | None = None
+    recent_angle: Array | None = None
     still: Array | None = None
 
     @property
@@ -100,17 +111,43 @@ class Progress:
         The distance; where the goal has to be held the held error: the largest distance after the last `hold_steps`
         steps, infinite if a joint was not still after one of them.
         """
-        if self.recent is None or self.still is None:
-            return self.distance
-        return jnp.where(self.still, self.recent, jnp.inf).max(axis=-1)
+        return self.distance if self.recent is None else self._held(self.recent)
+
+    @property
+    def angle_error(self) -> Array | None:
+        """The same of the angle `[B]` [rad]; None where any orientation will do."""
+        return self.angle if self.recent_angle is None else self._held(self.recent_angle)
+
+    def _held(self, recent: Array) -> Array:
+        assert self.still is not None, "remembered together"  # noqa: S101
+        return jnp.where(self.still, recent, jnp.inf).max(axis=-1)
+
+    def near(self, rules: Rules) -> Array:
+        """Whether the tool is at the goal now `[B]`."""
+        return within(rules, self.distance, self.angle)
+
+    def solved(self, rules: Rules) -> Array:
+        """Whether the errors that count are those of a success `[B]`."""
+        return within(rules, self.error, self.angle_error)
+
+
+def within(rules: Rules, distance: Any, angle: Any | None) -> Any:
+    """Whether errors `[...]` in m and, where an orientation is asked for, rad are those of a success."""
+    near = distance < rules.success_distance
+    return near if angle is None else near & (angle < rules.success_angle)
+
+
+def gap(rules: Rules, distance: Any, angle: Any | None) -> Any:
+    """Errors `[...]` in m and rad as one [m]."""
+    return distance if angle is None else distance + rules.angle_weight * angle
 
 
 class Outcome(NamedTuple):
     """What a step led to, `[B]` each.
 
     Attributes:
-        distance_before, distance: tool to goal before and after it [m].
-        error: what counts, see `Progress.error` [m].
+        gap_before, gap: how far the tool is from the goal before and after it, see `gap` [m].
+        progress: what is remembered of the episode: distance, angle and the errors that count.
         speed: of the fastest joint [rad/s or m/s].
         effort: mean square of the action.
         outside: the tool is outside the workspace.
@@ -121,9 +158,9 @@ class Outcome(NamedTuple):
         terminated: the task ends the episode.
     """
 
-    distance_before: Array
-    distance: Array
-    error: Array
+    gap_before: Array
+    gap: Array
+    progress: Progress
     speed: Array
     effort: Array
     outside: Array
@@ -131,6 +168,11 @@ class Outcome(NamedTuple):
     timeout: Array
     gained: Array
     terminated: Array
+
+    @property
+    def distance(self) -> Array:
+        """Tool to goal after the step `[B]` [m]."""
+        return self.progress.distance
 
 
 def outside_workspace(robot: Robot, tool_position: Array) -> Array:
@@ -148,9 +190,9 @@ class Task:
         goal_box: corners `[3]` m of the box that holds all goals.
         sample_goal: a goal, of a random key.
         sample_start: joint vector `[n]` in which an episode starts, of a random key.
-        begin: what is remembered at the start of an episode: of the distance `[B]` [m] to the goal.
-        judge: what is remembered after a step, and what the step led to: of what was remembered before, the situation
-            after it, and its number in the episode `[B]`.
+        begin: what is remembered at the start of an episode: of the goal and the tool's pose.
+        judge: what a step led to: of what was remembered before, the situation after it, and its number in the episode
+            `[B]`.
         rests: whether the joint command stays as it is `[B]`, of what is remembered; None where it never does.
         check: raises `InputError` where the rules do not fit the robot.
         asks: what is asked for, in words, of the rules and the control period [s].
@@ -161,8 +203,8 @@ class Task:
     goal_box: Callable[[TaskSetup], Bounds]
     sample_goal: Callable[[TaskSetup, Array], Goal]
     sample_start: Callable[[TaskSetup, Array], Array]
-    begin: Callable[[TaskSetup, Array], Progress]
-    judge: Callable[[TaskSetup, Progress, Situation, Array], tuple[Progress, Outcome]]
+    begin: Callable[[TaskSetup, Goal, Pose], Progress]
+    judge: Callable[[TaskSetup, Progress, Situation, Array], Outcome]
     rests: Callable[[TaskSetup, Progress], Array | None]
     check: Callable[[TaskSetup], None]
     asks: Callable[[Rules, float], str]

@@ -177,7 +177,7 @@ class Player:
     def _renew(self) -> None:
         """Give the arm all the time of an episode again."""
         setup, state = self._env.setup, self.state
-        progress = setup.task.begin(setup, state.goal.distance(state.arm.tool_position))
+        progress = setup.task.begin(setup, state.goal, state.arm.tool)
         self.state, self.clock = replace(state, progress=progress, clock=jnp.zeros_like(state.clock)), 0
 
     def _look(self) -> None:
