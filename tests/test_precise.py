@@ -23,7 +23,7 @@ from reachlab.evaluation.report import Report, evaluate
 from reachlab.jax_setup import jit
 from reachlab.learn.train import train
 from reachlab.robots.inverse_kinematics import ik_point_step
-from reachlab.robots.kinematics import forward_kinematics
+from reachlab.robots.kinematics import Pose, forward_kinematics
 from reachlab.runs.directory import RunDirectory
 from reachlab.settings.json_form import override
 from reachlab.settings.presets import configure
@@ -46,11 +46,12 @@ def situation(distance: float, speed: float = 0.0) -> Situation:
 
 
 def held_after(env: Env, steps: list[Situation]) -> tuple[float, bool]:
-    task, progress = env.setup.task, env.setup.task.begin(env.setup, jnp.array([0.5]))
+    task, begun = env.setup.task, situation(0.5)
+    progress = task.begin(env.setup, begun.goal, Pose(begun.tool_position, begun.tool_quaternion))
     success = jnp.array([False])
     for number, now in enumerate(steps, start=1):
-        progress, outcome = task.judge(env.setup, progress, now, jnp.array([number]))
-        success = outcome.success
+        outcome = task.judge(env.setup, progress, now, jnp.array([number]))
+        progress, success = outcome.progress, outcome.success
     return float(progress.error[0]), bool(success[0])
 
 

@@ -19,7 +19,7 @@ from reachlab.robots.kinematics import forward_kinematics
 from reachlab.settings.config import Rules, RunConfig, TaskConfig
 from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError
-from reachlab.tasks.actions import ACTIONS, bounded, command
+from reachlab.tasks.actions import ACTIONS, bounded, command, joint_scale
 from reachlab.tasks.observations import OBSERVATIONS, observe
 from reachlab.tasks.rewards import REWARDS
 from reachlab.tasks.task import Goal, Outcome, Progress, Situation, TaskSetup
@@ -57,7 +57,7 @@ def situation(tool: Any, goal: Any, actions: int = 3) -> Situation:
 
 def outcome_of(setup: TaskSetup, tool: tuple[float, ...], clock: int, before: float = 0.5) -> Outcome:
     now = situation(tool, TARGET)
-    return setup.task.judge(setup, Progress(jnp.array([before])), now, jnp.array([clock]))[1]
+    return setup.task.judge(setup, Progress(jnp.array([before])), now, jnp.array([clock]))
 
 
 def flags(outcome: Outcome) -> tuple[bool, bool, bool]:
@@ -130,8 +130,9 @@ def test_the_dense_reward_is_the_sparse_one_and_the_metres_gained(
     before: float, after: float, which: str | None, weight: float
 ) -> None:
     ends = {name: jnp.array([name == which]) for name in ("outside", "success", "timeout")}
-    rest = dict.fromkeys(("error", "speed", "effort", "terminated"), jnp.zeros(1))
-    outcome = Outcome(jnp.array([before]), jnp.array([after]), **rest, **ends, gained=1.0 * ends["success"])
+    rest = dict.fromkeys(("speed", "effort", "terminated"), jnp.zeros(1))
+    gaps = jnp.array([before]), jnp.array([after])
+    outcome = Outcome(*gaps, Progress(gaps[1]), **rest, **ends, gained=1.0 * ends["success"])
     config = Rules(approach_weight=weight)
     sparse, dense = REWARDS["sparse"](config, outcome), REWARDS["dense"](config, outcome)
     assert {name: float(dense[name][0]) for name in sparse} == {name: float(sparse[name][0]) for name in sparse}
@@ -352,7 +353,7 @@ def test_a_correction_is_added_to_inverse_kinematics_and_fades_at_the_target(set
 
     def displacement(now: Situation, action: Array) -> np.ndarray:
         moved = ACTIONS["joint_residual"].command(setup, now, action) - now.target_q
-        return np.asarray(moved) / setup.rules.joint_scale
+        return np.asarray(moved) / joint_scale(setup)
 
     expected = np.clip(np.asarray(classical + 2 * correction), -1, 1)
     assert displacement(far, correction) == pytest.approx(expected, abs=1e-4)
@@ -369,7 +370,7 @@ def test_inverse_kinematics_need_no_correction_but_for_what_they_wrongly_believe
     assert np.asarray(towards(setup, now, now)) == pytest.approx(np.zeros((1, 7)))
     believed = now._replace(target_q=now.target_q + 0.01, q=now.q + 0.01)
     wrong = ACTIONS["joint_residual"].command(setup, now, towards(setup, now, believed)) - now.target_q
-    meant = ACTIONS["joint_delta"].towards(setup, believed, believed) * setup.rules.joint_scale
+    meant = ACTIONS["joint_delta"].towards(setup, believed, believed) * joint_scale(setup)
     assert np.asarray(wrong) == pytest.approx(np.asarray(meant), abs=1e-5)
 
 

@@ -11,6 +11,7 @@ from reachlab.envs.random_streams import REPORT_STREAM, episode_keys
 from reachlab.jax_setup import jit
 from reachlab.robots.kinematics import forward_kinematics, jacobian
 from reachlab.settings.config import RunConfig
+from reachlab.tasks.actions import joint_scale
 
 EPISODES, ITERATIONS = 200, 25
 """Episodes of the estimate, and linearisations of each."""
@@ -42,8 +43,8 @@ def least_time(config: RunConfig, seed: int) -> float:
             moved[episode] += _smaller(moved[episode], rows[episode], way, setup.rules.success_distance)
     env.close()
     times, lag = np.linspace(0.0, LONGEST, INSTANTS), max(setup.lag)
-    travelled = (times - lag * (1 - np.exp(-times / lag))) * setup.rules.joint_scale / setup.period
-    return float(np.interp(np.abs(moved).max(axis=1), travelled, times).mean())
+    travelled = (times - lag * (1 - np.exp(-times / lag))) / setup.period
+    return float(np.interp(np.abs(moved / joint_scale(setup)).max(axis=1), travelled, times).mean())
 
 
 def _smaller(moved: np.ndarray, rows: np.ndarray, way: np.ndarray, slack: float) -> np.ndarray:

@@ -14,18 +14,24 @@ from reachlab.envs.core import Env
 from reachlab.envs.gymnasium_shared import Episodes
 from reachlab.envs.gymnasium_single import ReachEnv
 from reachlab.envs.gymnasium_vector import ReachVectorEnv
+from reachlab.robots.kinematics import angle_between
 from reachlab.settings.config import Rules
 from reachlab.settings.validation import InputError, choose
 from reachlab.tasks.observations import OBSERVATIONS
 from reachlab.tasks.rewards import GOAL_REWARDS
 from reachlab.tasks.schema import GOALS, Schema
+from reachlab.tasks.task import within
 
 Info = Mapping[str, Any] | Sequence[Mapping[str, Any]]
 """Infos of one step, of a batch of them, or one of each step."""
 
 
 class Goals:
-    """Rewards and ends as functions of where the tool is and where it was to be, `[..., 3]` m each."""
+    """Rewards and ends as functions of where the tool is and where it was to be.
+
+    Goals are positions `[..., 3]` m or, where the task asks for an orientation, poses `[..., 7]`: a position and a
+    quaternion wxyz.
+    """
 
     _episodes: Episodes
 
@@ -33,16 +39,16 @@ class Goals:
         """Rewards `[...]`: those that a step gives which led there."""
         del info
         rules = self._episodes.env.setup.rules
-        return GOAL_REWARDS[rules.reward](rules, _distance(achieved_goal, desired_goal))
+        return GOAL_REWARDS[rules.reward](rules, *_errors(achieved_goal, desired_goal))
 
     def compute_terminated(self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Info) -> Any:
         """Whether the task ends the episode `[...]`."""
         del info
         setup = self._episodes.env.setup
-        rules = setup.rules
+        rules, place = setup.rules, achieved_goal[..., :3]
         low, high = np.array(setup.robot.workspace, np.float32)
-        reached = _distance(achieved_goal, desired_goal) < rules.success_distance
-        outside = ((achieved_goal < low) | (achieved_goal > high)).any(axis=-1)
+        reached = within(rules, *_errors(achieved_goal, desired_goal))
+        outside = ((place < low) | (place > high)).any(axis=-1)
         return (outside & rules.ends_outside) | (reached & (rules.at_goal == "end"))
 
     def compute_truncated(self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Info) -> Any:
@@ -106,5 +112,8 @@ def _check_rules(rules: Rules, schema: Schema) -> None:
         )
 
 
-def _distance(achieved_goal: np.ndarray, desired_goal: np.ndarray) -> Any:
-    return np.linalg.norm(np.asarray(achieved_goal) - desired_goal, axis=-1)
+def _errors(achieved_goal: np.ndarray, desired_goal: np.ndarray) -> tuple[Any, Any | None]:
+    """Distances `[...]` m, and of poses angles in rad."""
+    distance = np.linalg.norm(np.asarray(achieved_goal)[..., :3] - desired_goal[..., :3], axis=-1)
+    one, other = achieved_goal[..., 3:], desired_goal[..., 3:]
+    return distance, angle_between(one, other) if one.shape[-1] else None

@@ -116,7 +116,9 @@ def _on_arm(rules: TaskConfig, robot: Robot) -> Rules:
         "approach_weight": usual.approach_weight / scale,
         "target_height": float(robot.workspace[0][2]) + usual.target_height * scale,
     }
-    given = {name: value for name, value in vars(rules).items() if value is not None or name not in lengths}
+    given: dict[str, Any] = {
+        name: value for name, value in vars(rules).items() if value is not None or name not in lengths
+    }
     return Rules(**(lengths | given))
 
 

@@ -8,9 +8,10 @@ quaternions unit and ordered w, x, y, z.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from reachlab.robots.chain import Chain
@@ -74,13 +75,14 @@ def turned(chain: Chain, quaternion: Array, held: Array) -> Array:
     return angle_between(quaternion, held)
 
 
-def angle_between(quaternion: Array, other: Array) -> Array:
-    """Angle `[...]` rad between orientations `[..., 4]`.
+def angle_between(quaternion: Any, other: Any) -> Any:
+    """Angle `[...]` rad between orientations `[..., 4]`, in arrays of NumPy or of JAX.
 
     By the arc sine of half the chord between the quaternions: the arc cosine of their product is blind near zero.
     """
-    chords = [jnp.linalg.norm(other + sign * quaternion, axis=-1) for sign in (-1.0, 1.0)]
-    return 4 * jnp.arcsin(jnp.minimum(jnp.minimum(*chords) / 2, 1.0))
+    module: Any = np if isinstance(quaternion, np.ndarray) else jnp
+    chords = [module.linalg.norm(other + sign * quaternion, axis=-1) for sign in (-1.0, 1.0)]
+    return 4 * module.arcsin(module.minimum(module.minimum(*chords) / 2, 1.0))
 
 
 def frames_at(chain: Chain, q: Sequence[Scalar]) -> Frames:

@@ -109,7 +109,9 @@ NEEDS: dict[str, Need] = {
 def _orientation(s: Asked) -> str | None:
     turned = asks_orientation(s.settings)
     if not turned and s.facts.needs_pose:
-        return f"observation {s['observation']!r} needs a target with an orientation: set target_turn, or targets to 'any'."
+        return (
+            f"observation {s['observation']!r} needs a goal with an orientation: set target_turn, or targets to 'any'."
+        )
     if turned and not s.facts.turns:
         return (
             f"action {s['action']!r} holds the tool's orientation and cannot bring it into another: choose one of the"

@@ -71,17 +71,16 @@ def _joint_box(setup: TaskSetup) -> Bounds:
     return -ones, ones
 
 
-def _joint_scale(setup: TaskSetup) -> Array:
-    """Displacement of each joint for an action of 1 `[n]`."""
-    scale = setup.rules.joint_scale
-    full_speed = np.array(setup.robot.speed, np.float32) * setup.period
-    return jnp.array(full_speed if scale is None else np.full_like(full_speed, scale))
+def joint_scale(setup: TaskSetup) -> np.ndarray:
+    """Displacement of each joint for an action of 1 `[n]` [rad or m]."""
+    scale, full_speed = setup.rules.joint_scale, np.array(setup.robot.speed, np.float32) * setup.period
+    return full_speed if scale is None else np.full_like(full_speed, scale)
 
 
 def _move_joints(setup: TaskSetup, now: Situation, action: Array) -> Array:
     """Joint command displaced by the action."""
     chain = setup.robot.chain
-    return jnp.clip(now.target_q + action * _joint_scale(setup), jnp.array(chain.lower), jnp.array(chain.upper))
+    return jnp.clip(now.target_q + action * joint_scale(setup), jnp.array(chain.lower), jnp.array(chain.upper))
 
 
 NEAR_GAIN, FAR_GAIN = 0.5, 2.5
@@ -117,7 +116,7 @@ def _towards_joints(setup: TaskSetup, now: Situation, believed: Situation) -> Ar
     far = jnp.minimum(jnp.abs(believed.goal.joints - believed.q) / APPROACH_ANGLE, 1.0)
     way = believed.goal.joints - (believed.q + far * lag * believed.qd)
     share = jnp.minimum((NEAR_GAIN + far * (FAR_GAIN - NEAR_GAIN)) * period / jnp.maximum(lag, TINY), 1.0)
-    return jnp.clip(share * way / _joint_scale(setup), *_joint_box(setup))
+    return jnp.clip(share * way / joint_scale(setup), *_joint_box(setup))
 
 
 def _towards_point(setup: TaskSetup, now: Situation, believed: Situation) -> Array:
@@ -135,7 +134,7 @@ def _towards_point(setup: TaskSetup, now: Situation, believed: Situation) -> Arr
     share = jnp.minimum((NEAR_GAIN + far * (FAR_GAIN - NEAR_GAIN)) * period / max(lag.max(), TINY), 1.0)
     wanted = share * way
     wanted *= jnp.minimum(TOOL_SPEED * period / (jnp.linalg.norm(wanted, axis=-1, keepdims=True) + TINY), 1.0)
-    step = ik_point_step(chain, caught_up, believed.target_q, wanted) / _joint_scale(setup)
+    step = ik_point_step(chain, caught_up, believed.target_q, wanted) / joint_scale(setup)
     return jnp.clip(step, *_joint_box(setup))
 
 

@@ -207,8 +207,8 @@ OBSERVATIONS: dict[str, Observation] = {
         "joints, their speeds and lag, tool, target, the way between them far and near, and the last action", STATE
     ),
     "pose": Observation(
-        "as state, and the orientations of tool and target, the turn between them far and near, and the way of the joints"
-        " to where they have the target",
+        "as state, and the orientations of tool and target, the turn between them far and near, and how far the joints"
+        " are from where they have the target",
         POSE,
         needs_pose=True,
     ),
