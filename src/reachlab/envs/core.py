@@ -134,9 +134,10 @@ class Env:
         before = replace(state, arm=replace(state.arm, engine=None))
         taken, target_q = self._parts.command(before, action, instead)
         moved = self.simulator.step(state.arm, target_q)
-        tool, progress, clock, transition = self._parts.judge(before, moved._replace(engine=None), target_q, taken)
+        judged = self._parts.judge(before, moved._replace(engine=None), target_q, taken)
+        tool, goal, progress, clock, transition = judged
         arm = ArmState(moved.q, moved.qd, tool.position, tool.quaternion, moved.engine)
-        state = EnvState(arm, state.goal, target_q, taken, progress, clock, state.key)
+        state = EnvState(arm, goal, target_q, taken, progress, clock, state.key)
         return state, transition
 
     # --- observations -----------------------------------------------------------------------------

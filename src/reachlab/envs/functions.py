@@ -158,12 +158,13 @@ class EnvFunctions:
 
     def judge(
         self, before: EnvState, moved: Moved, target_q: Array, action: Array
-    ) -> tuple[Pose, Progress, Array, Transition]:
-        """The tool's pose, what is remembered, the clock and the transition of a step."""
+    ) -> tuple[Pose, Goal, Progress, Array, Transition]:
+        """The tool's pose, the goal, what is remembered, the clock and the transition of a step."""
         setup, clock = self.setup, before.clock + 1
         # Computed as it is by itself: to the same bits.
         tool = once(forward_kinematics(setup.robot.chain, moved.q)) if moved.tool is None else moved.tool
-        now = Situation(moved.q, moved.qd, *tool, before.goal, target_q, action)
+        goal = before.goal if setup.task.move is None else setup.task.move(setup, before.goal, clock)
+        now = Situation(moved.q, moved.qd, *tool, goal, target_q, action)
         outcome = setup.task.judge(setup, before.progress, now, clock)
         progress = outcome.progress
         terms = REWARDS[setup.rules.reward](setup.rules, outcome)
@@ -175,7 +176,7 @@ class EnvFunctions:
             done=outcome.terminated | outcome.timeout,
             terms={**_errors(progress), "success": outcome.success, **terms},
         )
-        return tool, progress, clock, transition
+        return tool, goal, progress, clock, transition
 
     def observe(self, state: EnvState, picture: BatchArray | None = None) -> Observed:
         """Observation of a state; one that holds a picture is given it."""
@@ -189,7 +190,9 @@ class EnvFunctions:
         return self.measured(now, state.key, state.clock)
 
     def measured(self, now: Situation, keys: Array, clock: Array) -> Situation:
-        """A situation as it is measured."""
+        """A situation as it is measured, and the goal as far as it is known."""
+        if now.goal.velocity is not None and not self.setup.rules.goal_velocity:
+            now = now._replace(goal=replace(now.goal, velocity=jnp.zeros_like(now.goal.velocity)))
         if "dynamics" not in self.randomise:
             return now
         noise = jax.vmap(lambda key: jax.random.normal(key, (2, now.q.shape[-1])))(noise_keys(keys, clock))

@@ -114,6 +114,7 @@ def _on_arm(rules: TaskConfig, robot: Robot) -> Rules:
         "tool_scale": usual.tool_scale * scale,
         "success_distance": usual.success_distance * scale,
         "approach_weight": usual.approach_weight / scale,
+        "goal_jump": usual.goal_jump * scale,
         "target_height": float(robot.workspace[0][2]) + usual.target_height * scale,
     }
     given: dict[str, Any] = {

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -30,6 +31,14 @@ def ignore(ended: int) -> None:
     """Nothing, of whatever number of episodes has ended."""
 
 
+class Track(NamedTuple):
+    """Where the goal was and how fast, and where the tool was, after each step of `B` episodes: `[B, T, 3]` m, m/s."""
+
+    goal: np.ndarray
+    velocity: np.ndarray
+    tool: np.ndarray
+
+
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Episodes:
@@ -47,6 +56,7 @@ class Episodes:
         max_speed: largest joint speeds in it `[B, n]` [rad/s].
         squared_jerk: sum over its steps of the squared jerk, mean of the joints `[B]` [rad²/s⁶].
         motion: joint positions, displacement and its change at the last step, three `[B, n]`.
+        track: where goal and tool were after each of its steps; None where the goal does not move.
     """
 
     goal: Array
@@ -60,6 +70,7 @@ class Episodes:
     max_speed: Array
     squared_jerk: Array
     motion: tuple[Array, Array, Array]
+    track: Track | None = None
 
 
 @dataclass(frozen=True)
@@ -76,7 +87,8 @@ class Runner:
 
 def make_runner(env: Env, agent: str | Function) -> Runner:
     """Runner for an agent of `agents.AGENTS`, or for a function."""
-    traced = env.traced and isinstance(agent, str)
+    moves = env.setup.task.move is not None
+    traced = env.traced and isinstance(agent, str) and not moves
     init = env.init if traced else env.compile_whole(env.init)
     period, rules = env.config.physics.control_period, env.setup.rules
 
@@ -117,11 +129,14 @@ def make_runner(env: Env, agent: str | Function) -> Runner:
     count_step = jit(count_step)
 
     def run_on_host(policy: Policy | None, keys: Array, watch: Watch = ignore) -> Episodes:
-        carry = begin(keys)
+        carry, tracks = begin(keys), []
         while (ended := int(np.asarray(carry[1].done).sum())) < len(keys):
             watch(ended)
             carry = advance(policy, carry)
-        return carry[1]
+            if moves:
+                goal = carry[0].goal
+                tracks.append((goal.position, goal.velocity, carry[0].arm.tool_position))
+        return replace(carry[1], track=Track(*np.stack(tracks, axis=2))) if moves else carry[1]
 
     return Runner(run_on_host, env.num_envs, on_host=True)
 

@@ -14,7 +14,8 @@ from reachlab.agents.acting import Function, name_of
 from reachlab.agents.policy import Policy
 from reachlab.envs.core import Env
 from reachlab.envs.random_streams import REPORT_STREAM
-from reachlab.evaluation.episodes import Episodes, Runner, Watch, ignore, make_runner, run_episodes
+from reachlab.evaluation.episodes import Episodes, Runner, Track, Watch, ignore, make_runner, run_episodes
+from reachlab.evaluation.tracking import followed
 from reachlab.runs.versions import versions
 from reachlab.settings.validation import InputError
 
@@ -50,6 +51,7 @@ class Report:
         final_error_mm: the error that counts at the end, see `Progress.error`: median, p95, p99, max; None if it is
             infinite.
         final_angle_rad: the same of the orientation; None where any will do.
+        tracking: how well a goal that moves was followed, see `tracking.followed`; None of one that stays.
         return_mean: mean sum of rewards.
         steps_mean: mean length, to success or the end.
         time_to_reach_s: mean time of the successes until the tool is there for good [s]; None without any.
@@ -73,6 +75,7 @@ class Report:
     success_within_pairs: dict[str, float] | None
     final_error_mm: dict[str, float | None]
     final_angle_rad: dict[str, float | None] | None
+    tracking: dict[str, Any] | None
     return_mean: float
     steps_mean: float
     time_to_reach_s: float | None
@@ -180,6 +183,7 @@ def summarise(
         success_within_pairs=None if ends or angle is None else _shares_within_pairs(error, angle),
         final_error_mm=_quantiles(error),
         final_angle_rad=None if angle is None else _quantiles(angle),
+        tracking=None if result.track is None else _tracking(env, result.track),
         return_mean=float(result.returns.mean()),
         steps_mean=float(result.steps.mean()),
         time_to_reach_s=float(reached.mean() * period) if successes else None,
@@ -188,6 +192,11 @@ def summarise(
         wall_s=wall_s,
         versions=versions(),
     )
+
+
+def _tracking(env: Env, track: Track) -> dict[str, Any]:
+    rules = env.setup.rules
+    return followed(track, env.setup.period, rules.settle_steps, rules.goal_speed[1])
 
 
 def _shares_within(error: np.ndarray) -> dict[str, float]:

@@ -76,6 +76,16 @@ class TaskConfig(Checked):
     """Lower corner of the box of targets [m]; by default the robot's own."""
     target_high: Point | None = None
     """Upper corner of the box of targets [m]; by default the robot's own."""
+    goal_paths: Annotated[tuple[str, ...], Length(16)] = ("line", "circle", "smooth", "jumps")
+    """Where the goal moves: the paths of which an episode has one; see `reachlab list`."""
+    goal_speed: tuple[NonNegative, NonNegative] = (0.0, 0.2)
+    """Where the goal moves: least and largest speed, of which an episode has one in between [m/s]."""
+    goal_jump: Positive | None = None
+    """Where the goal jumps: how far [m]; by default 0.3 m, in proportion to the arm's workspace."""
+    goal_velocity: bool = True
+    """Where the goal moves: the policy and inverse kinematics know its velocity."""
+    settle_steps: NonNegativeInt = 50
+    """Where the goal moves: steps at the begin of an episode that do not count."""
     start_noise: NonNegative = 0.0
     """Episodes start with every joint within this of its home [rad or m]."""
     hold_steps: NonNegativeInt = 0
@@ -108,6 +118,7 @@ class Rules(TaskConfig):
     tool_scale: Positive = 0.005
     success_distance: Positive = 0.1
     approach_weight: NonNegative = 5.0
+    goal_jump: Positive = 0.3
     target_height: Annotated[float, Range(-10.0, 10.0)] = -0.0083
 
 

@@ -29,12 +29,12 @@ def _touches(config: RunConfig) -> bool:
     return not config.rules.hold_steps
 
 
-HELD_TASKS = ("precise", "pose")
-"""Tasks in which the tool is held at the goal under full dynamics."""
+DYNAMIC_TASKS = ("precise", "pose", "track")
+"""Tasks under full dynamics."""
 
 RULES: list[Rule] = [
     Rule(
-        lambda c: c.task in HELD_TASKS,
+        lambda c: c.task in DYNAMIC_TASKS,
         {
             "sim": "mujoco",
             "randomise": ("dynamics",),
@@ -70,9 +70,20 @@ RULES: list[Rule] = [
         lambda c: c.task == "pose",
         {"observation": "pose", "target_turn": (0.5236, 0.5236, 2.0944), "max_steps": 200, "joint_scale": None},
     ),
+    Rule(
+        lambda c: c.task == "track",
+        {
+            "observation": "track",
+            "reward": "track",
+            "max_steps": 250,
+            "hold_steps": 0,
+            "end_outside": False,
+            "joint_scale": None,
+        },
+    ),
     # A policy that has to hold the tool without inverse kinematics to help it learns more slowly.
     Rule(
-        lambda c: c.task in HELD_TASKS and c.rules.action != "joint_residual",
+        lambda c: c.task in DYNAMIC_TASKS and c.rules.action != "joint_residual",
         {
             "effort_weight": 0.1,
             "gamma": 0.97,

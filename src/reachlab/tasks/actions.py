@@ -97,35 +97,45 @@ arm jerks for little gain."""
 
 
 def _joints_towards(setup: TaskSetup, now: Situation, believed: Situation) -> Array:
-    """Joint displacement that brings the tool to the target: to the joints of a pose, or to a point."""
-    return (_towards_point if believed.goal.joints is None else _towards_joints)(setup, now, believed)
+    """Joint displacement that brings the tool to the target: to the joints of a pose, or to a point that may move."""
+    del now
+    if believed.goal.joints is not None:
+        return _towards_joints(setup, believed)
+    return (_towards_point if believed.goal.velocity is None else _with_point)(setup, believed)
 
+
+JOINT_NEAR, JOINT_FAR = 0.5, 1.0
+"""The same shares for a joint on its way to where it is known to have to be."""
 
 APPROACH_ANGLE = 0.1
-"""The same distance for a joint on its way to where it is known to have to be [rad or m]."""
+"""And the distance from which on the share falls [rad or m]."""
+
+FORESIGHT = 0.4
+"""Share of what its servo's lag will cost a joint in speed that is commanded at once, far from the target. With more it
+arrives hardly sooner, and jerks twice as much."""
 
 
-def _towards_joints(setup: TaskSetup, now: Situation, believed: Situation) -> Array:
+def _towards_joints(setup: TaskSetup, believed: Situation) -> Array:
     """Joint displacement that brings every joint to where the goal has it, each by itself.
 
-    As `_towards_point`, each joint a share of its own way; no Jacobian is singular and no limit in between.
+    Its speed is proportional to its own way, up to its limit: no Jacobian is singular, and no limit lies in between.
     """
-    del now
     assert believed.goal.joints is not None, "asked before"  # noqa: S101
-    lag, period = jnp.array(setup.lag), setup.period
-    far = jnp.minimum(jnp.abs(believed.goal.joints - believed.q) / APPROACH_ANGLE, 1.0)
-    way = believed.goal.joints - (believed.q + far * lag * believed.qd)
-    share = jnp.minimum((NEAR_GAIN + far * (FAR_GAIN - NEAR_GAIN)) * period / jnp.maximum(lag, TINY), 1.0)
-    return jnp.clip(share * way / joint_scale(setup), *_joint_box(setup))
+    lag, most = np.array(setup.lag), jnp.array(setup.robot.speed)
+    way = believed.goal.joints - believed.q
+    far = jnp.minimum(jnp.abs(way) / APPROACH_ANGLE, 1.0)
+    rate = jnp.minimum((JOINT_NEAR + far * (JOINT_FAR - JOINT_NEAR)) / np.maximum(lag, TINY), 1 / setup.period)
+    speed = jnp.clip(rate * way, -most, most)
+    step = setup.period * speed + far * FORESIGHT * lag * (speed - believed.qd)
+    return jnp.clip(step / joint_scale(setup), *_joint_box(setup))
 
 
-def _towards_point(setup: TaskSetup, now: Situation, believed: Situation) -> Array:
+def _towards_point(setup: TaskSetup, believed: Situation) -> Array:
     """Joint displacement that brings the tool to the target in whatever orientation, by resolved-rate control.
 
     Each step goes a share of the way (Whitney, "Resolved motion rate control of manipulators and human prostheses",
     IEEE Trans. Man-Machine Systems 10(2), 1969) from where the arm will be once it has caught up with its command.
     """
-    del now
     chain, lag, period = setup.robot.chain, np.array(setup.lag), setup.period
     way = believed.goal.position - believed.tool_position
     far = jnp.minimum(jnp.linalg.norm(way, axis=-1, keepdims=True) / APPROACH, 1.0)
@@ -136,6 +146,24 @@ def _towards_point(setup: TaskSetup, now: Situation, believed: Situation) -> Arr
     wanted *= jnp.minimum(TOOL_SPEED * period / (jnp.linalg.norm(wanted, axis=-1, keepdims=True) + TINY), 1.0)
     step = ik_point_step(chain, caught_up, believed.target_q, wanted) / joint_scale(setup)
     return jnp.clip(step, *_joint_box(setup))
+
+
+LEAD = 0.9
+
+
+def _with_point(setup: TaskSetup, believed: Situation) -> Array:
+    """Joint displacement that keeps the tool at a point that moves, whose velocity is fed forward.
+
+    The command moves as the point does and, by a share of what is missing, to where the point will be once the arm has
+    caught up with its command.
+    """
+    assert believed.goal.velocity is not None, "asked before"  # noqa: S101
+    chain, lag, period = setup.robot.chain, np.array(setup.lag), setup.period
+    caught_up = believed.q + jnp.array(lag) * believed.qd
+    ahead = believed.goal.position + (lag.max() + LEAD * period) * believed.goal.velocity
+    wanted = ahead - forward_kinematics(chain, caught_up).position
+    wanted *= jnp.minimum(TOOL_SPEED * period / (jnp.linalg.norm(wanted, axis=-1, keepdims=True) + TINY), 1.0)
+    return jnp.clip(ik_point_step(chain, caught_up, believed.target_q, wanted) / joint_scale(setup), *_joint_box(setup))
 
 
 CORRECTION, CORRECTION_FADE = 2.0, 0.02

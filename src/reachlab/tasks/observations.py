@@ -155,6 +155,17 @@ def _turn_near(setup: TaskSetup, now: Situation) -> Array:
     return turn / (jnp.linalg.norm(turn, axis=-1, keepdims=True) + NEAR / setup.rules.angle_weight)
 
 
+def _goal_velocity(setup: TaskSetup, now: Situation) -> Array:
+    del setup
+    assert now.goal.velocity is not None, "checked with the settings"  # noqa: S101
+    return now.goal.velocity
+
+
+def _goal_velocity_bounds(setup: TaskSetup) -> Bounds:
+    """On a smooth path the goal is faster than its mean speed, by a factor below 5."""
+    return _within(np.full(3, 5 * setup.rules.goal_speed[1]))
+
+
 def _joint_way(setup: TaskSetup, now: Situation) -> Array:
     del setup
     assert now.goal.joints is not None, "found with every pose"  # noqa: S101
@@ -194,6 +205,9 @@ POSE = (
 )
 """The same with both orientations, the turn between them, and the way of the joints to a solution of the goal."""
 
+TRACK = (*STATE, Term("goal_velocity", "m/s", _goal_velocity, _goal_velocity_bounds))
+"""The same as `STATE`, and how fast the goal moves."""
+
 ACHIEVED_AND_DESIRED = (
     Term(GOALS[0], "m", _achieved, _or_pose(_tool_bounds)),
     Term(GOALS[1], "m", _desired, _or_pose(_goal_bounds), _desired_constant),
@@ -212,6 +226,7 @@ OBSERVATIONS: dict[str, Observation] = {
         POSE,
         needs_pose=True,
     ),
+    "track": Observation("as state, and the velocity of the target", TRACK),
     "image": Observation("a camera's picture, 84 × 84 grey", (IMAGE,)),
     "goal": Observation(
         "the tool's position, achieved_goal and desired_goal [m], as a dict: the form of a GoalEnv",

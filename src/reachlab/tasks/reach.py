@@ -70,12 +70,16 @@ def _remember(setup: TaskSetup, before: Progress, now: Situation) -> Progress:
 
 
 def _judge(setup: TaskSetup, before: Progress, now: Situation, clock: Array) -> Outcome:
-    """See `Task.judge`.
+    return outcome(setup, before, _remember(setup, before, now), now, clock)
+
+
+def outcome(setup: TaskSetup, before: Progress, after: Progress, now: Situation, clock: Array) -> Outcome:
+    """What a step led to, of what is remembered before and after it; see `Task.judge`.
 
     Leaving the workspace outranks success, and where success ends the episode it outranks a time-out on the same step.
     Where the goal has to be held, leaving the workspace does not end the episode.
     """
-    rules, after = setup.rules, _remember(setup, before, now)
+    rules = setup.rules
     outside = jnp.zeros_like(after.distance, bool)
     if rules.ends_outside:
         outside = outside_workspace(setup.robot, now.tool_position)
@@ -152,6 +156,7 @@ def _reach(tool: str) -> Task:
         tool=tool,
         goal_box=_goal_box,
         sample_goal=_sample_goal,
+        move=None,
         sample_start=_sample_start,
         begin=_begin,
         judge=_judge,

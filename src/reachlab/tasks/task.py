@@ -51,11 +51,15 @@ class Goal:
         position: `[..., 3]` [m].
         quaternion: `[..., 4]`, wxyz; None where any orientation will do.
         joints: joints `[..., n]` at which the tool is there [rad or m]; None where nobody has looked for them.
+        velocity: `[..., 3]` [m/s]; None where it does not move.
+        path: on which it moves, `[..., k]`, see `paths`; None where it does not, or no more.
     """
 
     position: Array
     quaternion: Array | None = None
     joints: Array | None = None
+    velocity: Array | None = None
+    path: Array | None = None
 
     def distance(self, tool_position: Array) -> Array:
         """Distance `[...]` m from the tool at `[..., 3]` m to the goal."""
@@ -96,6 +100,7 @@ class Progress:
         recent: the distance after each of the last steps `[B, hold_steps]` [m]; None where touching the goal is enough.
         recent_angle: the angle after them `[B, hold_steps]` [rad], likewise.
         still: whether every joint was slow after them `[B, hold_steps]`.
+        mean_square: of the distances after the steps that count `[B]` [m²]; None where the goal does not move.
     """
 
     distance: Array
@@ -103,14 +108,17 @@ class Progress:
     recent: Array | None = None
     recent_angle: Array | None = None
     still: Array | None = None
+    mean_square: Array | None = None
 
     @property
     def error(self) -> Array:
         """The error that counts `[B]` [m].
 
         The distance; where the goal has to be held the held error: the largest distance after the last `hold_steps`
-        steps, infinite if a joint was not still after one of them.
+        steps, infinite if a joint was not still after one of them; where it moves the root mean square.
         """
+        if self.mean_square is not None:
+            return jnp.sqrt(self.mean_square)
         return self.distance if self.recent is None else self._held(self.recent)
 
     @property
@@ -189,6 +197,7 @@ class Task:
         tool: which of a robot's tool frames is asked for, see `KnownRobot.tools`.
         goal_box: corners `[3]` m of the box that holds all goals.
         sample_goal: a goal, of a random key.
+        move: the goal after so many steps `[B]`; None where it stays.
         sample_start: joint vector `[n]` in which an episode starts, of a random key.
         begin: what is remembered at the start of an episode: of the goal and the tool's pose.
         judge: what a step led to: of what was remembered before, the situation after it, and its number in the episode
@@ -202,6 +211,7 @@ class Task:
     tool: str
     goal_box: Callable[[TaskSetup], Bounds]
     sample_goal: Callable[[TaskSetup, Array], Goal]
+    move: Callable[[TaskSetup, Goal, Array], Goal] | None
     sample_start: Callable[[TaskSetup, Array], Array]
     begin: Callable[[TaskSetup, Goal, Pose], Progress]
     judge: Callable[[TaskSetup, Progress, Situation, Array], Outcome]
