@@ -196,7 +196,7 @@ def test_an_evaluation_draws_each_episode_while_it_lasts(
 ) -> None:
     count = episodes._count
 
-    def sooner(before: Episodes, state: EnvState, transition: Transition, **settings: float) -> Episodes:
+    def sooner(before: Episodes, state: EnvState, transition: Transition, **settings: Any) -> Episodes:
         early = transition.done | (state.clock == 2) & (np.arange(3) == 1)
         return count(before, state, replace(transition, done=early), **settings)
 

@@ -10,23 +10,27 @@ import numpy as np
 from scipy.optimize import minimize
 
 MOST, WORTH = 3, 0.85
-"""Most capsules of one link, and the share to which each further one has to bring their volume: it costs as many distances
-as there are capsules beside it."""
+"""Most capsules of one link, and the share to which each further one has to bring their volume: it costs as many
+distances as there are capsules beside it."""
 
 SLABS = 10
 """A shape may be cut at the borders of so many slabs of equal thickness."""
 
-SAMPLES = 200
+SAMPLES = 400
 """Random points of a shape by which the place of its cut is chosen."""
 
-DIRECTIONS = 120
-"""Directions whose outermost points stand for a shape while its capsule is fitted."""
+DIRECTIONS, MANY = 120, 20_000
+"""The points that are outermost in so many directions, of about so many points at most, stand for a shape while the
+line of its capsule is chosen. Its ends and radius then contain all points."""
 
 SCALES = (1.0, 1.03, 1.08, 1.15, 1.25, 1.5)
 """Radii that are tried about a line, in those of the thinnest cylinder: a thicker capsule may be so much shorter."""
 
 STEPS, ROUNDING = 160, 1e-9
 """Most evaluations of a fit, and what a radius is larger by so that it contains its points after rounding [m]."""
+
+SHORT = 1e-4
+"""A capsule whose ends are nearer to each other is made a ball [m]."""
 
 
 class Fitted(NamedTuple):
@@ -108,7 +112,8 @@ def cut(triangles: np.ndarray, normal: np.ndarray, height: float) -> tuple[np.nd
 def _fit(triangles: np.ndarray) -> Fitted:
     """The smallest capsule that contains all corners, and so the triangles too."""
     points = triangles.reshape(-1, 3)
-    some = points[np.unique((_directions() @ points.T).argmax(axis=1))]
+    some = points[:: 1 + len(points) // MANY]
+    some = some[np.unique((_directions() @ some.T).argmax(axis=1))]
     _, axis = _coarse(some)
     across = np.linalg.svd(axis[None])[2][1:]
     middle, size = _middle(some), float(np.ptp(some, axis=0).max())
@@ -124,6 +129,9 @@ def _fit(triangles: np.ndarray) -> Fitted:
     point, axis = line(best.x)
     capsules = _about(points, point, axis)
     volume, low, high, radius = (float(values[capsules[0].argmin()]) for values in capsules)
+    if high - low < SHORT:
+        radius += (high - low) / 2
+        low = high = (low + high) / 2
     return Fitted(point + low * axis, point + high * axis, radius + ROUNDING, volume)
 
 
