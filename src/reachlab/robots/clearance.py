@@ -11,7 +11,7 @@ from jax import Array
 
 from reachlab.robots.chain import Chain
 from reachlab.robots.kinematics import components, link_frames
-from reachlab.robots.scalar_algebra import Vec, once
+from reachlab.robots.scalar_algebra import Scalar, Vec, once
 
 if TYPE_CHECKING:
     from reachlab.robots.capsules import Capsules
@@ -24,14 +24,17 @@ TINY = 1e-12
 
 
 class Segments(NamedTuple):
-    """Segments from `start [3, ...]` to `end [3, ...]` m; of a ball both are its middle."""
+    """Segments from `start [3, ...]` to `end [3, ...]` m; of a ball both are its middle.
+
+    Of `capsules_at` they are three arrays each: picking rows of one array of them all takes twice as long.
+    """
 
     start: Numbers
     end: Numbers
 
 
 def capsules_at(chain: Chain, capsules: Capsules, q: Numbers) -> Segments:
-    """Axes `[3, C, B]` of an arm's capsules in the world at joint vectors `q [B, n]`.
+    """Axes, three `[C, B]` m each, of an arm's capsules in the world at joint vectors `q [B, n]`.
 
     The batch is last: these arrays are long in it. Compute it once for all questions about a `q`.
     """
@@ -42,9 +45,13 @@ def capsules_at(chain: Chain, capsules: Capsules, q: Numbers) -> Segments:
         for link, point in zip(capsules.links, points, strict=True):
             rotation, position = frames[link]
             placed.append(position.plus(rotation.apply(Vec(*point))))
-        rows = [jnp.broadcast_to(jnp.asarray(vec[axis], q.dtype), len(q)) for axis in range(3) for vec in placed]
-        sides.append(jnp.stack(rows).reshape(3, len(placed), len(q)))
+        columns = zip(*placed, strict=True)
+        sides.append(tuple(_rows(column, q) for column in columns))
     return once(Segments(*sides))
+
+
+def _rows(numbers: Sequence[Scalar], q: Array) -> Array:
+    return jnp.stack([jnp.broadcast_to(jnp.asarray(number, q.dtype), len(q)) for number in numbers])
 
 
 def self_distance(capsules: Capsules, at: Segments) -> Array:
@@ -59,8 +66,7 @@ def pair_distances(capsules: Capsules, at: Segments, pairs: Sequence[tuple[int, 
     """Distances `[P, B]` m between the two capsules of each pair."""
     one, other = np.array(pairs).T
     radii = np.array(capsules.radii, np.float32)[:, None]
-    between = segment_distance(*(Segments(at.start[:, side], at.end[:, side]) for side in (one, other)))
-    return between - radii[one] - radii[other]
+    return segment_distance(_picked(at, one), _picked(at, other)) - radii[one] - radii[other]
 
 
 def obstacle_distances(capsules: Capsules, at: Segments, obstacles: Segments, radii: Numbers) -> Array:
@@ -73,8 +79,7 @@ def obstacle_distances(capsules: Capsules, at: Segments, obstacles: Segments, ra
         radii: `[O, 1]` or `[O, B]` [m].
     """
     arm, own = _moving(capsules, at)
-    every = Segments(arm.start[:, None], arm.end[:, None])
-    beside = segment_distance(every, Segments(obstacles.start[:, :, None], obstacles.end[:, :, None]))
+    beside = segment_distance(arm, _picked(obstacles, np.s_[:, None]))
     return (beside - own).min(axis=1) - radii
 
 
@@ -87,7 +92,11 @@ def lowest_point(capsules: Capsules, at: Segments) -> Array:
 def _moving(capsules: Capsules, at: Segments) -> tuple[Segments, np.ndarray]:
     """Axes of the capsules that joints move, and their radii `[C, 1]` m."""
     moving = np.flatnonzero(capsules.links)
-    return Segments(at.start[:, moving], at.end[:, moving]), np.array(capsules.radii, np.float32)[moving, None]
+    return _picked(at, moving), np.array(capsules.radii, np.float32)[moving, None]
+
+
+def _picked(segments: Segments, rows: Any) -> Segments:
+    return Segments(*(tuple(x[rows] for x in side) for side in segments))
 
 
 def segment_distance(one: Segments, other: Segments) -> Numbers:
@@ -96,14 +105,18 @@ def segment_distance(one: Segments, other: Segments) -> Numbers:
     Ericson, "Real-Time Collision Detection" (2005), section 5.1.9: the nearest points of the two lines, moved into the
     segments.
     """
-    along, across, between = one.end - one.start, other.end - other.start, one.start - other.start
+    along, across, between = _minus(one.end, one.start), _minus(other.end, other.start), _minus(one.start, other.start)
     a, e, b = _dot(along, along), _dot(across, across), _dot(along, across)
     c, f = _dot(along, between), _dot(across, between)
     s = ((b * f - c * e) / (a * e - b * b).clip(TINY)).clip(0.0, 1.0)
     t = ((b * s + f) / e.clip(TINY)).clip(0.0, 1.0)
     s = ((b * t - c) / a.clip(TINY)).clip(0.0, 1.0)
-    apart = between + s * along - t * across
+    apart = [x + s * u - t * v for x, u, v in zip(between, along, across, strict=True)]
     return _dot(apart, apart) ** 0.5
+
+
+def _minus(a: Numbers, b: Numbers) -> list[Numbers]:
+    return [x - y for x, y in zip(a, b, strict=True)]
 
 
 def _dot(a: Numbers, b: Numbers) -> Numbers:
