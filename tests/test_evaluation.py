@@ -53,6 +53,7 @@ REPORT_FIELDS = [
     "time_to_reach_s",
     "max_joint_speed",
     "jerk",
+    "self_contact",
     "wall_s",
     "versions",
 ]

@@ -107,6 +107,10 @@ def print_reports(reports: Sequence[dict[str, Any]], config: RunConfig) -> None:
             "" if time_s is None else f"{time_s:.2f} s",
         )
     console.print(table)
+    touched = [report for report in reports if report["self_contact"] is not None]
+    if touched:
+        shares = (f"{report['agent']} in {report['sim']} {100 * report['self_contact']:.2f} %" for report in touched)
+        say(f"Episodes in which links of the arm met: {', '.join(shares)}.")
 
 
 def _precision(report: dict[str, Any]) -> list[str]:

@@ -18,10 +18,15 @@ from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState, Transition
 from reachlab.envs.random_streams import AGENT_STREAM, episode_keys
 from reachlab.jax_setup import jit
+from reachlab.robots.clearance import capsules_at, self_distance
 from reachlab.settings.config import Rules
+from reachlab.sims import SIMULATORS
 
 Watch = Callable[[int], None]
 """Called with the number of episodes that have ended."""
+
+Touches = Callable[[Array], Array]
+"""Whether links of the arm meet `[B]` at joints `[B, n]`."""
 
 BATCH = 1000
 """Episodes evaluated together where everything is traced; one size, so one compiled program."""
@@ -56,6 +61,8 @@ class Episodes:
         max_speed: largest joint speeds in it `[B, n]` [rad/s].
         squared_jerk: sum over its steps of the squared jerk, mean of the joints `[B]` [rad²/s⁶].
         motion: joint positions, displacement and its change at the last step, three `[B, n]`.
+        touched: links of the arm met in it `[B]`, judged by its capsules; None where joints are set, rather than moved
+            by dynamics, or where no links could meet.
         track: where goal and tool were after each of its steps; None where the goal does not move.
     """
 
@@ -70,6 +77,7 @@ class Episodes:
     max_speed: Array
     squared_jerk: Array
     motion: tuple[Array, Array, Array]
+    touched: Array | None = None
     track: Track | None = None
 
 
@@ -91,6 +99,7 @@ def make_runner(env: Env, agent: str | Function) -> Runner:
     traced = env.traced and isinstance(agent, str) and not moves
     init = env.init if traced else env.compile_whole(env.init)
     period, rules = env.config.physics.control_period, env.setup.rules
+    touches = _make_touches(env)
 
     def begin(keys: Array) -> tuple[EnvState, Episodes, Array]:
         state = init(keys)
@@ -107,11 +116,12 @@ def make_runner(env: Env, agent: str | Function) -> Runner:
             max_speed=still,
             squared_jerk=jnp.zeros(count),
             motion=(state.arm.q, still, still),
+            touched=jnp.zeros(count, bool) if touches else None,
         )
         return state, episodes, jax.random.fold_in(keys[0], AGENT_STREAM)
 
     act = make_act(env, agent)
-    count_step = partial(_count, period=period, rules=rules)
+    count_step = partial(_count, period=period, rules=rules, touches=touches)
 
     def advance(policy: Policy | None, carry: tuple[EnvState, Episodes, Array]) -> tuple[EnvState, Episodes, Array]:
         state, episodes, key = carry
@@ -141,8 +151,23 @@ def make_runner(env: Env, agent: str | Function) -> Runner:
     return Runner(run_on_host, env.num_envs, on_host=True)
 
 
-def _count(episodes: Episodes, state: EnvState, transition: Transition, period: float, rules: Rules) -> Episodes:
-    q, moved, change = episodes.motion
+def _make_touches(env: Env) -> Touches | None:
+    """Whether links of the arm meet `[B]` at joints `[B, n]`; None where dynamics do not move it, or none can meet."""
+    robot = env.setup.robot
+    if not SIMULATORS[env.config.sim].dynamics or not (capsules := robot.capsules).pairs:
+        return None
+    return lambda q: self_distance(capsules, capsules_at(robot.chain, capsules, q)) < 0
+
+
+def _count(
+    episodes: Episodes,
+    state: EnvState,
+    transition: Transition,
+    period: float,
+    rules: Rules,
+    touches: Touches | None,
+) -> Episodes:
+    (q, moved, change), touched = episodes.motion, episodes.touched
     moved_now = state.arm.q - q
     change_now = moved_now - moved
     jerk = jnp.square((change_now - change) / period**3).mean(-1)
@@ -158,6 +183,7 @@ def _count(episodes: Episodes, state: EnvState, transition: Transition, period: 
         max_speed=jnp.maximum(episodes.max_speed, jnp.abs(state.arm.qd)),
         squared_jerk=episodes.squared_jerk + jerk,
         motion=(state.arm.q, moved_now, change_now),
+        touched=None if touches is None or touched is None else touched | touches(state.arm.q),
     )
 
     def keep(old: Array, now: Array) -> Array:

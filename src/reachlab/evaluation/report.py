@@ -57,6 +57,7 @@ class Report:
         time_to_reach_s: mean time of the successes until the tool is there for good [s]; None without any.
         max_joint_speed: largest speed of each joint [rad/s].
         jerk: mean squared joint jerk [rad²/s⁶].
+        self_contact: share of episodes in which links of the arm met at any step, see `Episodes.touched`.
         wall_s: time that the evaluation took [s].
         versions: of the packages that it depends on.
     """
@@ -81,6 +82,7 @@ class Report:
     time_to_reach_s: float | None
     max_joint_speed: list[float]
     jerk: float
+    self_contact: float | None
     wall_s: float
     versions: dict[str, str]
 
@@ -189,6 +191,7 @@ def summarise(
         time_to_reach_s=float(reached.mean() * period) if successes else None,
         max_joint_speed=[float(speed) for speed in result.max_speed.max(axis=0)],
         jerk=float((result.squared_jerk / result.steps).mean()),
+        self_contact=None if result.touched is None else float(result.touched.mean()),
         wall_s=wall_s,
         versions=versions(),
     )

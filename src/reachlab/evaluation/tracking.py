@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import numpy as np
@@ -26,15 +27,15 @@ def followed(track: Track, period: float, settle: int, fastest: float) -> dict[s
 
     - `rms_mm`, `median_mm`, `p95_mm`: of the distance of tool and goal, and `by_speed` of those at each speed [m/s]
     - `lag_s`: by how much the tool is late, the least-squares fit of its way behind the goal to the goal's velocity [s]
-    - `breaks`: how often the goal's velocity changed or its place jumped suddenly, and `again_within`: for distances [mm]
-      the median and p99 of the time until the tool was within them for good, until the next time [s]
+    - `breaks`: how often the goal's velocity changed or its place jumped suddenly, and `again_within`: for distances
+      [mm] the median and p99 of the time until the tool was within them for good, until the next time [s]
     """
     error = (track.goal - track.tool).astype(np.float64)
     distance, speed = np.linalg.norm(error, axis=-1), np.linalg.norm(track.velocity, axis=-1)
     counted, edges = slice(settle, None), np.linspace(0.0, fastest, BANDS + 1)
     late, moved = distance[:, counted], speed[:, counted]
     band = np.clip(np.digitize(moved, edges) - 1, 0, BANDS - 1)
-    names = [f"{low:.3g} to {high:.3g}" for low, high in zip(edges[:-1], edges[1:], strict=True)]
+    names = [f"{low:.3g} to {high:.3g}" for low, high in itertools.pairwise(edges)]
     return {
         **_errors(late),
         "by_speed": {name: _errors(late[band == i]) for i, name in enumerate(names) if (band == i).any()},
@@ -62,7 +63,7 @@ def _recovery(track: Track, distance: np.ndarray, period: float, settle: int) ->
     for episode, breaks in enumerate(sudden):
         at = np.flatnonzero(breaks) + 1
         # The last break of an episode is left out: nobody knows how long the tool would have taken.
-        for begin, end in zip(at[:-1], at[1:], strict=True):
+        for begin, end in itertools.pairwise(at):
             if begin < settle:
                 continue
             for limit in AGAIN:

@@ -10,6 +10,7 @@ import numpy as np
 
 from reachlab.render.marks import BALL_OPACITY, TARGET_RADIUS, WAITING
 from reachlab.robots.robot import TUTORIAL_WORKSPACE, Robot
+from reachlab.robots.shapes import SHOWN_GROUPS
 
 WIDTH, HEIGHT = 640, 480
 """Size of a picture [pixels]."""
@@ -22,9 +23,6 @@ FOOTING = 0.25
 
 GROUND = ((TUTORIAL_WORKSPACE[0][0] + TUTORIAL_WORKSPACE[1][0]) / 2, 0.0, 0.0)
 """Middle of the floor of the tutorial's workspace [m]."""
-
-SHOWN_GROUPS = (0, 1, 2)
-"""Groups of geoms that MuJoCo shows at first."""
 
 FILLED = 0.94
 """Share of the picture within which an arm at home lies."""

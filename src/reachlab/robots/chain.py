@@ -54,13 +54,20 @@ class Chain:
 
     def tool_at(self, q: Sequence[float] | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Position `[3]` m and quaternion `[4]` wxyz of the tool at one joint vector `[n]`, without JAX."""
-        transform = np.eye(4)
-        for (rotation, offset), slide, value in zip(self.frames[:-1], self.slides, q, strict=True):
-            transform = transform @ _matrix(rotation, offset) @ _joint_transform(slide, float(value))
-        transform = transform @ _matrix(*self.frames[-1])
+        transform = self.links_at(q)[-1] @ _matrix(*self.frames[-1])
         quaternion = np.zeros(4)
         mujoco.mju_mat2Quat(quaternion, transform[:3, :3].ravel())
         return transform[:3, 3], quaternion
+
+    def links_at(self, q: Sequence[float] | np.ndarray) -> np.ndarray:
+        """Transforms `[n + 1, 4, 4]` of the links at one joint vector `[n]`, without JAX.
+
+        Link 0 is the base, in the world's frame; link `k + 1` is what joint `k` moves, in the frame `F_0 J_0 ... J_k`.
+        """
+        transforms = [np.eye(4)]
+        for (rotation, offset), slide, value in zip(self.frames[:-1], self.slides, q, strict=True):
+            transforms.append(transforms[-1] @ _matrix(rotation, offset) @ _joint_transform(slide, float(value)))
+        return np.stack(transforms)
 
 
 JOINTS_OF_A_POSE = 6

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import contextlib
-import hashlib
-import json
 import logging
-import os
 from collections.abc import Callable
 
 import mujoco
 import numpy as np
 
-from reachlab.jax_setup import cache_folder
 from reachlab.robots.arm import Arm
+from reachlab.robots.cache import kept
 from reachlab.robots.isolation import apply
 from reachlab.robots.model_file import ModelFile
 from reachlab.robots.workspace import Derived, derive
@@ -36,26 +32,12 @@ DEPTH = 2e-3
 def derived(file: ModelFile, arm: Arm, speed: tuple[float, ...]) -> Derived:
     """Home and boxes of an arm; from the cache if they were derived before."""
     asked = (VERSION, file.digest, arm.tool, arm.isolation.joints, arm.chain, arm.home, speed)
-    kept = cache_folder() / "robots" / f"{hashlib.sha256(repr(asked).encode()).hexdigest()[:32]}.json"
-    with contextlib.suppress(OSError, ValueError, TypeError, AttributeError):
-        return _tuples(json.loads(kept.read_text()))
-    logger.warning("reachlab: finding home and workspace of %s: a few seconds, once.", file.file.name)
-    found = derive(arm.chain, np.array(speed), arm.base, arm.home, untouching(file, arm))
-    with contextlib.suppress(OSError):
-        kept.parent.mkdir(parents=True, exist_ok=True)
-        part = kept.with_suffix(f".{os.getpid()}.part")
-        part.write_text(json.dumps(found._asdict()))
-        part.replace(kept)
-    return found
 
+    def find() -> Derived:
+        logger.warning("reachlab: finding home and workspace of %s: a few seconds, once.", file.file.name)
+        return derive(arm.chain, np.array(speed), arm.base, arm.home, untouching(file, arm))
 
-def _tuples(read: dict[str, object]) -> Derived:
-    """What was kept, its lists tuples again."""
-
-    def again(value: object) -> object:
-        return tuple(map(again, value)) if isinstance(value, list) else value
-
-    return Derived(**{name: again(value) for name, value in read.items()})  # pyright: ignore[reportArgumentType]
+    return kept("robots", asked, find, Derived, Derived._asdict)
 
 
 def untouching(file: ModelFile, arm: Arm) -> Callable[[np.ndarray], bool]:

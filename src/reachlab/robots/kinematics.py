@@ -87,20 +87,33 @@ def angle_between(quaternion: Any, other: Any) -> Any:
 
 def frames_at(chain: Chain, q: Sequence[Scalar]) -> Frames:
     """Frames at the joints `q`, one scalar a joint."""
+    moved = _moved(chain, q)
+    rotation, position = moved[-1][2:]
+    turn, offset = chain.frames[-1]
+    axes, origins = [axis for axis, *_ in moved], [origin for _, origin, *_ in moved]
+    return once(Frames(axes, origins, rotation.compose(turn), position.plus(rotation.apply(offset))))
+
+
+def link_frames(chain: Chain, q: Sequence[Scalar]) -> list[tuple[Rotation, Vec]]:
+    """Rotations and positions [m] of the links at the joints `q`, one scalar a joint; see `Chain.links_at`."""
+    return once([(IDENTITY, ZERO), *((rotation, position) for _, _, rotation, position in _moved(chain, q))])
+
+
+def _moved(chain: Chain, q: Sequence[Scalar]) -> list[tuple[Vec, Vec, Rotation, Vec]]:
+    """Of each joint its axis and origin, and the rotation and position of the link that it moves."""
     rotation, position = IDENTITY, ZERO
-    axes, origins = [], []
+    moved = []
     turns = once([(0.0, 0.0) if slide else (jnp.cos(a), jnp.sin(a)) for a, slide in zip(q, chain.slides, strict=True)])
     for (turn, offset), slide, value, (cos, sin) in zip(chain.frames[:-1], chain.slides, q, turns, strict=True):
         position = position.plus(rotation.apply(offset))
         rotation = rotation.compose(turn)
-        axes.append(rotation.z)
-        origins.append(position)
+        axis, origin = rotation.z, position
         if slide:
             position = position.plus(rotation.z.times(value))
         else:
             rotation = rotation.turn_z(cos, sin)
-    turn, offset = chain.frames[-1]
-    return once(Frames(axes, origins, rotation.compose(turn), position.plus(rotation.apply(offset))))
+        moved.append((axis, origin, rotation, position))
+    return moved
 
 
 def jacobian_columns(chain: Chain, frames: Frames) -> list[tuple[Scalar, ...]]:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -12,6 +14,9 @@ import numpy as np
 from reachlab.robots.chain import Chain
 from reachlab.robots.isolation import Isolation, apply
 from reachlab.robots.model_file import ModelFile
+
+if TYPE_CHECKING:
+    from reachlab.robots.capsules import Capsules
 
 Box = tuple[tuple[float, ...], tuple[float, ...]]
 """Lower and upper corner of a box [m]."""
@@ -91,6 +96,13 @@ class Robot:
         spec = self.model.spec(pictures=pictures)
         apply(spec, self.isolation)
         return spec
+
+    @functools.cached_property
+    def capsules(self) -> Capsules:
+        """Capsules that contain its links, found when they are first asked for: in a second or two, once."""
+        from reachlab.robots.capsules import find_capsules
+
+        return find_capsules(self)
 
     @property
     def scale(self) -> float:

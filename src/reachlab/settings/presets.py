@@ -68,7 +68,13 @@ RULES: list[Rule] = [
     # Half a turn of the tool takes the wrist longer than any way takes the arm.
     Rule(
         lambda c: c.task == "pose",
-        {"observation": "pose", "target_turn": (0.5236, 0.5236, 2.0944), "max_steps": 200, "joint_scale": None},
+        {
+            "observation": "pose",
+            "target_turn": (0.5236, 0.5236, 2.0944),
+            "max_steps": 200,
+            "joint_scale": None,
+            "gamma": 0.97,
+        },
     ),
     Rule(
         lambda c: c.task == "track",

@@ -171,13 +171,22 @@ CORRECTION, CORRECTION_FADE = 2.0, 0.02
 distance from which on corrections fade, to nothing at the target [m]: with its square, so that near the target the pull
 of inverse kinematics, which is proportional to the distance, outweighs them."""
 
+POSE_CORRECTION = 0.5
+"""The same to the joints of a pose: not enough to turn one round, for they need no way round anything."""
 
-def _fade(setup: TaskSetup, now: Situation) -> Array:
+MOVING_CORRECTION = 0.1
+"""The same to a target that moves: never faded, for the tool is never just there, and as much as its errors take."""
+
+
+def _worth(setup: TaskSetup, now: Situation) -> Array:
     """What a correction of 1 is worth in a situation `[B, 1]`."""
-    away = jnp.linalg.norm(now.goal.position - now.tool_position, axis=-1, keepdims=True)
+    if now.goal.velocity is not None:
+        return jnp.full((len(now.q), 1), MOVING_CORRECTION)
+    away = now.goal.distance(now.tool_position)
     if (angle := now.goal.angle(now.tool_quaternion)) is not None:
-        away = gap(setup.rules, away, angle[..., None])
-    return CORRECTION * jnp.minimum(jnp.square(away / CORRECTION_FADE), 1.0)
+        away = gap(setup.rules, away, angle)
+    most = CORRECTION if now.goal.joints is None else POSE_CORRECTION
+    return most * jnp.minimum(jnp.square(away[:, None] / CORRECTION_FADE), 1.0)
 
 
 def _correct_joints(setup: TaskSetup, now: Situation, action: Array) -> Array:
@@ -185,14 +194,14 @@ def _correct_joints(setup: TaskSetup, now: Situation, action: Array) -> Array:
 
     Residual policy learning: Silver et al., arXiv:1812.06298; Johannink et al., arXiv:1812.03201.
     """
-    corrected = _joints_towards(setup, now, now) + _fade(setup, now) * action
+    corrected = _joints_towards(setup, now, now) + _worth(setup, now) * action
     return _move_joints(setup, now, jnp.clip(corrected, *_joint_box(setup)))
 
 
 def _correction_towards(setup: TaskSetup, now: Situation, believed: Situation) -> Array:
     """Nothing, but where the situation is believed to be another."""
     correction = _joints_towards(setup, believed, believed) - _joints_towards(setup, now, now)
-    return jnp.clip(correction / jnp.maximum(_fade(setup, now), TINY), *_joint_box(setup))
+    return jnp.clip(correction / jnp.maximum(_worth(setup, now), TINY), *_joint_box(setup))
 
 
 ACTIONS: dict[str, Action] = {

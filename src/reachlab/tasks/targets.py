@@ -12,8 +12,10 @@ import numpy as np
 from jax import Array
 from jax.scipy.spatial.transform import Rotation
 
+from reachlab.robots.clearance import capsules_at, lowest_point, self_distance
 from reachlab.robots.inverse_kinematics import inverse_kinematics
-from reachlab.robots.kinematics import Pose, components, forward_kinematics, frames_at
+from reachlab.robots.kinematics import Pose, forward_kinematics
+from reachlab.robots.robot import Robot
 from reachlab.tasks.task import Bounds, Goal, TaskSetup
 
 WXYZ, XYZW = (3, 0, 1, 2), (1, 2, 3, 0)
@@ -100,11 +102,12 @@ class Drawn(NamedTuple):
 
 
 def _first_reached(draw: Callable[[Array], Drawn], setup: TaskSetup, key: Array) -> Goal:
-    """The first pose drawn that the arm can reach; exactly that of the joints that were found."""
+    """The first pose drawn that the arm can reach and be in freely; exactly that of the joints that were found."""
     nothing = Drawn(key, jnp.array(setup.robot.home), jnp.zeros((), bool), jnp.zeros((), jnp.int32))
 
     def again(before: Drawn) -> Drawn:
-        return draw(before.key)._replace(draws=before.draws + 1)
+        drawn = draw(before.key)
+        return drawn._replace(reached=drawn.reached & _free(setup.robot, drawn.q), draws=before.draws + 1)
 
     found = jax.lax.while_loop(lambda drawn: ~drawn.reached & (drawn.draws < DRAWS), again, nothing)
     return Goal(*forward_kinematics(setup.robot.chain, found.q), joints=found.q)
@@ -121,14 +124,21 @@ def _turned_pose(setup: TaskSetup, key: Array) -> Drawn:
 
 
 def _any_pose(setup: TaskSetup, key: Array) -> Drawn:
-    """The pose of random joints, if the arm is above the table there."""
+    """The pose of random joints."""
     key, for_joints, for_starts = jax.random.split(key, 3)
     chain, home = setup.robot.chain, jnp.array(setup.robot.home)
     q = jax.random.uniform(for_joints, (chain.n,), minval=jnp.array(chain.lower), maxval=jnp.array(chain.upper))
-    frames = frames_at(chain, components(q))
-    heights = jnp.stack([jnp.asarray(point.z) for point in (*frames.origins[1:], frames.position)])
     nearest, reached = nearest_joints(setup, forward_kinematics(chain, q), home, q, for_starts)
-    return Drawn(key, nearest, reached & (heights > setup.robot.workspace[0][2]).all(), jnp.zeros((), jnp.int32))
+    return Drawn(key, nearest, reached, jnp.zeros((), jnp.int32))
+
+
+def _free(robot: Robot, q: Array) -> Array:
+    """Whether an arm at joints `[n]` is above the table, and its links do not meet, judged by its capsules."""
+    if not robot.capsules.links:
+        return jnp.ones((), bool)
+    at = capsules_at(robot.chain, robot.capsules, q[None])
+    above = lowest_point(robot.capsules, at)[0] > robot.workspace[0][2]
+    return above & (self_distance(robot.capsules, at)[0] > 0) if robot.capsules.pairs else above
 
 
 def nearest_joints(setup: TaskSetup, pose: Pose, near: Array, start: Array, key: Array) -> tuple[Array, Array]:
@@ -163,7 +173,7 @@ TARGETS: dict[str, Targets] = {
     "table": Targets("on the table", _table_corners, _sample_in_box),
     "box": Targets("in a box", _box_corners, _sample_in_box),
     "any": Targets(
-        "a pose that random joints have, above the table",
+        "a pose that random joints have",
         _reach_corners,
         lambda setup, key: _first_reached(lambda key: _any_pose(setup, key), setup, key),
     ),

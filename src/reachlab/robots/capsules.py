@@ -1,0 +1,128 @@
+"""Capsules that contain the links of any arm, and which pairs of them may not meet."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+
+from reachlab.robots.cache import kept
+from reachlab.robots.capsule_fit import fit_capsules
+from reachlab.robots.clearance import Segments, pair_distances
+from reachlab.robots.robot import Robot
+from reachlab.robots.shapes import SEGMENTS, SHAPES, SHOWN_GROUPS, mesh_of
+
+VERSION = 1
+"""Of the derivation: what an older one left in the cache is derived again."""
+
+ROUND = 1 / np.cos(np.pi / SEGMENTS) ** 2
+"""Round shapes are fitted so many times as large: their facets, in two directions, lie inside them."""
+
+EXACT = (mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_MESH)
+"""Shapes that are their facets."""
+
+APART = 2
+"""Links so many joints apart are the nearest that can meet: those that a joint connects touch by design."""
+
+SAMPLES = 1000
+"""Random joint vectors that show which capsules overlap by design."""
+
+ALWAYS = 0.18
+"""Capsules that overlap in so large a share of them do: they are thicker than their links. What is drawn of any two
+links of the catalogue's arms meets in a tenth of random joint vectors at most."""
+
+
+@dataclass(frozen=True)
+class Capsules:
+    """Capsules of an arm: constants of the robot, known while tracing.
+
+    Attributes:
+        links: number of the link that carries each capsule, see `Chain.links_at`.
+        starts, ends: ends of its axis, in the frame of its link [m].
+        radii: its radius [m].
+        pairs: numbers of the capsules, two by two, that may not meet.
+    """
+
+    links: tuple[int, ...]
+    starts: tuple[tuple[float, ...], ...]
+    ends: tuple[tuple[float, ...], ...]
+    radii: tuple[float, ...]
+    pairs: tuple[tuple[int, int], ...]
+
+
+def find_capsules(robot: Robot) -> Capsules:
+    """Capsules of an arm; from the cache if they were found before, see `Robot.capsules`.
+
+    A pair counts if its links are at least `APART` joints apart, and if it overlaps neither at home nor in `ALWAYS` of
+    `SAMPLES` random joint vectors. What stands still beside the arm in its file belongs to link 0.
+    """
+    model, chain = robot.model, robot.chain
+    pictures = [(name, file.stat().st_size, file.stat().st_mtime_ns) for name, file in sorted(model.pictures.items())]
+    asked = (VERSION, model.digest, pictures, robot.tool, robot.isolation, chain, robot.home)
+    return kept("capsules", asked, lambda: _found(robot), Capsules, vars)
+
+
+def _found(robot: Robot) -> Capsules:
+    fitted = [(link, one) for link, shape in enumerate(link_shapes(robot)) if len(shape) for one in fit_capsules(shape)]
+    found = Capsules(
+        links=tuple(link for link, _ in fitted),
+        starts=tuple(tuple(one.start.tolist()) for _, one in fitted),
+        ends=tuple(tuple(one.end.tolist()) for _, one in fitted),
+        radii=tuple(one.radius for _, one in fitted),
+        pairs=(),
+    )
+    return replace(found, pairs=_pairs(robot, found))
+
+
+def link_shapes(robot: Robot) -> list[np.ndarray]:
+    """Triangles `[F, 3, 3]` m of what is solid of each link, in the link's frame; round shapes a hundredth too large.
+
+    This is what is drawn of it and does not collide: collision shapes are simplified, and may be thinner than the link
+    (those of the catalogue's arms leave up to a third of it out). Where there is none, it is all that the link has.
+    """
+    model = robot.spec().compile()
+    data = mujoco.MjData(model)
+    data.qpos[model.jnt_qposadr[: robot.chain.n]] = robot.home
+    mujoco.mj_kinematics(model, data)
+    link_of = np.zeros(model.nbody, int)
+    for body in range(1, model.nbody):  # bodies follow those that hold them
+        joints = model.body_jntadr[body] + model.body_jntnum[body]
+        link_of[body] = joints if model.body_jntnum[body] else link_of[model.body_parentid[body]]
+    to_links, shapes = np.linalg.inv(robot.chain.links_at(robot.home)), []
+    for link, to_link in enumerate(to_links):
+        geoms = [geom for geom in range(model.ngeom) if link_of[model.geom_bodyid[geom]] == link]
+        geoms = [geom for geom in geoms if mujoco.mjtGeom(model.geom_type[geom]) in SHAPES]
+        drawn = [geom for geom in geoms if _only_drawn(model, geom)]
+        parts = [_placed(model, data, geom) for geom in drawn or geoms]
+        corners = np.concatenate(parts) if parts else np.zeros((0, 3, 3))
+        shapes.append(corners @ to_link[:3, :3].T + to_link[:3, 3])
+    return shapes
+
+
+def _only_drawn(model: mujoco.MjModel, geom: int) -> bool:
+    return model.geom_group[geom] in SHOWN_GROUPS and not (model.geom_contype[geom] or model.geom_conaffinity[geom])
+
+
+def _placed(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> np.ndarray:
+    """Triangles `[F, 3, 3]` m of a geom in the world."""
+    vertices, faces = mesh_of(model, geom)
+    if mujoco.mjtGeom(model.geom_type[geom]) not in EXACT:
+        vertices = model.geom_pos[geom] + ROUND * (vertices - model.geom_pos[geom])
+    body = model.geom_bodyid[geom]
+    return (vertices @ data.xmat[body].reshape(3, 3).T + data.xpos[body])[faces]
+
+
+def _pairs(robot: Robot, capsules: Capsules) -> tuple[tuple[int, int], ...]:
+    links, chain = capsules.links, robot.chain
+    pairs = [(i, j) for i, j in itertools.combinations(range(len(links)), 2) if links[j] - links[i] >= APART]
+    if not pairs:
+        return ()
+    random = np.random.default_rng(0).uniform(chain.lower, chain.upper, (SAMPLES, chain.n))
+    frames = np.stack([chain.links_at(q) for q in (robot.home, *random)])[:, links]
+    turns, places = frames[..., :3, :3], frames[..., :3, 3].transpose(2, 1, 0)
+    sides = (np.einsum("bcij,cj->icb", turns, points) + places for points in (capsules.starts, capsules.ends))
+    meet = pair_distances(capsules, Segments(*sides), pairs) < 0
+    counted = ~meet[:, 0] & (meet[:, 1:].mean(axis=1) < ALWAYS)
+    return tuple(pair for pair, counts in zip(pairs, counted.tolist(), strict=True) if counts)

@@ -1,0 +1,123 @@
+"""How near an arm's capsules are to each other, to the ground and to obstacles, at a batch of joint vectors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from reachlab.robots.chain import Chain
+from reachlab.robots.kinematics import components, link_frames
+from reachlab.robots.scalar_algebra import Scalar, Vec, once
+
+if TYPE_CHECKING:
+    from reachlab.robots.capsules import Capsules
+
+Numbers = Any
+"""An array, in JAX or NumPy."""
+
+TINY = 1e-12
+"""What is divided by in place of the square of a smaller length [m²], or of the area that segments span [m⁴]."""
+
+
+class Segments(NamedTuple):
+    """Segments from `start [3, ...]` to `end [3, ...]` m; of a ball both are its middle.
+
+    Of `capsules_at` they are three arrays each: picking rows of one array of them all takes twice as long.
+    """
+
+    start: Numbers
+    end: Numbers
+
+
+def capsules_at(chain: Chain, capsules: Capsules, q: Numbers) -> Segments:
+    """Axes, three `[C, B]` m each, of an arm's capsules in the world at joint vectors `q [B, n]`.
+
+    The batch is last: these arrays are long in it. Compute it once for all questions about a `q`.
+    """
+    frames = link_frames(chain, components(q))
+    sides = []
+    for points in (capsules.starts, capsules.ends):
+        placed = []
+        for link, point in zip(capsules.links, points, strict=True):
+            rotation, position = frames[link]
+            placed.append(position.plus(rotation.apply(Vec(*point))))
+        columns = zip(*placed, strict=True)
+        sides.append(tuple(_rows(column, q) for column in columns))
+    return once(Segments(*sides))
+
+
+def _rows(numbers: Sequence[Scalar], q: Array) -> Array:
+    return jnp.stack([jnp.broadcast_to(jnp.asarray(number, q.dtype), len(q)) for number in numbers])
+
+
+def self_distance(capsules: Capsules, at: Segments) -> Array:
+    """Smallest distance `[B]` m between capsules that may not meet, which lie as `capsules_at` says.
+
+    Negative, it is how deep they overlap.
+    """
+    return pair_distances(capsules, at, capsules.pairs).min(axis=0)
+
+
+def pair_distances(capsules: Capsules, at: Segments, pairs: Sequence[tuple[int, int]]) -> Numbers:
+    """Distances `[P, B]` m between the two capsules of each pair."""
+    one, other = np.array(pairs).T
+    radii = np.array(capsules.radii, np.float32)[:, None]
+    return segment_distance(_picked(at, one), _picked(at, other)) - radii[one] - radii[other]
+
+
+def obstacle_distances(capsules: Capsules, at: Segments, obstacles: Segments, radii: Numbers) -> Array:
+    """Smallest distances `[O, B]` m of an arm's moving capsules from obstacles, which are capsules or balls.
+
+    Args:
+        capsules: the arm's.
+        at: how they lie.
+        obstacles: axes `[3, O, 1]`, or `[3, O, B]` where they differ.
+        radii: `[O, 1]` or `[O, B]` [m].
+    """
+    arm, own = _moving(capsules, at)
+    beside = segment_distance(arm, _picked(obstacles, np.s_[:, None]))
+    return (beside - own).min(axis=1) - radii
+
+
+def lowest_point(capsules: Capsules, at: Segments) -> Array:
+    """Height `[B]` m of the lowest point of an arm's moving capsules."""
+    arm, own = _moving(capsules, at)
+    return (jnp.minimum(arm.start[2], arm.end[2]) - own).min(axis=0)
+
+
+def _moving(capsules: Capsules, at: Segments) -> tuple[Segments, np.ndarray]:
+    """Axes of the capsules that joints move, and their radii `[C, 1]` m."""
+    moving = np.flatnonzero(capsules.links)
+    return _picked(at, moving), np.array(capsules.radii, np.float32)[moving, None]
+
+
+def _picked(segments: Segments, rows: Any) -> Segments:
+    return Segments(*(tuple(x[rows] for x in side) for side in segments))
+
+
+def segment_distance(one: Segments, other: Segments) -> Numbers:
+    """Distance [m] between segments, whose shapes are broadcast against each other.
+
+    Ericson, "Real-Time Collision Detection" (2005), section 5.1.9: the nearest points of the two lines, moved into the
+    segments.
+    """
+    along, across, between = _minus(one.end, one.start), _minus(other.end, other.start), _minus(one.start, other.start)
+    a, e, b = _dot(along, along), _dot(across, across), _dot(along, across)
+    c, f = _dot(along, between), _dot(across, between)
+    s = ((b * f - c * e) / (a * e - b * b).clip(TINY)).clip(0.0, 1.0)
+    t = ((b * s + f) / e.clip(TINY)).clip(0.0, 1.0)
+    s = ((b * t - c) / a.clip(TINY)).clip(0.0, 1.0)
+    apart = [x + s * u - t * v for x, u, v in zip(between, along, across, strict=True)]
+    return _dot(apart, apart) ** 0.5
+
+
+def _minus(a: Numbers, b: Numbers) -> list[Numbers]:
+    return [x - y for x, y in zip(a, b, strict=True)]
+
+
+def _dot(a: Numbers, b: Numbers) -> Numbers:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

@@ -1,0 +1,89 @@
+"""Triangle meshes of the geoms of a compiled MuJoCo model.
+
+Importing trimesh, which could make the primitives, takes longer than all the rest of drawing the arm (0.2 s).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import mujoco
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+SHOWN_GROUPS = (0, 1, 2)
+"""Groups of geoms that MuJoCo shows at first."""
+
+SEGMENTS = 32
+"""Sides of a round shape; its profile has half as many."""
+
+Mesh = tuple[np.ndarray, np.ndarray]
+"""Vertices `[v, 3]` [m] and the three vertices of each face `[f, 3]`, counter-clockwise from outside."""
+
+
+def mesh_of(model: mujoco.MjModel, geom: int) -> Mesh:
+    """The mesh of a geom, of a type in `SHAPES`, in the frame of its body."""
+    vertices, faces = SHAPES[mujoco.mjtGeom(model.geom_type[geom])](model, geom)
+    turn = Rotation.from_quat(model.geom_quat[geom], scalar_first=True)
+    return turn.apply(vertices) + model.geom_pos[geom], faces
+
+
+def _split(quads: np.ndarray) -> np.ndarray:
+    """Two triangles of each quadrilateral `[f, 4]`."""
+    return np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+
+
+def _revolved(radii: np.ndarray, heights: np.ndarray) -> Mesh:
+    """Surface of a profile `[p]`, bottom to top, turned about z; a point that is given twice makes a sharp edge."""
+    angles = np.linspace(0, 2 * np.pi, SEGMENTS, endpoint=False)
+    x, y = radii[:, None] * np.cos(angles), radii[:, None] * np.sin(angles)
+    vertices = np.stack(np.broadcast_arrays(x, y, heights[:, None]), axis=-1).reshape(-1, 3)
+    rings = np.arange(len(vertices)).reshape(x.shape)
+    lower, upper = rings[:-1], rings[1:]
+    quads = np.stack([lower, np.roll(lower, -1, axis=1), np.roll(upper, -1, axis=1), upper], axis=-1)
+    return vertices, _split(quads.reshape(-1, 4))
+
+
+def _ball(radius: float, half: float = 0.0) -> Mesh:
+    """A ball, its halves moved apart by `half` each."""
+    angles = np.linspace(-np.pi / 2, np.pi / 2, SEGMENTS // 2 + 2)  # an even number: no point on the equator
+    return _revolved(radius * np.cos(angles), radius * np.sin(angles) + half * np.sign(angles))
+
+
+def _ellipsoid(model: mujoco.MjModel, geom: int) -> Mesh:
+    vertices, faces = _ball(1.0)
+    return vertices * model.geom_size[geom], faces
+
+
+def _cylinder(model: mujoco.MjModel, geom: int) -> Mesh:
+    radius, half, _ = model.geom_size[geom]
+    return _revolved(radius * np.array([0, 1, 1, 1, 1, 0]), half * np.array([-1, -1, -1, 1, 1, 1]))
+
+
+def _box(model: mujoco.MjModel, geom: int) -> Mesh:
+    """Six sides that share no vertex, so that the edges stay sharp."""
+    square = np.array([[-1, -1, 1], [1, -1, 1], [1, 1, 1], [-1, 1, 1]])
+    turns = [np.roll(square, shift, axis=1) for shift in range(3)]
+    # Mirrored at the centre a side would face inwards; in reverse order it faces outwards again.
+    corners = np.concatenate([*turns, *(-turn[::-1] for turn in turns)])
+    return corners * model.geom_size[geom], _split(np.arange(len(corners)).reshape(-1, 4))
+
+
+def _mesh(model: mujoco.MjModel, geom: int) -> Mesh:
+    """A mesh of the file; vertices are split where its normals are, so that the edges stay sharp."""
+    mesh = model.geom_dataid[geom]
+    rows = slice(model.mesh_faceadr[mesh], model.mesh_faceadr[mesh] + model.mesh_facenum[mesh])
+    pairs = np.stack([model.mesh_face[rows].ravel(), model.mesh_facenormal[rows].ravel()], axis=-1)
+    corners, faces = np.unique(pairs, axis=0, return_inverse=True)
+    return model.mesh_vert[model.mesh_vertadr[mesh] + corners[:, 0]].astype(float), faces.reshape(-1, 3)
+
+
+SHAPES: dict[mujoco.mjtGeom, Callable[[mujoco.MjModel, int], Mesh]] = {
+    mujoco.mjtGeom.mjGEOM_SPHERE: lambda model, geom: _ball(model.geom_size[geom, 0]),
+    mujoco.mjtGeom.mjGEOM_CAPSULE: lambda model, geom: _ball(*model.geom_size[geom, :2]),
+    mujoco.mjtGeom.mjGEOM_ELLIPSOID: _ellipsoid,
+    mujoco.mjtGeom.mjGEOM_CYLINDER: _cylinder,
+    mujoco.mjtGeom.mjGEOM_BOX: _box,
+    mujoco.mjtGeom.mjGEOM_MESH: _mesh,
+}
+"""Meshes of geoms by their type, in the geom's own frame."""
