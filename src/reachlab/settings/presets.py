@@ -85,6 +85,7 @@ RULES: list[Rule] = [
             "hold_steps": 0,
             "end_outside": False,
             "joint_scale": None,
+            "closeness_scale": 0.003,
         },
     ),
     # A policy that has to hold the tool without inverse kinematics to help it learns more slowly.
