@@ -29,7 +29,7 @@ def _touches(config: RunConfig) -> bool:
     return not config.rules.hold_steps
 
 
-DYNAMIC_TASKS = ("precise", "pose", "track")
+DYNAMIC_TASKS = ("precise", "pose", "track", "clutter")
 """Tasks under full dynamics."""
 
 RULES: list[Rule] = [
@@ -86,6 +86,17 @@ RULES: list[Rule] = [
             "end_outside": False,
             "joint_scale": None,
             "closeness_scale": 0.003,
+        },
+    ),
+    Rule(
+        lambda c: c.task == "clutter",
+        {
+            "observation": "clutter",
+            "collisions": True,
+            "end_on_contact": True,
+            "obstacles": 4,
+            "max_steps": 150,
+            "joint_scale": None,
         },
     ),
     # A policy that has to hold the tool without inverse kinematics to help it learns more slowly.
