@@ -75,7 +75,8 @@ class Situation(NamedTuple):
 
     `q, target_q [B, n]` rad or m, `qd [B, n]` rad/s or m/s, the tool's pose `[B, 3]` m and `[B, 4]` wxyz, the goal,
     `last_action [B, a]`; the camera's `picture [B, SIZE, SIZE]` uint8 where the observation holds one; and where the
-    tool truly is, `achieved`, if it is measured with noise.
+    tool truly is, `achieved`, if it is measured with noise. `contact [B]` is whether the arm touched something in the
+    last control period; None where nothing can be touched.
     """
 
     q: Array
@@ -87,6 +88,7 @@ class Situation(NamedTuple):
     last_action: Array
     picture: Array | None = None
     achieved: Pose | None = None
+    contact: Array | None = None
 
 
 @jax.tree_util.register_dataclass
