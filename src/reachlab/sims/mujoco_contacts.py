@@ -100,19 +100,15 @@ def _pairs(robot: Robot, count: int) -> Iterator[tuple[str, str]]:
     yield from ((f"{CAPSULE}{one}", f"{CAPSULE}{other}") for one, other in capsules.pairs)
 
 
-def obstacle_geoms(model: mujoco.MjModel) -> list[int]:
-    """Numbers of the geoms that are obstacles."""
-    return [geom for geom in range(model.ngeom) if model.geom(geom).name.startswith(OBSTACLE)]
-
-
 class Scenes:
     """Obstacles that differ between simulations: `numbers [B, K NUMBERS]`."""
 
     def __init__(self, batch: Batch) -> None:
         """None of them is there yet."""
-        self._geoms = obstacle_geoms(batch.model)
-        names = ("geom_type", "geom_pos", "geom_quat", "geom_size", "geom_rbound")
-        self._type, self._position, self._quaternion, self._size, self._bound = map(batch.expand, names)
+        model = batch.model
+        self._geoms = [geom for geom in range(model.ngeom) if model.geom(geom).name.startswith(OBSTACLE)]
+        names = ("geom_type", "geom_pos", "geom_quat", "geom_sameframe", "geom_size", "geom_rbound")
+        self._type, self._position, self._quaternion, self._frame, self._size, self._bound = map(batch.expand, names)
         self.numbers = np.tile(ABSENT, (batch.nsim, len(self._geoms)))
 
     @staticmethod
@@ -136,5 +132,7 @@ class Scenes:
         self._type[:, self._geoms] = kind[..., 0]
         self._position[:, self._geoms] = position
         self._quaternion[:, self._geoms] = quaternion
+        # `Batch.set_const` notes here which of them lie as the world does, whose pose they are then given.
+        self._frame[:, self._geoms] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
         self._size[:, self._geoms] = np.where(box, half, rounded)
         self._bound[:, self._geoms] = np.maximum(bound, LEAST_BOUND)

@@ -9,7 +9,7 @@ from reachlab.render.scene import add_table
 from reachlab.robots.robot import Robot
 from reachlab.settings.config import SimConfig
 from reachlab.settings.validation import InputError
-from reachlab.sims.mujoco_contacts import add_contacts, obstacle_geoms
+from reachlab.sims.mujoco_contacts import add_contacts
 
 PAYLOAD = "payload"
 """Name of the body that the payload is."""
@@ -55,12 +55,9 @@ def physics_model(robot: Robot, config: SimConfig, *, payload: bool = False, obs
     if payload:
         _add_payload(spec, robot.tool, robot.payload)
     try:
-        model = spec.compile()
+        return spec.compile()
     except ValueError as error:
         raise InputError(f"robot {robot.name!r} does not compile in MuJoCo: {' '.join(str(error).split())}.") from None
-    # Each simulation has its own poses of them: the compiler's short cut for poses of the body holds in none.
-    model.geom_sameframe[obstacle_geoms(model)] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
-    return model
 
 
 def servo_lag(model: mujoco.MjModel, servos: np.ndarray, joints: np.ndarray) -> tuple[float, ...]:
