@@ -140,7 +140,7 @@ class Env:
         moved = self.simulator.step(state.arm, target_q)
         judged = self._parts.judge(before, moved._replace(engine=None), target_q, taken)
         tool, goal, progress, clock, transition = judged
-        arm = ArmState(moved.q, moved.qd, tool.position, tool.quaternion, moved.engine)
+        arm = ArmState(moved.q, moved.qd, tool.position, tool.quaternion, moved.engine, moved.contact)
         state = EnvState(arm, goal, target_q, taken, progress, clock, state.key, state.obstacles)
         return state, transition
 
