@@ -21,6 +21,7 @@ from reachlab.settings.config import RunConfig
 from reachlab.sims import SIMULATORS, ArmState, BatchArray, make_simulator
 from reachlab.tasks.actions import ACTIONS
 from reachlab.tasks.observations import OBSERVATIONS
+from reachlab.tasks.scenes import places
 from reachlab.tasks.schema import SIZE, Observed
 from reachlab.tasks.task import Goal, Situation
 
@@ -28,6 +29,10 @@ from reachlab.tasks.task import Goal, Situation
 def merge(mask: np.ndarray, new: Observed, old: Observed) -> Observed:
     """Observations with those of `new` in the environments of `mask [B]`."""
     return jax.tree.map(lambda a, b: np.where(mask.reshape(-1, *[1] * (np.ndim(a) - 1)), a, b), new, old)
+
+
+FEWEST = 8
+"""Episodes that are sampled together at least, where few are: one compiled program for each power of two."""
 
 
 class _Parts(NamedTuple):
@@ -39,6 +44,7 @@ class _Parts(NamedTuple):
     command: Callable[..., Any]
     judge: Callable[..., Any]
     merge: Callable[..., Any]
+    spread: Callable[..., Any]
     continued: Callable[..., Any]
 
 
@@ -70,7 +76,10 @@ class Env:
         dynamics = "dynamics" in config.randomise
         setup = make_setup(config)
         self.config, self.num_envs = settled(config, setup), num_envs
-        self.simulator = make_simulator(config.sim, setup.robot, config.physics, num_envs, randomise_dynamics=dynamics)
+        obstacles = places(setup) if setup.task.sample_obstacles is not None else 0
+        self.simulator = make_simulator(
+            config.sim, setup.robot, config.physics, num_envs, randomise_dynamics=dynamics, obstacles=obstacles
+        )
         self.setup = replace(setup, lag=self.simulator.lag)
         self.schema = OBSERVATIONS[config.rules.observation].schema(self.setup)
         self.action_bounds = ACTIONS[config.rules.action].bounds(self.setup)
@@ -80,8 +89,9 @@ class Env:
         f = self._functions = EnvFunctions(
             self.setup, config.randomise, SIMULATORS[config.sim].real_time, self.pictured
         )
-        parts = (f.sample_episode, f.chained_start, f.begin, f.command, f.judge, f.merge, f.continued)
+        parts = (f.sample_episode, f.chained_start, f.begin, f.command, f.judge, f.merge, f.spread, f.continued)
         self._parts = _Parts(*(parts if simulated else map(jit, parts)))
+        self._samples_few = setup.task.sample_obstacles is not None and not simulated
         # With pictures a simulator that can be traced is compiled here: only the pictures are drawn on the host.
         whole = jit if simulated and self.pictured else lambda function: function
         self._init, self._reset = whole(self._init_all), whole(self._reset_some)
@@ -113,12 +123,20 @@ class Env:
         return self._parts.begin(self._reset_arms(None, begin, None), begin)
 
     def _reset_some(self, state: EnvState, mask: BatchArray, chained: float | None) -> EnvState:
-        begin = self._parts.sample_episode(state.key)
+        begin = self._sample_some(state.key, mask) if self._samples_few else self._parts.sample_episode(state.key)
         if chained is not None:
             begin = begin._replace(q=self._parts.chained_start(state, begin.q, chained))
         arm = self._reset_arms(state.arm, begin, mask)
         begun = replace(self._parts.begin(arm, begin), arm=arm)
         return self._parts.merge(jnp.asarray(mask), begun, replace(state, arm=arm))
+
+    def _sample_some(self, keys: Array, mask: BatchArray) -> Begin:
+        """What episodes of `mask [B]` begin with; anything for the others. Few of them take little time."""
+        rows = np.flatnonzero(np.asarray(mask))
+        padded = np.resize(rows, min(1 << max(len(rows) - 1, FEWEST - 1).bit_length(), len(keys)))
+        place = np.zeros(len(keys), int)
+        place[rows] = np.arange(len(rows))
+        return self._parts.spread(self._parts.sample_episode(keys[padded]), place)
 
     def _reset_arms(self, arm: ArmState | None, begin: Begin, mask: BatchArray | None) -> ArmState:
         return self.simulator.reset(arm, begin.q, begin.goal, mask, begin.dynamics, begin.obstacles)

@@ -25,6 +25,9 @@ from reachlab.settings.validation import (
     Steps,
 )
 
+Few = Annotated[int, Range(0, 16)]
+"""A number of obstacles."""
+
 
 @dataclass(frozen=True)
 class TaskConfig(Checked):
@@ -76,8 +79,8 @@ class TaskConfig(Checked):
     """Lower corner of the box of targets [m]; by default the robot's own."""
     target_high: Point | None = None
     """Upper corner of the box of targets [m]; by default the robot's own."""
-    obstacles: Annotated[int, Range(0, 16)] = 0
-    """Most obstacles of an episode; how many there are is random."""
+    obstacles: tuple[Few, Few] = (0, 0)
+    """Fewest and most obstacles of an episode."""
     end_on_contact: bool = False
     """Touching anything ends the episode, in failure."""
     goal_paths: Annotated[tuple[str, ...], Length(16)] = ("line", "circle", "smooth")

@@ -74,7 +74,7 @@ PYBULLET = Need("sim pybullet", lambda s: s["sim"] == "pybullet")
 TABLE = Need("targets table", lambda s: s["targets"] == "table")
 BOX = Need("targets box", lambda s: s["targets"] == "box")
 TURNED = Need("target_turn or targets any", lambda s: asks_orientation(s.settings))
-CLOSE = Need("reward precise or track", lambda s: s["reward"] in ("precise", "track"))
+CLOSE = Need("reward precise or closeness", lambda s: s["reward"] in ("precise", "closeness"))
 STOP_EARLY = Need("stop_early", lambda s: s["stop_early"], vital=False)
 
 NEEDS: dict[str, Need] = {
@@ -90,8 +90,8 @@ NEEDS: dict[str, Need] = {
     "approach_weight": Need("reward dense or precise", lambda s: s["reward"] in ("dense", "precise")),
     "closeness_weight": CLOSE,
     "closeness_scale": Need(
-        "reward precise or track, and closeness_weight above 0",
-        lambda s: s["reward"] in ("precise", "track") and s["closeness_weight"] > 0,
+        "reward precise or closeness, and closeness_weight above 0",
+        lambda s: s["reward"] in ("precise", "closeness") and s["closeness_weight"] > 0,
     ),
     "effort_weight": CLOSE,
     "physics_steps": MUJOCO,

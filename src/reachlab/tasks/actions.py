@@ -174,10 +174,10 @@ CORRECTION, CORRECTION_FADE = 2.0, 0.02
 distance from which on corrections fade, to nothing at the target [m]: with its square, so that near the target the pull
 of inverse kinematics, which is proportional to the distance, outweighs them."""
 
-POSE_CORRECTION = 0.5
+POSE_CORRECTION = 0.3
 """The same to the joints of a pose: not enough to turn one round, for they need no way round anything."""
 
-MOVING_CORRECTION = 0.1
+MOVING_CORRECTION = 0.05
 """The same to a target that moves: never faded, for the tool is never just there, and as much as its errors take."""
 
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
 from reachlab.robots.clearance import capsules_at
-from reachlab.robots.kinematics import components, frames_at, stack
-from reachlab.robots.scalar_algebra import Vec, add, mul, once, total
+from reachlab.robots.kinematics import components, frames_at
+from reachlab.robots.scalar_algebra import Vec
 from reachlab.tasks.obstacles import Nearest, nearest
 from reachlab.tasks.task import Situation, TaskSetup
 
@@ -40,31 +41,28 @@ def keep_clear(setup: TaskSetup, now: Situation, step: Array) -> Array:
     """
     around = surroundings(setup, now.target_q, now)
     rows = _approach(setup, now.target_q, around)
-    least = [-RATE * jnp.maximum(d - STOP * setup.robot.scale, -STOP) for d in around.distance]
-    parts = components(step)
-    squares = once([total([mul(x, x) for x in row]) for row in rows])
-    for _ in range(SWEEPS):
-        for row, square, limit in zip(rows, squares, least, strict=True):
-            gained = total([mul(x, part) for x, part in zip(row, parts, strict=True)])
-            missing = jnp.maximum(limit - gained, 0.0) / (square + TINY)
-            parts = once([add(part, mul(missing, x)) for x, part in zip(row, parts, strict=True)])
-    return stack(parts, step)
+    least = -RATE * jnp.maximum(around.distance - STOP * setup.robot.scale, -STOP)
+    squares = jnp.square(rows).sum(axis=1) + TINY
+
+    def obey(turn: int, step: Array) -> Array:
+        number = turn % len(rows)
+        row = rows[number]
+        missing = jnp.maximum(least[number] - (row * step).sum(axis=0), 0.0)
+        return step + missing / squares[number] * row
+
+    return jax.lax.fori_loop(0, SWEEPS * len(rows), obey, step.T).T
 
 
-def _approach(setup: TaskSetup, q: Array, around: Nearest) -> list[list[Array]]:
-    """For each moving capsule, by how much a displacement of each joint moves it away from what is nearest, `[B]`."""
-    chain, links = setup.robot.chain, [link for link in setup.robot.capsules.links if link]
+def _approach(setup: TaskSetup, q: Array, around: Nearest) -> Array:
+    """By how much displacements of the joints move each moving capsule away from what is nearest, `[C, n, B]`."""
+    chain, links = setup.robot.chain, np.array([link for link in setup.robot.capsules.links if link])
     frames = frames_at(chain, components(q))
-    rows = []
-    for number, link in enumerate(links):
-        normal = Vec(*(x[number] for x in around.normal))
-        point = Vec(*(x[number] for x in around.point))
-        row = []
-        for joint, (slides, axis, origin) in enumerate(zip(chain.slides, frames.axes, frames.origins, strict=True)):
-            moves = axis if slides else axis.cross(point.minus(origin))
-            row.append(jnp.asarray(normal.dot(moves) if joint < link else 0.0) + jnp.zeros(len(q)))
-        rows.append(row)
-    return once(rows)
+    normal, point = Vec(*around.normal), Vec(*around.point)
+    columns = []
+    for joint, (slides, axis, origin) in enumerate(zip(chain.slides, frames.axes, frames.origins, strict=True)):
+        moves = axis if slides else axis.cross(point.minus(origin))
+        columns.append(jnp.where((joint < links)[:, None], normal.dot(moves), 0.0))
+    return jnp.stack(columns, axis=1)
 
 
 def moving_capsules(setup: TaskSetup) -> int:

@@ -51,7 +51,8 @@ def _sample_goal(setup: TaskSetup, key: Array) -> Goal:
 
 
 def _asks(rules: Rules, period: float) -> str:
-    return f"{PRECISE.asks(rules, period)}; up to {rules.obstacles} obstacles, and nothing may be touched"
+    fewest, most = rules.obstacles
+    return f"{PRECISE.asks(rules, period)}; there are {fewest} to {most} obstacles, and nothing may be touched"
 
 
 def _succeeds(rules: Rules, period: float) -> str:

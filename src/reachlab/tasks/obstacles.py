@@ -13,7 +13,7 @@ from jax import Array
 from reachlab.robots.capsules import Capsules
 from reachlab.robots.clearance import Segments, moving
 from reachlab.robots.kinematics import components
-from reachlab.robots.scalar_algebra import Vec, rotation_from_quaternion
+from reachlab.robots.scalar_algebra import Rotation, Vec, rotation_from_quaternion
 
 FAR = (0.0, 0.0, -10.0)
 """Where obstacles are that are not there [m]: below everything, so that nothing has to tell them apart."""
@@ -78,55 +78,60 @@ def nearest(capsules: Capsules, at: Segments, obstacles: Obstacles, floor: float
     lower = start[2] < end[2]
     point = tuple(jnp.where(lower, a, b) for a, b in zip(start, end, strict=True))
     zero = jnp.zeros_like(point[2])
-    best = Nearest(point[2] - floor - radius, (zero, zero, zero + 1.0), point)
-    for number in range(obstacles.radius.shape[-1]):
-        one = beside(start, end, jax.tree.map(lambda x, k=number: x[:, k], obstacles))
-        one = one._replace(distance=one.distance - radius)
-        nearer = one.distance < best.distance
-        best = jax.tree.map(lambda a, b, nearer=nearer: jnp.where(nearer, a, b), one, best)
-    return best
+    table = Nearest(point[2] - floor, (zero, zero, zero + 1.0), point)
+    # Obstacles in front, the capsules next and the batch last.
+    each = jax.tree.map(lambda x: jnp.moveaxis(x, 1, 0)[:, None], obstacles)
+    others = beside(start, end, each)
+    chosen = others.distance.argmin(axis=0)[None]
+    other = jax.tree.map(
+        lambda x: jnp.take_along_axis(jnp.broadcast_to(x, others.distance.shape), chosen, 0)[0], others
+    )
+    nearer = other.distance < table.distance
+    found = jax.tree.map(lambda a, b: jnp.where(nearer, a, b), other, table)
+    return found._replace(distance=found.distance - radius)
 
 
 def beside(start: tuple[Array, ...], end: tuple[Array, ...], obstacle: Obstacles) -> Nearest:
-    """From one obstacle of each environment to axes, three `[C, B]` each.
+    """From obstacles to segments, whose shapes are broadcast against each other.
 
-    The distance to a convex body is a convex function along an axis: where it no longer falls is found by bisection.
+    The distance to a convex body is a convex function along a segment: where it no longer falls is found by bisection.
     """
-    rotation = rotation_from_quaternion(*components(obstacle.quaternion))
-    middle, half = Vec(*components(obstacle.position)), components(obstacle.half)
-    turned = rotation.transpose()
-    a, b = turned.apply(Vec(*start).minus(middle)), turned.apply(Vec(*end).minus(middle))
+    rotation, middle = _frame(obstacle)
+    back, half = rotation.transpose(), components(obstacle.half)
+    a, b = back.apply(Vec(*start).minus(middle)), back.apply(Vec(*end).minus(middle))
     along = b.minus(a)
-
-    def off(share: Array) -> tuple[Vec, Vec]:
-        place = a.plus(along.times(share))
-        nearest = [jnp.clip(x, -h, h) for x, h in zip(place, half, strict=True)]
-        return place, place.minus(Vec(*nearest))
 
     def halve(_: int, limits: tuple[Array, Array]) -> tuple[Array, Array]:
         low, high = limits
         share = (low + high) / 2
-        falls = off(share)[1].dot(along) < 0
+        falls = _off(a.plus(along.times(share)), half).dot(along) < 0
         return jnp.where(falls, share, low), jnp.where(falls, high, share)
 
-    limits = jnp.zeros_like(start[0]), jnp.ones_like(start[0])
-    low, high = jax.lax.fori_loop(0, BISECTIONS, halve, limits)
-    place, way = off((low + high) / 2)
+    shape = jnp.broadcast_shapes(start[0].shape, obstacle.radius.shape)
+    low, high = jax.lax.fori_loop(0, BISECTIONS, halve, (jnp.zeros(shape), jnp.ones(shape)))
+    place = a.plus(along.times((low + high) / 2))
+    way = _off(place, half)
     length = way.norm()
-    normal = rotation.apply(way.times(1 / (length + TINY)))
-    point = rotation.apply(place).plus(middle)
+    normal, point = rotation.apply(way.times(1 / (length + TINY))), rotation.apply(place).plus(middle)
     return Nearest(length - obstacle.radius, _arrays(normal), _arrays(point))
+
+
+def distance_from(obstacles: Obstacles, points: np.ndarray) -> Array:
+    """Distance `[B, P]` m from each of `points [P, 3]` to the nearest of obstacles `[B, K]`; 0 in a box."""
+    each = jax.tree.map(lambda x: x[:, :, None], obstacles)
+    rotation, middle = _frame(each)
+    place = rotation.transpose().apply(Vec(*jnp.asarray(points.T)).minus(middle))
+    return (_off(place, components(each.half)).norm() - each.radius).min(axis=1)
+
+
+def _frame(obstacle: Obstacles) -> tuple[Rotation, Vec]:
+    return rotation_from_quaternion(*components(obstacle.quaternion)), Vec(*components(obstacle.position))
+
+
+def _off(place: Vec, half: list[Array]) -> Vec:
+    """How far a place is out of a box, along the box's axes."""
+    return Vec(*(x - jnp.clip(x, -h, h) for x, h in zip(place, half, strict=True)))
 
 
 def _arrays(vector: Vec) -> tuple[Array, ...]:
     return tuple(jnp.asarray(number) for number in vector)
-
-
-def distance_from(obstacles: Obstacles, points: np.ndarray) -> Array:
-    """Distance `[B, P]` m from each of `points [P, 3]` to the nearest obstacle; negative in a ball or capsule."""
-    place = tuple(jnp.asarray(x, jnp.float32)[:, None] for x in points.T)
-    distances = [
-        beside(place, place, jax.tree.map(lambda x, k=number: x[:, k], obstacles)).distance
-        for number in range(obstacles.radius.shape[-1])
-    ]
-    return jnp.stack(distances).min(axis=0).T

@@ -69,7 +69,7 @@ def _precise(config: Rules, outcome: Outcome) -> dict[str, Array]:
     }
 
 
-def _track(config: Rules, outcome: Outcome) -> dict[str, Array]:
+def _closeness(config: Rules, outcome: Outcome) -> dict[str, Array]:
     """For being within millimetres, and against effort."""
     close = config.closeness_scale / (config.closeness_scale + outcome.gap)
     return {"closeness": config.closeness_weight * close, "effort": -config.effort_weight * outcome.effort}
@@ -79,7 +79,7 @@ REWARDS: dict[str, Callable[[Rules, Outcome], dict[str, Array]]] = {
     "sparse": _sparse,
     "dense": _dense,
     "precise": _precise,
-    "track": _track,
+    "closeness": _closeness,
     "goal": _goal,
     "goal_distance": _goal_distance,
 }

@@ -47,14 +47,19 @@ class _Scene(NamedTuple):
     rounds: Array
 
 
+def places(setup: TaskSetup) -> int:
+    """Obstacles for which a scene has room: at least one, so that contact is judged where there are none too."""
+    return max(setup.rules.obstacles[1], 1)
+
+
 def sample_scene(setup: TaskSetup, key: Array, start: Array, goal: Array) -> Obstacles:
-    """Up to `obstacles` obstacles for an episode from joints `start [n]` to `goal [n]`, the number uniform."""
-    count = setup.rules.obstacles
+    """Obstacles for an episode from joints `start [n]` to `goal [n]`, each number that the rules allow as often."""
+    count, (fewest, most) = places(setup), setup.rules.obstacles
     nothing = _nothing(count)
 
     def again(before: _Scene) -> _Scene:
         key, for_count, for_shapes, for_way = jax.random.split(before.key, 4)
-        wanted = jax.random.randint(for_count, (), 0, count + 1)
+        wanted = jax.random.randint(for_count, (), fewest, most + 1)
         drawn = _drawn(setup, for_shapes, jnp.stack([start, goal]))
         there = jnp.arange(count) < wanted
         obstacles = jax.tree.map(lambda a, b: jnp.where(there.reshape(-1, *[1] * (a.ndim - 1)), a, b), drawn, nothing)
@@ -79,7 +84,7 @@ def _drawn(setup: TaskSetup, key: Array, free: Array) -> Obstacles:
 
     Where none of the candidates is so, there is none.
     """
-    count = setup.rules.obstacles
+    count = places(setup)
     for_shapes, for_share = jax.random.split(key)
     shares = jax.random.uniform(for_share, (count * CANDIDATES, 1))
     way = forward_kinematics(setup.robot.chain, free[0] + shares * (free[1] - free[0])).position
