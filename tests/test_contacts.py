@@ -346,10 +346,7 @@ def test_other_simulators_refuse_obstacles(name: str) -> None:
         make_simulator(name, load_robot("iiwa14"), PHYSICS, 1, obstacles=1)
 
 
-def test_what_makes_no_sense_among_obstacles_is_refused(tmp_path: Path) -> None:
-    robot = load_robot("iiwa14")
-    with pytest.raises(InputError, match="collisions has no effect among obstacles"):
-        physics_model(robot, replace(PHYSICS, collisions=True), obstacles=1)
+def test_an_arm_without_shapes_is_refused(tmp_path: Path) -> None:
     robot = load_robot("so101")
     file = tmp_path / "bare.xml"
     file.write_text(re.sub(r"<geom [^>]*/>", "", robot.model.file.read_text()))

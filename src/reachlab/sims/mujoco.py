@@ -95,7 +95,7 @@ class MujocoSimulator(Drawn):
         if self._contacts is None:
             return None
         self._batch.forward(chosen, mujoco.mjtStage.mjSTAGE_POS.value)
-        now = np.greater(self._contacts, 0)
+        now = self._contacts.astype(bool)
         return now if state is None else np.where(chosen, now, np.asarray(state.contact))
 
     def step(self, state: ArmState | Moved, target_q: BatchArray) -> Moved:

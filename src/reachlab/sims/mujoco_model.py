@@ -34,11 +34,9 @@ def physics_model(robot: Robot, config: SimConfig, *, payload: bool = False, obs
     Raises:
         InputError: the robot file does not compile with these options.
     """
-    if obstacles and config.collisions:
-        raise InputError("collisions has no effect among obstacles, where every contact counts: leave it out.")
     if obstacles and not any(robot.capsules.links):
         raise InputError(f"robot {robot.name!r} has no shapes in its file: what it touches cannot be told.")
-    spec = robot.spec(pictures=config.collisions)
+    spec = robot.spec(pictures=config.collisions and not obstacles)
     spec.option.timestep = config.control_period / config.physics_steps
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     # A state that is not finite must be noticed, not silently set back.
