@@ -188,8 +188,8 @@ class EnvFunctions:
         # Computed as it is by itself: to the same bits.
         tool = once(forward_kinematics(setup.robot.chain, moved.q)) if moved.tool is None else moved.tool
         goal = before.goal if setup.task.move is None else setup.task.move(setup, before.goal, clock)
-        around = {"obstacles": before.obstacles, "contact": moved.contact}
-        now = Situation(moved.q, moved.qd, *tool, goal, target_q, action, **around)
+        scene = {"obstacles": before.obstacles, "contact": moved.contact}
+        now = Situation(moved.q, moved.qd, *tool, goal, target_q, action, **scene)
         outcome = setup.task.judge(setup, before.progress, now, clock)
         progress = outcome.progress
         terms = REWARDS[setup.rules.reward](setup.rules, outcome)
@@ -211,8 +211,8 @@ class EnvFunctions:
         """What observations and agents may use: as measured, with noise where dynamics vary."""
         arm = state.arm
         pose = arm.tool_position, arm.tool_quaternion
-        around = {"obstacles": state.obstacles, "contact": arm.contact}
-        now = Situation(arm.q, arm.qd, *pose, state.goal, state.target_q, state.last_action, **around)
+        scene = {"obstacles": state.obstacles, "contact": arm.contact}
+        now = Situation(arm.q, arm.qd, *pose, state.goal, state.target_q, state.last_action, **scene)
         return self.measured(now, state.key, state.clock)
 
     def measured(self, now: Situation, keys: Array, clock: Array) -> Situation:
