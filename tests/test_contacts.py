@@ -23,7 +23,7 @@ from reachlab.robots.model_file import read_model_file
 from reachlab.robots.robot import Robot
 from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError
-from reachlab.sims import ArmState, Simulator, make_simulator
+from reachlab.sims import ArmState, Moved, Simulator, make_simulator
 from reachlab.sims.mujoco_contacts import CAPSULE
 from reachlab.sims.mujoco_model import physics_model
 from reachlab.tasks.obstacles import FAR, Obstacles
@@ -38,9 +38,9 @@ NEAR = 1e-3
 """Distance within which the engine may tell either [m]."""
 
 
-def simulator(robot: Robot, num_envs: int, **settings: object) -> Simulator:
-    """MuJoCo with `COUNT` obstacles, unless the settings say otherwise."""
-    return make_simulator("mujoco", robot, PHYSICS, num_envs, **{"obstacles": COUNT, **settings})  # type: ignore[arg-type]
+def simulator(robot: Robot, num_envs: int, obstacles: int = COUNT, **settings: bool) -> Simulator:
+    """MuJoCo with obstacles around each arm."""
+    return make_simulator("mujoco", robot, PHYSICS, num_envs, obstacles=obstacles, **settings)
 
 
 def no_goal(num_envs: int) -> Goal:
@@ -51,6 +51,22 @@ def no_goal(num_envs: int) -> Goal:
 def begin(sim: Simulator, q: np.ndarray, obstacles: Obstacles | None = None) -> ArmState:
     """State of all arms at `q [B, n]` among obstacles."""
     return sim.reset(None, np.asarray(q, np.float32), no_goal(len(q)), None, None, obstacles)
+
+
+def touching(state: ArmState | Moved) -> np.ndarray:
+    """Whether each arm touches something `[B]`."""
+    assert state.contact is not None
+    return np.asarray(state.contact)
+
+
+def bits(state: ArmState | Moved) -> np.ndarray:
+    """All that the engine knows of each arm `[B, m]`."""
+    return np.asarray(state.engine)
+
+
+def shapes(*parts: np.ndarray) -> Obstacles:
+    """Obstacles of position, quaternion, half sizes and radius."""
+    return Obstacles(*(jnp.array(part, jnp.float32) for part in parts))
 
 
 def at_home(robot: Robot, num_envs: int) -> np.ndarray:
@@ -70,7 +86,7 @@ def scene(num_envs: int, seed: int = 0, count: int = COUNT) -> Obstacles:
     position[absent] = FAR
     turn = random.normal(size=(*shape, 4))
     turn /= np.linalg.norm(turn, axis=-1, keepdims=True)
-    return Obstacles(*(np.float32(part) for part in (position, turn, half, radius)))  # type: ignore[arg-type]
+    return shapes(position, turn, half, radius)
 
 
 # --- distances by NumPy alone ---------------------------------------------------------------------
@@ -197,7 +213,7 @@ def test_contact_is_told_where_distances_say_so(name: str) -> None:
         apart = np.array([to_obstacles(robot, q, obstacles), to_itself(robot, q), to_table(robot, q)])
         alone += ((apart < 0) & ((apart < 0).sum(axis=0) == 1)).sum(axis=1)
         clear = np.abs(apart.min(axis=0)) > NEAR
-        told = np.asarray(begin(sim, q, obstacles).contact)
+        told = touching(begin(sim, q, obstacles))
         assert np.array_equal(told[clear], apart.min(axis=0)[clear] < 0)
     assert (alone > 2).all()  # of obstacles, the arm and the table each decides where the others do not
 
@@ -208,12 +224,12 @@ def test_a_shape_is_as_large_as_it_says(kind: str) -> None:
     every = scene(num_envs, seed=5, count=1)
     half, radius = np.array(every.half), np.array(every.radius)
     long = 0.02 + 0.1 * np.random.default_rng(6).random((num_envs, 1, 3), np.float32)
-    half[:] = {"ball": 0 * long, "capsule": long * np.float32([0, 0, 1]), "box": long}[kind]
+    half[:] = {"ball": 0 * long, "capsule": long * np.array([0, 0, 1]), "box": long}[kind]
     radius[:] = 0 if kind == "box" else 0.1
-    obstacles = replace(every, half=half, radius=radius)
+    obstacles = shapes(np.asarray(every.position), np.asarray(every.quaternion), half, radius)
     home = at_home(robot, num_envs)
     apart = to_obstacles(robot, home, obstacles)
-    told = np.asarray(begin(simulator(robot, num_envs, obstacles=1), home, obstacles).contact)
+    told = touching(begin(simulator(robot, num_envs, obstacles=1), home, obstacles))
     clear = np.abs(apart) > NEAR
     assert np.array_equal(told[clear], apart[clear] < 0)
     assert 20 < told.sum() < 300
@@ -221,7 +237,7 @@ def test_a_shape_is_as_large_as_it_says(kind: str) -> None:
 
 def test_home_is_free_and_a_folded_arm_is_not() -> None:
     robot = load_robot("ur5e")
-    told = begin(simulator(robot, 2), np.array([robot.home, FOLDED])).contact
+    told = touching(begin(simulator(robot, 2), np.array([robot.home, FOLDED])))
     assert np.array_equal(told, [False, True])
 
 
@@ -229,19 +245,18 @@ def test_a_touch_in_any_step_of_the_engine_is_told_and_the_arm_stops() -> None:
     robot, num_envs = load_robot("iiwa14"), 1
     start = at_home(robot, num_envs)
     lowered = capsule_ends(robot, start)[0, 0, -1]
-    half = np.float32([[[0.3, 0.3, 0.05]]])
-    place = np.float32([[[lowered[0], lowered[1], 0.15]]])
-    shelf = Obstacles(place, np.float32([[[1, 0, 0, 0]]]), half, np.float32([[0]]))  # type: ignore[arg-type]
+    place = np.array([[[lowered[0], lowered[1], 0.15]]])
+    shelf = shapes(place, np.array([[[1, 0, 0, 0]]]), np.array([[[0.3, 0.3, 0.05]]]), np.zeros((1, 1)))
     sim, target = simulator(robot, num_envs, obstacles=1), start.copy()
     state, deepest, first = begin(sim, start, shelf), 0.0, None
-    assert not np.any(state.contact)
+    assert not np.any(touching(state))
     for step in range(120):
         target[:, 1] = min(target[0, 1] + 0.02, start[0, 1] + 1.0)
         before = to_obstacles(robot, np.asarray(state.q, float), shelf)[0]
-        state = sim.step(state, target)  # type: ignore[assignment]
+        state = sim.step(state, target)
         after = to_obstacles(robot, np.asarray(state.q, float), shelf)[0]
         deepest = min(deepest, after)
-        if first is None and bool(state.contact[0]):  # type: ignore[index]
+        if first is None and bool(touching(state)[0]):
             first = step
             assert min(before, after) < NEAR
         elif first is None:
@@ -255,9 +270,9 @@ def test_arms_that_start_inside_obstacles_do_not_break_the_engine() -> None:
     robot, num_envs = load_robot("iiwa14"), 100
     q = joints(robot, num_envs)
     sim, state = (made := simulator(robot, num_envs)), begin(made, q, scene(num_envs, seed=7))
-    assert np.mean(state.contact) > 0.3
+    assert np.mean(touching(state)) > 0.3
     for _ in range(50):
-        state = sim.step(state, q)  # type: ignore[assignment]
+        state = sim.step(state, q)
     assert np.isfinite(np.asarray(state.q)).all()
 
 
@@ -269,16 +284,16 @@ def test_a_reset_changes_only_the_environments_of_its_mask() -> None:
     sim, q = simulator(robot, num_envs), joints(load_robot("iiwa14"), num_envs)
     first, second = scene(num_envs, 1), scene(num_envs, 2)
     one, two = begin(sim, q, first), begin(sim, q, second)
-    assert np.any(np.asarray(one.contact) != np.asarray(two.contact))
+    assert np.any(touching(one) != touching(two))
     mask = np.arange(num_envs) % 3 == 0
     mixed = sim.reset(one, q, no_goal(num_envs), mask, None, second)
-    assert np.array_equal(mixed.engine, np.where(mask[:, None], two.engine, one.engine))
-    assert np.array_equal(mixed.contact, np.where(mask, two.contact, one.contact))
+    assert np.array_equal(bits(mixed), np.where(mask[:, None], bits(two), bits(one)))
+    assert np.array_equal(touching(mixed), np.where(mask, touching(two), touching(one)))
     kept = sim.reset(mixed, q, no_goal(num_envs), mask, None, None)
-    assert np.array_equal(kept.engine, mixed.engine)
+    assert np.array_equal(bits(kept), bits(mixed))
     for _ in range(5):
         one, two, mixed = sim.step(one, q), sim.step(two, q), sim.step(mixed, q)
-    assert np.array_equal(mixed.contact, np.where(mask, two.contact, one.contact))
+    assert np.array_equal(touching(mixed), np.where(mask, touching(two), touching(one)))
     assert np.array_equal(mixed.q, np.where(mask[:, None], two.q, one.q))
 
 
@@ -294,15 +309,15 @@ def test_any_state_is_continued_from_bit_for_bit(varied: bool) -> None:
     for number, command in enumerate(commands):
         if number == 20:
             saved = jax.tree.map(np.array, state)
-        state = whole.step(state, command)  # type: ignore[assignment]
-        told.append(state.contact)
+        state = whole.step(state, command)
+        told.append(touching(state))
     other.reset(None, home + 0.1, no_goal(num_envs), None, None if arms is None else -arms, scene(num_envs, 4))
     again = saved
     for number, command in enumerate(commands[20:], 20):
-        again = other.step(again, command)  # type: ignore[assignment]
-        assert np.array_equal(again.contact, told[number])
+        again = other.step(again, command)
+        assert np.array_equal(touching(again), told[number])
     assert np.any(told)
-    assert np.array_equal(again.engine, state.engine)
+    assert np.array_equal(bits(again), bits(state))
 
 
 def test_arms_that_vary_still_do_among_obstacles() -> None:
@@ -310,7 +325,7 @@ def test_arms_that_vary_still_do_among_obstacles() -> None:
     sim, home = simulator(robot, 2, randomise_dynamics=True), at_home(robot, 2)
     state = sim.reset(None, home, no_goal(2), None, np.array([[-1.0] * 15, [1.0] * 15]))
     for _ in range(50):
-        state = sim.step(state, home)  # type: ignore[assignment]
+        state = sim.step(state, home)
     sag = np.abs(np.asarray(state.q) - home).max(axis=1)
     assert not np.isclose(*sag, rtol=0.02)
 
@@ -330,14 +345,14 @@ def test_tasks_are_told() -> None:
     )
     functions = EnvFunctions(replace(env.setup, task=task), (), real_time=True, pictured=False)
     sim = simulator(env.setup.robot, 4, obstacles=1)
-    size, place = np.full((4, 1), 0.1, np.float32), np.array(state.arm.tool_position)[:, None]
+    size, place = np.full((4, 1), 0.1), np.array(state.arm.tool_position)[:, None]
     place[2:] = FAR
-    ball = Obstacles(place, np.float32([[[1, 0, 0, 0]]] * 4), np.zeros((4, 1, 3), np.float32), size)  # type: ignore[arg-type]
+    ball = shapes(place, np.tile([1, 0, 0, 0], (4, 1, 1)), np.zeros((4, 1, 3)), size)
     arm = begin(sim, np.asarray(state.arm.q), ball)
-    touching = replace(state, arm=arm)
-    assert np.array_equal(env.situation(touching).contact, [True, True, False, False])
-    functions.judge(touching, sim.step(arm, arm.q), arm.q, state.last_action)
-    assert np.array_equal(seen[0].contact, [True, True, False, False])
+    inside = replace(state, arm=arm)
+    assert np.array_equal(np.asarray(env.situation(inside).contact), [True, True, False, False])
+    functions.judge(inside, sim.step(arm, arm.q), arm.q, state.last_action)
+    assert np.array_equal(np.asarray(seen[0].contact), [True, True, False, False])
 
 
 @pytest.mark.parametrize("name", ["kinematic", "pybullet"])
@@ -346,10 +361,7 @@ def test_other_simulators_refuse_obstacles(name: str) -> None:
         make_simulator(name, load_robot("iiwa14"), PHYSICS, 1, obstacles=1)
 
 
-def test_what_makes_no_sense_among_obstacles_is_refused(tmp_path: Path) -> None:
-    robot = load_robot("iiwa14")
-    with pytest.raises(InputError, match="collisions has no effect among obstacles"):
-        physics_model(robot, replace(PHYSICS, collisions=True), obstacles=1)
+def test_an_arm_without_shapes_is_refused(tmp_path: Path) -> None:
     robot = load_robot("so101")
     file = tmp_path / "bare.xml"
     file.write_text(re.sub(r"<geom [^>]*/>", "", robot.model.file.read_text()))

@@ -95,8 +95,10 @@ class MujocoSimulator(Drawn):
         if self._contacts is None:
             return None
         self._batch.forward(chosen, mujoco.mjtStage.mjSTAGE_POS.value)
-        now = np.greater(self._contacts, 0)
-        return now if state is None else np.where(chosen, now, np.asarray(state.contact))
+        now = np.array(self._contacts, bool)
+        if state is not None:
+            now[~chosen] = np.asarray(state.contact)[~chosen]
+        return now
 
     def step(self, state: ArmState | Moved, target_q: BatchArray) -> Moved:
         """See `Simulator.step`.
@@ -109,7 +111,7 @@ class MujocoSimulator(Drawn):
         contact = None
         if self._scenes:
             counts = self._batch.rollout(self._substeps, record=("ncon",))["ncon"]  # [B, steps]
-            contact = (counts > 0).any(axis=1)
+            contact = np.asarray(counts.any(axis=1))
         else:
             self._batch.step(nstep=self._substeps)
         warnings = self._batch.warning[..., 1]  # [B, kinds], how often; beside it stands what the last one was about

@@ -76,8 +76,8 @@ class Situation(NamedTuple):
 
     `q, target_q [B, n]` rad or m, `qd [B, n]` rad/s or m/s, the tool's pose `[B, 3]` m and `[B, 4]` wxyz, the goal,
     `last_action [B, a]`; the camera's `picture [B, SIZE, SIZE]` uint8 where the observation holds one; where the tool
-    truly is, `achieved`, if it is measured with noise; the obstacles, where there are any; and whether the arm touches
-    anything, `contact [B]`, where that is judged.
+    truly is, `achieved`, if it is measured with noise; the obstacles, where there are any; and whether the arm touched
+    anything in the last control period, `contact [B]`, where the simulator tells it.
     """
 
     q: Array
