@@ -207,11 +207,9 @@ class Env:
         """
         goal, arm, axes = state.goal, state.arm, ()
         if goal.quaternion is not None:
-            poses = (goal.position, goal.quaternion), (arm.tool_position, arm.tool_quaternion)
-            sizes = TARGET_AXES, TOOL_AXES
-            axes = tuple(
-                Axes(*(np.asarray(part)[index] for part in pose), size) for pose, size in zip(poses, sizes, strict=True)
-            )
+            target = (np.asarray(rows)[index] for rows in (goal.position, goal.quaternion))
+            tool = (np.asarray(rows)[index] for rows in (arm.tool_position, arm.tool_quaternion))
+            axes = Axes(*target, size=TARGET_AXES), Axes(*tool, size=TOOL_AXES)
         marks = Marks(self.setup.rules.success_distance, self.reached(state, index), path, trail, axes)
         return self.simulator.render(arm, goal, index, marks)
 

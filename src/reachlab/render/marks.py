@@ -28,8 +28,8 @@ TOOL_AXES, TARGET_AXES = (0.09, 0.005), (0.13, 0.003)
 BALL_OPACITY = 0.16
 """Of the ball around the target in which the tool is near enough."""
 
-PATH_RADIUS = 0.002
-"""Of drawn paths [m]."""
+PATH_RADIUS, TRAIL_RADIUS, TRAIL_OPACITY = 0.002, 0.006, 0.35
+"""Of drawn paths and trails [m]: a tool that stays with its target is seen inside the trail."""
 
 NO_PATH = np.empty((0, 3))
 """Path of what has not moved."""

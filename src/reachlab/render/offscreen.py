@@ -10,7 +10,18 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from reachlab.render.marks import AXES, BALL_OPACITY, PATH, PATH_RADIUS, TARGET_RADIUS, TRAIL, Axes, Colour, Marks
+from reachlab.render.marks import (
+    AXES,
+    BALL_OPACITY,
+    PATH,
+    PATH_RADIUS,
+    TARGET_RADIUS,
+    TRAIL,
+    TRAIL_OPACITY,
+    TRAIL_RADIUS,
+    Axes,
+    Marks,
+)
 from reachlab.render.scene import HEIGHT, WIDTH, distance_needed, front, in_front, scene_spec
 from reachlab.robots.robot import Robot
 from reachlab.settings.validation import InputError
@@ -75,8 +86,8 @@ class Camera:
                 geom.category = DECORATION
         for axes in marks.axes:
             self._show_axes(axes)
-        self._show_path(marks.trail, TRAIL)
-        self._show_path(marks.path, PATH)
+        self._show_path(marks.path, PATH_RADIUS, (*PATH, 1.0))
+        self._show_path(marks.trail, TRAIL_RADIUS, (*TRAIL, TRAIL_OPACITY))
         height, width, _ = self._shape
         viewport = mujoco.MjrRect(0, 0, width, height)
         mujoco.mjr_render(viewport, self._scene, self._draw)
@@ -96,20 +107,23 @@ class Camera:
         turn = np.empty(9)
         mujoco.mju_quat2Mat(turn, np.asarray(axes.quaternion, float))
         for direction, colour in zip(turn.reshape(3, 3).T, AXES, strict=True):
-            self._show_line(axes.position, axes.position + length * self._scale * direction, radius, colour)
+            self._show_line(axes.position, axes.position + length * self._scale * direction, radius, (*colour, 1.0))
 
-    def _show_path(self, path: np.ndarray, colour: Colour) -> None:
+    def _show_path(self, path: np.ndarray, radius: float, colour: tuple[float, ...]) -> None:
         for start, end in itertools.pairwise(path):
-            self._show_line(start, end, PATH_RADIUS, colour)
+            self._show_line(start, end, radius, colour)
 
-    def _show_line(self, start: np.ndarray, end: np.ndarray, radius: float, colour: Colour) -> None:
-        """Draw a line between points `[3]` [m], of a radius [m] beside the tutorial's arm, if the scene has room for it."""
+    def _show_line(self, start: np.ndarray, end: np.ndarray, radius: float, colour: tuple[float, ...]) -> None:
+        """Draw a line between points `[3]` [m] if the scene has room for it.
+
+        Its radius [m] is beside the tutorial's arm; its colour has an opacity.
+        """
         scene, still, turned = self._scene, np.zeros(3), np.eye(3).ravel()
         if scene.ngeom == scene.maxgeom:
             return
         line = scene.geoms[scene.ngeom]
-        mujoco.mjv_initGeom(line, mujoco.mjtGeom.mjGEOM_CAPSULE, still, still, turned, np.array([*colour, 1.0], "f4"))
-        mujoco.mjv_connector(line, mujoco.mjtGeom.mjGEOM_CAPSULE, radius * self._scale, start, end)
+        mujoco.mjv_initGeom(line, mujoco.mjtGeom.mjGEOM_CYLINDER, still, still, turned, np.array(colour, "f4"))
+        mujoco.mjv_connector(line, mujoco.mjtGeom.mjGEOM_CYLINDER, radius * self._scale, start, end)
         line.category = DECORATION
         scene.ngeom += 1
 

@@ -11,10 +11,11 @@ from jax import Array
 
 from reachlab.jax_setup import jit
 from reachlab.robots.kinematics import Pose, forward_kinematics
+from reachlab.sims import BatchArray
 from reachlab.tasks.targets import nearest_joints
 from reachlab.tasks.task import Goal, TaskSetup
 
-Place = Callable[[Goal, Array, Array | None, Array], tuple[Goal, Array]]
+Place = Callable[[Goal, BatchArray, BatchArray | None, BatchArray], tuple[Goal, Array]]
 
 
 def make_place(setup: TaskSetup) -> Place:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -22,8 +23,8 @@ from reachlab.watch.hand import make_place
 
 Advance = Callable[[Policy | None, EnvState, Array, bool, np.ndarray], tuple[EnvState, Transition, Array]]
 
-PATH_POINTS, PATH_STEP = 300, 0.004
-"""Points of a path at most, and their least distance [m]."""
+PATH_POINTS, PATH_STEP, TRAIL_STEP = 300, 0.004, 0.02
+"""Points of a path at most, and their least distance [m]; and that of the points of a target's trail."""
 
 TRAINED = "trained"
 """The agent that takes a policy."""
@@ -62,13 +63,14 @@ class Moment:
 
 @dataclass
 class Trace:
-    """Where something has been: its newest `PATH_POINTS` points `[k, 3]` [m], `PATH_STEP` or more apart."""
+    """Where something has been: its newest `PATH_POINTS` points `[k, 3]` [m], `step` [m] or more apart."""
 
+    step: float
     points: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))
 
     def add(self, point: np.ndarray) -> np.ndarray:
         """The points, this one `[3]` among them if it is far enough from the last; the same array where it is not."""
-        if not len(self.points) or np.linalg.norm(self.points[-1] - point) >= PATH_STEP:
+        if not len(self.points) or np.linalg.norm(self.points[-1] - point) >= self.step:
             self.points = np.concatenate([self.points[1 - PATH_POINTS :], point[None]])
         return self.points
 
@@ -115,7 +117,7 @@ class Player:
         self._touched, self._at_home = self._following, True
         self.state, self.clock = self._init(keys), 0
         self.over, self.success, self.failed = False, False, ""
-        self._path, self._trail = Trace(), Trace()
+        self._path, self._trail = Trace(PATH_STEP), Trace(TRAIL_STEP)
         self._way: list[np.ndarray] = []
         self._going_back = False
         self._look()
@@ -188,6 +190,12 @@ class Player:
         self._following, self._touched = following, self._touched or following
         self.over = self.over and (bool(self.failed) or not following)
 
+    def prepare_hand(self) -> None:
+        """Compile what moving the target takes."""
+        state, moment = self.state, self.moment
+        self._place(state.goal, moment.target, moment.target_orientation, moment.q)
+        self._begin_task(state.goal, state.arm.tool)
+
     @property
     def on_path(self) -> bool:
         """Whether the target moves by itself."""
@@ -225,24 +233,26 @@ class Player:
 
     def _look(self) -> None:
         arm, goal, progress = self.state.arm, self.state.goal, self.state.progress
-        error = None if progress.mean_square is None else progress.error
-        rows = (arm.q, arm.tool_position, arm.tool_quaternion, goal.position, goal.quaternion, progress.angle, error)
-        q, tool, orientation, target, turned, angle, error = (
-            None if row is None else np.asarray(row)[0] for row in rows
-        )
+        tool, target, angle = _row(arm.tool_position), _row(goal.position), _row(progress.angle)
+        error = None if progress.mean_square is None else _row(progress.error)
         self.moment = Moment(
-            q=q,
+            q=_row(arm.q),
             tool=tool,
-            orientation=orientation,
+            orientation=_row(arm.tool_quaternion),
             target=target,
-            target_orientation=turned,
-            distance=float(np.asarray(progress.distance)[0]),
+            target_orientation=_row(goal.quaternion),
+            distance=float(_row(progress.distance)),
             angle=None if angle is None else float(angle),
             error=float(error) if error is not None and np.isfinite(error) else None,
             reached=self._env.reached(self.state),
             path=self._path.add(tool),
             trail=self._trail.add(target) if goal.path is not None else self._trail.points,
         )
+
+
+def _row(rows: Array | None) -> Any:
+    """The first of rows `[1, ...]`, if there are any."""
+    return None if rows is None else np.asarray(rows)[0]
 
 
 def played(player: Player, agent: str, policy: Policy | None, stride: int) -> Iterator[None]:

@@ -103,6 +103,7 @@ class Viewer:
         self._put_handle()
         self._policy()
         self._play(1)
+        self.player.prepare_hand()
 
     def run(self, ended: Callable[[], bool]) -> None:
         """Play until it has ended."""
