@@ -58,7 +58,7 @@ def moments(env: Env) -> list[list[Shown]]:
 @pytest.fixture
 def film(env: Env, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., Clip]:
     """Writes a video of inverse kinematics whose pictures are plain grey, so that it needs no OpenGL."""
-    monkeypatch.setattr(env, "render", lambda _, path: np.full((*SIZE[::-1], 3), len(path), np.uint8))
+    monkeypatch.setattr(env, "render", lambda _, path, **_: np.full((*SIZE[::-1], 3), len(path), np.uint8))
 
     def write(name: str, episodes: int = 1, fps: float = 30.0, speed: float = 1.0) -> Clip:
         return write_video(env, "ik", None, tmp_path / name, seed=1, episodes=episodes, fps=fps, speed=speed)

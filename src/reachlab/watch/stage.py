@@ -29,8 +29,8 @@ PAUSE = 0.8
 EDGES, EDGE_WIDTH = (150, 155, 166), 0.002
 """Colour of the workspace's edges, and their width [m]."""
 
-PATH_WIDTH = 0.004
-"""Width of drawn paths [m]."""
+PATH_WIDTH, TRAIL_WIDTH = 0.004, 0.01
+"""Width of the tool's drawn path and of a target's trail [m]."""
 
 HANDLE_SIZE = 0.16
 """Size of the arrows and arcs by which the target is moved and turned [m]."""
@@ -121,8 +121,8 @@ class Stage:
             self.target_axes.position, self.target_axes.wxyz = moment.target, turned
         for ball in self.balls:
             ball.color = _bytes(Marks(reached=moment.reached).colour)
-        self.path = self._show_path("/path", self.path, moment.path, PATH)
-        self.trail = self._show_path("/trail", self.trail, moment.trail, TRAIL)
+        self.path = self._show_path("/path", self.path, moment.path, PATH, PATH_WIDTH)
+        self.trail = self._show_path("/trail", self.trail, moment.trail, TRAIL, TRAIL_WIDTH)
         if observation is not None:
             self._show_observation(observation)
 
@@ -205,7 +205,7 @@ class Stage:
         return self._scene.add_frame(name, axes_length=length, axes_radius=radius, origin_radius=radius, visible=False)
 
     def _show_path(
-        self, name: str, line: viser.LineSegmentsHandle | None, path: np.ndarray, colour: Colour
+        self, name: str, line: viser.LineSegmentsHandle | None, path: np.ndarray, colour: Colour, width: float
     ) -> viser.LineSegmentsHandle | None:
         """The line of a path `[k, 3]` [m]; None as long as there is no point of it."""
         if not len(path) or path is self._drawn.get(name):
@@ -214,7 +214,7 @@ class Stage:
         corners = np.array([path[0], *path], np.float32)
         points = np.stack([corners[:-1], corners[1:]], axis=1)
         if line is None:
-            return self._scene.add_line_segments(name, points, _bytes(colour), thickness=PATH_WIDTH * self._robot.scale)
+            return self._scene.add_line_segments(name, points, _bytes(colour), thickness=width * self._robot.scale)
         line.points = points
         return line
 
