@@ -23,7 +23,7 @@ from reachlab.watch.hand import make_place
 
 Advance = Callable[[Policy | None, EnvState, Array, bool, np.ndarray], tuple[EnvState, Transition, Array]]
 
-PATH_POINTS, PATH_STEP, TRAIL_STEP = 300, 0.004, 0.02
+PATH_POINTS, PATH_STEP, TRAIL_STEP = 300, 0.004, 0.01
 """Points of a path at most, and their least distance [m]; and that of the points of a target's trail."""
 
 TRAINED = "trained"
