@@ -241,8 +241,11 @@ def test_a_target_that_is_turned_by_its_handle_is_reached(poses: Viewer) -> None
 
 def test_where_the_arm_has_no_such_pose_the_target_stays_and_the_panel_says_so(poses: Viewer) -> None:
     before = poses.player.moment
-    poses.handle.position = poses.box[0]
-    poses.handle.wxyz = (1.0, 0.0, 0.0, 0.0)  # the tool upwards, at the lower corner that is next to the base
+    poses.handle.position = poses.box[1]
+    back = Rotation.align_vectors(-poses.box[1:], np.array([[0.0, 0.0, 1.0]]))[
+        0
+    ]  # the wrist behind the farthest corner
+    poses.handle.wxyz = back.as_quat(scalar_first=True)
     poses.frame(0.0)
     assert UNREACHABLE in poses.panel.said
     np.testing.assert_array_equal(poses.player.moment.target, before.target)
@@ -267,7 +270,9 @@ def test_a_target_that_moves_shows_its_trail_until_it_is_taken_off_its_path(
             lengths.append(len(viewer.stage.trail.points))
         assert lengths == sorted(lengths)
         assert lengths[-1] > lengths[0] + 3
+        COMMANDS["Step"](viewer)
         assert "RMS" in viewer.panel.said
+        COMMANDS["Pause"](viewer)
         np.testing.assert_allclose(viewer.handle.position, viewer.player.moment.target, atol=0.02)
         viewer.handle.position = place = viewer.box.mean(axis=0)
         for _ in range(50):

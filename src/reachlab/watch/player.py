@@ -191,10 +191,9 @@ class Player:
         self.over = self.over and (bool(self.failed) or not following)
 
     def prepare_hand(self) -> None:
-        """Compile what moving the target takes."""
-        state, moment = self.state, self.moment
-        self._place(state.goal, moment.target, moment.target_orientation, moment.q)
-        self._begin_task(state.goal, state.arm.tool)
+        """Compile what moving the target takes, and begin the episode again."""
+        self.move_target(self.moment.target, self.moment.target_orientation)
+        self.begin(self.number)
 
     @property
     def on_path(self) -> bool:

@@ -93,6 +93,7 @@ class Viewer:
     def prepare(self, seed: int) -> None:
         """Compile what playing takes and show the first held-out target of a seed."""
         self.player = Player(self._env, seed)
+        self.player.prepare_hand()
         self.box = target_box(self._env.setup)
         self.handle = self.stage.add_handle((self.box[1] > self.box[0]).tolist(), turns=self._turns)
 
@@ -103,7 +104,6 @@ class Viewer:
         self._put_handle()
         self._policy()
         self._play(1)
-        self.player.prepare_hand()
 
     def run(self, ended: Callable[[], bool]) -> None:
         """Play until it has ended."""
