@@ -15,6 +15,7 @@ from reachlab.agents.baselines import ik
 from reachlab.agents.policy import Policy
 from reachlab.bench import bound as bench_bound
 from reachlab.bench import precise as bench_precise
+from reachlab.bench import trained as bench_trained
 from reachlab.bench.table import to_markdown
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState
@@ -215,10 +216,10 @@ def test_the_suite_compares_all_agents_on_nominal_and_perturbed_arms(monkeypatch
         "precise", num_envs=8, rollout_steps=20, total_steps=160, hidden=(8,), minibatches=2, report_episodes=8
     )
     monkeypatch.setattr(bench_precise, "configure", lambda _, **settings: override(tiny, **settings))
-    monkeypatch.setattr(bench_precise, "SEEDS", range(2))
-    monkeypatch.setattr(bench_precise, "HELD_OUT", 20)
+    monkeypatch.setattr(bench_trained, "SEEDS", range(2))
+    monkeypatch.setattr(bench_trained, "HELD_OUT", 20)
     monkeypatch.setattr(bench_bound, "EPISODES", 5)
-    monkeypatch.setattr(bench_precise, "BATCH", 20)
+    monkeypatch.setattr(bench_trained, "BATCH", 20)
     rows = list(bench_precise.precise())
     values = {row["name"]: row["value"] for row in rows}
     assert values["held within 2 mm/ik"] > 0.8 > values["held within 2 mm/ik_open"]

@@ -34,6 +34,13 @@ SUITES: dict[str, Lazy] = {
         "Precision under full dynamics beside inverse kinematics, on nominal and on perturbed arms.",
         "reachlab.bench.precise:precise",
     ),
+    "pose": Lazy(
+        "Poses held under full dynamics beside inverse kinematics, on two arms: two hours.", "reachlab.bench.pose:pose"
+    ),
+    "track": Lazy(
+        "Goals that move beside inverse kinematics that know their velocity, on two arms: an hour.",
+        "reachlab.bench.track:track",
+    ),
     "arms": Lazy(
         "The tutorial's task on every robot of the catalogue, in three simulators.", "reachlab.bench.arms:arms"
     ),

@@ -27,7 +27,7 @@ from reachlab.robots.robot import PybulletModel, Robot
 from reachlab.settings.config import Rules
 from reachlab.settings.presets import configure, in_simulator
 from reachlab.sims import make_simulator
-from reachlab.sims.mujoco import physics_model
+from reachlab.sims.mujoco_model import physics_model
 from reachlab.sims.pybullet_world import GRAVITY, GROUND, TABLE, import_pybullet
 from reachlab.tasks.task import Goal
 

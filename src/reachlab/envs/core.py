@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from reachlab.envs.functions import EnvFunctions, EnvState, Stepped, Transition
+from reachlab.envs.functions import Begin, EnvFunctions, EnvState, Stepped, Transition
 from reachlab.envs.setup import make_setup, settled
 from reachlab.jax_setup import dispatch_inline, first_process, jit
 from reachlab.render.marks import NO_PATH, TARGET_AXES, TOOL_AXES, Axes, Marks
@@ -109,15 +109,19 @@ class Env:
         return self._steps(times)(state, action, instead)
 
     def _init_all(self, keys: Array) -> EnvState:
-        key, q, goal, dynamics = self._parts.sample_episode(keys)
-        return self._parts.begin(self.simulator.reset(None, q, goal, None, dynamics), goal, key)
+        begin = self._parts.sample_episode(keys)
+        return self._parts.begin(self._reset_arms(None, begin, None), begin)
 
     def _reset_some(self, state: EnvState, mask: BatchArray, chained: float | None) -> EnvState:
-        key, q, goal, dynamics = self._parts.sample_episode(state.key)
-        q = q if chained is None else self._parts.chained_start(state, q, chained)
-        arm = self.simulator.reset(state.arm, q, goal, mask, dynamics)
-        begun = replace(self._parts.begin(arm, goal, key), arm=arm)
+        begin = self._parts.sample_episode(state.key)
+        if chained is not None:
+            begin = begin._replace(q=self._parts.chained_start(state, begin.q, chained))
+        arm = self._reset_arms(state.arm, begin, mask)
+        begun = replace(self._parts.begin(arm, begin), arm=arm)
         return self._parts.merge(jnp.asarray(mask), begun, replace(state, arm=arm))
+
+    def _reset_arms(self, arm: ArmState | None, begin: Begin, mask: BatchArray | None) -> ArmState:
+        return self.simulator.reset(arm, begin.q, begin.goal, mask, begin.dynamics, begin.obstacles)
 
     def _repeat(self, times: int, state: EnvState, action: BatchArray, instead: Array | None) -> Stepped:
         def again(_: Any, before: Stepped) -> Stepped:
@@ -136,8 +140,8 @@ class Env:
         moved = self.simulator.step(state.arm, target_q)
         judged = self._parts.judge(before, moved._replace(engine=None), target_q, taken)
         tool, goal, progress, clock, transition = judged
-        arm = ArmState(moved.q, moved.qd, tool.position, tool.quaternion, moved.engine)
-        state = EnvState(arm, goal, target_q, taken, progress, clock, state.key)
+        arm = ArmState(moved.q, moved.qd, tool.position, tool.quaternion, moved.engine, moved.contact)
+        state = EnvState(arm, goal, target_q, taken, progress, clock, state.key, state.obstacles)
         return state, transition
 
     # --- observations -----------------------------------------------------------------------------

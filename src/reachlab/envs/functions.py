@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TypeVar, cast
+from typing import NamedTuple, TypeVar, cast
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 
-from reachlab.envs.random_streams import CHAIN_STREAM, PARTS, VIEW_STREAM, noise_keys
+from reachlab.envs.random_streams import CHAIN_STREAM, PARTS, SCENE_STREAM, VIEW_STREAM, noise_keys
 from reachlab.render.view_randomisation import SAMPLES
 from reachlab.robots.kinematics import Pose, forward_kinematics
 from reachlab.robots.scalar_algebra import once
 from reachlab.sims import ArmState, BatchArray, Moved
 from reachlab.tasks import actions, observations
+from reachlab.tasks.obstacles import Obstacles
 from reachlab.tasks.rewards import REWARDS
 from reachlab.tasks.schema import Observed
 from reachlab.tasks.task import Goal, Progress, Situation, TaskSetup, outside_workspace
@@ -36,6 +37,7 @@ class EnvState:
         progress: what the task remembers of the episodes.
         clock: steps since the reset `[B]`.
         key: random key of each environment `[B]`.
+        obstacles: None where there are none.
     """
 
     arm: ArmState
@@ -45,6 +47,7 @@ class EnvState:
     progress: Progress
     clock: Array
     key: Array
+    obstacles: Obstacles | None = None
 
     @property
     def distance(self) -> Array:
@@ -90,6 +93,24 @@ def _errors(progress: Progress) -> dict[str, Array]:
     return {**errors, "angle": progress.angle, "angle_error": progress.angle_error}
 
 
+class Begin(NamedTuple):
+    """What `B` episodes begin with.
+
+    Attributes:
+        key: `[B]`, of the environments' next episodes.
+        q: joints `[B, n]` [rad or m].
+        goal: where the tool is asked to be.
+        obstacles: None where there are none.
+        dynamics: which arms they are, see `Simulator.reset`; None where dynamics do not vary.
+    """
+
+    key: Array
+    q: Array
+    goal: Goal
+    obstacles: Obstacles | None
+    dynamics: Array | None
+
+
 @dataclass(frozen=True)
 class EnvFunctions:
     """Functions of an environment; every one can be traced by JAX.
@@ -106,18 +127,19 @@ class EnvFunctions:
     real_time: bool
     pictured: bool
 
-    def sample_episode(self, keys: Array) -> tuple[Array, Array, Goal, Array | None]:
-        """Next keys, starts `[B, n]`, goals and, where dynamics vary, which arms they are, see `Simulator.reset`."""
-        numbers = 2 * self.setup.robot.chain.n + 1 if "dynamics" in self.randomise else 0
+    def sample_episode(self, keys: Array) -> Begin:
+        """What episodes begin with, and their next keys."""
+        setup, task = self.setup, self.setup.task
+        numbers = 2 * setup.robot.chain.n + 1 if "dynamics" in self.randomise else 0
 
-        def one(key: Array) -> tuple[Array, Array, Goal, Array | None]:
-            key, for_goal, for_start, for_arm = jax.random.split(key, PARTS)
-            start, goal = (
-                self.setup.task.sample_start(self.setup, for_start),
-                self.setup.task.sample_goal(self.setup, for_goal),
-            )
+        def one(key: Array) -> Begin:
+            of_episode, (key, for_goal, for_start, for_arm) = key, jax.random.split(key, PARTS)
+            start, goal = task.sample_start(setup, for_start), task.sample_goal(setup, for_goal)
             dynamics = jax.random.uniform(for_arm, (numbers,), minval=-1.0) if numbers else None
-            return key, start, goal, dynamics
+            obstacles = None
+            if task.sample_obstacles is not None:
+                obstacles = task.sample_obstacles(setup, jax.random.fold_in(of_episode, SCENE_STREAM), start, goal)
+            return Begin(key, start, goal, obstacles, dynamics)
 
         return jax.vmap(one)(keys)
 
@@ -127,8 +149,9 @@ class EnvFunctions:
         stays = (sampled < share) & ~outside_workspace(self.setup.robot, state.arm.tool_position)
         return jnp.where(stays[:, None], state.arm.q, start)
 
-    def begin(self, arm: ArmState, goal: Goal, key: Array) -> EnvState:
+    def begin(self, arm: ArmState, begin: Begin) -> EnvState:
         """State at the start of episodes."""
+        goal = begin.goal
         size = len(actions.ACTIONS[self.setup.rules.action].bounds(self.setup)[0])
         return EnvState(
             arm=arm,
@@ -137,7 +160,8 @@ class EnvFunctions:
             last_action=jnp.zeros((len(goal.position), size)),
             progress=self.setup.task.begin(self.setup, goal, arm.tool),
             clock=jnp.zeros(len(goal.position), jnp.int32),
-            key=key,
+            key=begin.key,
+            obstacles=begin.obstacles,
         )
 
     def command(self, state: EnvState, action: Array, instead: Array | None) -> tuple[Array, Array]:
@@ -164,7 +188,8 @@ class EnvFunctions:
         # Computed as it is by itself: to the same bits.
         tool = once(forward_kinematics(setup.robot.chain, moved.q)) if moved.tool is None else moved.tool
         goal = before.goal if setup.task.move is None else setup.task.move(setup, before.goal, clock)
-        now = Situation(moved.q, moved.qd, *tool, goal, target_q, action)
+        scene = {"obstacles": before.obstacles, "contact": moved.contact}
+        now = Situation(moved.q, moved.qd, *tool, goal, target_q, action, **scene)
         outcome = setup.task.judge(setup, before.progress, now, clock)
         progress = outcome.progress
         terms = REWARDS[setup.rules.reward](setup.rules, outcome)
@@ -186,7 +211,8 @@ class EnvFunctions:
         """What observations and agents may use: as measured, with noise where dynamics vary."""
         arm = state.arm
         pose = arm.tool_position, arm.tool_quaternion
-        now = Situation(arm.q, arm.qd, *pose, state.goal, state.target_q, state.last_action)
+        scene = {"obstacles": state.obstacles, "contact": arm.contact}
+        now = Situation(arm.q, arm.qd, *pose, state.goal, state.target_q, state.last_action, **scene)
         return self.measured(now, state.key, state.clock)
 
     def measured(self, now: Situation, keys: Array, clock: Array) -> Situation:

@@ -17,9 +17,9 @@ TRAINING_STREAM, REPORT_STREAM, VALIDATION_STREAM, LEARNER_STREAM, GYMNASIUM_STR
 PARTS = 4
 """Keys that an episode's key is split into: the next episode's, its target's, its start's and its arm's."""
 
-VIEW_STREAM, NOISE_STREAM, AGENT_STREAM, CHAIN_STREAM = (2**32 - 1 - i for i in range(4))
-"""Streams of an episode's key beside these parts: its view, the noise of its measurements, what its agent samples, and
-where the next episode begins."""
+VIEW_STREAM, NOISE_STREAM, AGENT_STREAM, CHAIN_STREAM, SCENE_STREAM = (2**32 - 1 - i for i in range(5))
+"""Streams of an episode's key beside these parts: its view, the noise of its measurements, what its agent samples,
+where the next episode begins, and its obstacles."""
 
 
 def stream_key(seed: int | Array, stream: int) -> Array:

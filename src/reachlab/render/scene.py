@@ -134,6 +134,11 @@ def drawn_spec(robot: Robot) -> mujoco.MjSpec:
     return spec
 
 
+def table_top(robot: Robot) -> float:
+    """Height of the table's top [m]."""
+    return float(in_front(robot, TABLE_CENTRE)[2] + robot.scale * TABLE_SIZE[2])
+
+
 def add_table(spec: mujoco.MjSpec, robot: Robot, *, solid: bool = False) -> mujoco.MjsGeom:
     """Put a table under the arm and its workspace; a solid one stops what touches it."""
     touch, turn, centre = int(solid), front(robot) / 2, in_front(robot, TABLE_CENTRE)

@@ -78,21 +78,22 @@ def obstacle_distances(capsules: Capsules, at: Segments, obstacles: Segments, ra
         obstacles: axes `[3, O, 1]`, or `[3, O, B]` where they differ.
         radii: `[O, 1]` or `[O, B]` [m].
     """
-    arm, own = _moving(capsules, at)
+    *sides, own = moving(capsules, at)
+    arm = Segments(*sides)
     beside = segment_distance(arm, _picked(obstacles, np.s_[:, None]))
     return (beside - own).min(axis=1) - radii
 
 
 def lowest_point(capsules: Capsules, at: Segments) -> Array:
     """Height `[B]` m of the lowest point of an arm's moving capsules."""
-    arm, own = _moving(capsules, at)
-    return (jnp.minimum(arm.start[2], arm.end[2]) - own).min(axis=0)
+    start, end, own = moving(capsules, at)
+    return (jnp.minimum(start[2], end[2]) - own).min(axis=0)
 
 
-def _moving(capsules: Capsules, at: Segments) -> tuple[Segments, np.ndarray]:
-    """Axes of the capsules that joints move, and their radii `[C, 1]` m."""
-    moving = np.flatnonzero(capsules.links)
-    return _picked(at, moving), np.array(capsules.radii, np.float32)[moving, None]
+def moving(capsules: Capsules, at: Segments) -> tuple[tuple[Array, ...], tuple[Array, ...], np.ndarray]:
+    """Ends of the axes of the capsules that joints move, three `[C, B]` m each, and their radii `[C, 1]` m."""
+    rows = np.flatnonzero(capsules.links)
+    return *_picked(at, rows), np.array(capsules.radii, np.float32)[rows, None]
 
 
 def _picked(segments: Segments, rows: Any) -> Segments:

@@ -42,6 +42,12 @@ def without_pictures(spec: mujoco.MjSpec) -> None:
     _remove_unused(spec, {shape.name for shape in (*spec.meshes, *spec.hfields)} - kept)
 
 
+def without_shapes(spec: mujoco.MjSpec) -> None:
+    """Remove the geoms that no body's inertia is inferred from, with what names them; none where a tendon may."""
+    if not spec.tendons:
+        _remove_shapes(spec, [geom for geom in spec.geoms if not _weighs(spec, geom)])
+
+
 def _weighs(spec: mujoco.MjSpec, geom: mujoco.MjsGeom) -> bool:
     """Whether its body's inertia is inferred from a geom."""
     low, high = spec.compiler.inertiagrouprange

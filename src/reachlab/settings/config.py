@@ -76,7 +76,11 @@ class TaskConfig(Checked):
     """Lower corner of the box of targets [m]; by default the robot's own."""
     target_high: Point | None = None
     """Upper corner of the box of targets [m]; by default the robot's own."""
-    goal_paths: Annotated[tuple[str, ...], Length(16)] = ("line", "circle", "smooth", "jumps")
+    obstacles: Annotated[int, Range(0, 16)] = 0
+    """Most obstacles of an episode; how many there are is random."""
+    end_on_contact: bool = False
+    """Touching anything ends the episode, in failure."""
+    goal_paths: Annotated[tuple[str, ...], Length(16)] = ("line", "circle", "smooth")
     """Where the goal moves: the paths of which an episode has one; see `reachlab list`."""
     goal_speed: tuple[NonNegative, NonNegative] = (0.0, 0.2)
     """Where the goal moves: least and largest speed, of which an episode has one in between [m/s]."""

@@ -74,7 +74,7 @@ PYBULLET = Need("sim pybullet", lambda s: s["sim"] == "pybullet")
 TABLE = Need("targets table", lambda s: s["targets"] == "table")
 BOX = Need("targets box", lambda s: s["targets"] == "box")
 TURNED = Need("target_turn or targets any", lambda s: asks_orientation(s.settings))
-PRECISE = Need("reward precise", lambda s: s["reward"] == "precise")
+CLOSE = Need("reward precise or track", lambda s: s["reward"] in ("precise", "track"))
 STOP_EARLY = Need("stop_early", lambda s: s["stop_early"], vital=False)
 
 NEEDS: dict[str, Need] = {
@@ -88,11 +88,12 @@ NEEDS: dict[str, Need] = {
     "angle_weight": TURNED,
     "hold_speed": Need("hold_steps above 0 or reward precise", lambda s: s["hold_steps"] or s["reward"] == "precise"),
     "approach_weight": Need("reward dense or precise", lambda s: s["reward"] in ("dense", "precise")),
-    "closeness_weight": PRECISE,
+    "closeness_weight": CLOSE,
     "closeness_scale": Need(
-        "reward precise and closeness_weight above 0", lambda s: s["reward"] == "precise" and s["closeness_weight"] > 0
+        "reward precise or track, and closeness_weight above 0",
+        lambda s: s["reward"] in ("precise", "track") and s["closeness_weight"] > 0,
     ),
-    "effort_weight": PRECISE,
+    "effort_weight": CLOSE,
     "physics_steps": MUJOCO,
     "collisions": MUJOCO,
     "gravity_compensation": MUJOCO,

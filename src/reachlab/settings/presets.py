@@ -29,7 +29,7 @@ def _touches(config: RunConfig) -> bool:
     return not config.rules.hold_steps
 
 
-DYNAMIC_TASKS = ("precise", "pose", "track")
+DYNAMIC_TASKS = ("precise", "pose", "track", "clutter")
 """Tasks under full dynamics."""
 
 RULES: list[Rule] = [
@@ -84,6 +84,18 @@ RULES: list[Rule] = [
             "max_steps": 250,
             "hold_steps": 0,
             "end_outside": False,
+            "joint_scale": None,
+            "closeness_scale": 0.003,
+        },
+    ),
+    Rule(
+        lambda c: c.task == "clutter",
+        {
+            "observation": "clutter",
+            "collisions": True,
+            "end_on_contact": True,
+            "obstacles": 4,
+            "max_steps": 150,
             "joint_scale": None,
         },
     ),

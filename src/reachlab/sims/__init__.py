@@ -15,7 +15,8 @@ from reachlab.robots.kinematics import Pose
 from reachlab.robots.robot import Robot
 from reachlab.settings.config import SimConfig
 from reachlab.settings.tables import Lazy
-from reachlab.settings.validation import choose
+from reachlab.settings.validation import InputError, choose
+from reachlab.tasks.obstacles import Obstacles
 from reachlab.tasks.task import Goal
 
 
@@ -30,6 +31,8 @@ class ArmState:
         tool_position: `[B, 3]` [m].
         tool_quaternion: `[B, 4]`, wxyz.
         engine: whatever else an engine needs to continue exactly from here, `[B, m]` uint32, the bits of its numbers.
+        contact: whether the arm touched something in the last control period, or touches it after a reset `[B]`; None
+            where nothing can be touched.
     """
 
     q: Array
@@ -37,6 +40,7 @@ class ArmState:
     tool_position: Array
     tool_quaternion: Array
     engine: Array | None = None
+    contact: Array | None = None
 
     @property
     def tool(self) -> Pose:
@@ -51,13 +55,14 @@ class Moved(NamedTuple):
         q, qd: see `ArmState`.
         tool: its pose; None where it is that of the joints by forward kinematics, which is left to the caller to
             compute, together with what it computes next.
-        engine: see `ArmState`.
+        engine, contact: see `ArmState`.
     """
 
     q: Array
     qd: Array
     tool: Pose | None = None
     engine: Array | None = None
+    contact: Array | None = None
 
 
 BatchArray = Array | np.ndarray
@@ -83,11 +88,14 @@ class Simulator(Protocol):
         goal: Goal,
         mask: BatchArray | None,
         dynamics: BatchArray | None = None,
+        obstacles: Obstacles | None = None,
     ) -> ArmState:
         """State with the arms of `mask [B]` at rest at `q [B, n]`, each with its goal beside it.
 
         Without a state (the first time) every arm is set. Where dynamics vary, `dynamics [B, 2 n + 1]` in -1 to 1
         decides which arm it becomes: the gain of each servo, the damping of each joint, and the payload.
+        Where there are obstacles, `obstacles [B, K, ...]` decides which lie around it; without them they stay, and at
+        first none is there.
         """
         ...
 
@@ -118,12 +126,14 @@ class SimulatorEntry(Lazy):
     Attributes:
         real_time: joints take time to move, so that a command may change no faster than they can.
         dynamics: arms can differ from each other, see `RunConfig.randomise`.
+        obstacles: there can be obstacles, and contacts are told.
         most_envs: arms that it can hold; None for any number.
         draws_anything: its observation camera draws any goal, not only the one that lies beside an arm now.
     """
 
     real_time: bool = False
     dynamics: bool = False
+    obstacles: bool = False
     most_envs: int | None = None
     draws_anything: bool = True
 
@@ -137,6 +147,7 @@ SIMULATORS: dict[str, SimulatorEntry] = {
         "reachlab.sims.mujoco:MujocoSimulator",
         real_time=True,
         dynamics=True,
+        obstacles=True,
     ),
     "pybullet": SimulatorEntry(
         "the tutorial's own: joints are set, an object falls; at most 16 environments, needs the extra 'pybullet'",
@@ -149,12 +160,24 @@ SIMULATORS: dict[str, SimulatorEntry] = {
 
 
 def make_simulator(
-    name: str, robot: Robot, config: SimConfig, num_envs: int, *, randomise_dynamics: bool = False
+    name: str,
+    robot: Robot,
+    config: SimConfig,
+    num_envs: int,
+    *,
+    randomise_dynamics: bool = False,
+    obstacles: int = 0,
 ) -> Simulator:
     """Simulator of that name with `num_envs` arms, which differ where their dynamics vary.
+
+    With at most so many `obstacles` around each arm it tells contacts, see `ArmState.contact`; with 0 there are none.
 
     Raises:
         InputError: there is none of that name, or it cannot be used so.
     """
     entry = SIMULATORS[choose("simulator", name, SIMULATORS)]
-    return entry.load()(robot, config, num_envs, randomise_dynamics=randomise_dynamics and entry.dynamics)
+    if obstacles and not entry.obstacles:
+        able = " or ".join(f"--sim {other}" for other, one in SIMULATORS.items() if one.obstacles)
+        raise InputError(f"simulator {name!r} has no obstacles: use {able}.")
+    varied = randomise_dynamics and entry.dynamics
+    return entry.load()(robot, config, num_envs, randomise_dynamics=varied, obstacles=obstacles)

@@ -9,6 +9,7 @@ from reachlab.robots.robot import Robot
 from reachlab.settings.config import SimConfig
 from reachlab.sims import ArmState, BatchArray, Kind, Moved
 from reachlab.sims.rendering import Drawn
+from reachlab.tasks.obstacles import Obstacles
 from reachlab.tasks.task import Goal
 
 
@@ -17,10 +18,18 @@ class KinematicSimulator(Drawn):
 
     kind: Kind = "traced"
 
-    def __init__(self, robot: Robot, config: SimConfig, num_envs: int, *, randomise_dynamics: bool = False) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        config: SimConfig,
+        num_envs: int,
+        *,
+        randomise_dynamics: bool = False,
+        obstacles: int = 0,
+    ) -> None:
         """Simulator of `num_envs` arms; its functions take any batch."""
         super().__init__(robot, config, num_envs)
-        del randomise_dynamics
+        del randomise_dynamics, obstacles
         self._robot = robot
         self._period = config.control_period
         self.lag = (0.0,) * robot.chain.n
@@ -32,9 +41,10 @@ class KinematicSimulator(Drawn):
         goal: Goal,
         mask: BatchArray | None,
         dynamics: BatchArray | None = None,
+        obstacles: Obstacles | None = None,
     ) -> ArmState:
         """See `Simulator.reset`."""
-        del goal, dynamics
+        del goal, dynamics, obstacles
         if state is not None and mask is not None:
             q = jnp.where(mask[:, None], q, state.q)
             qd = jnp.where(mask[:, None], 0.0, state.qd)

@@ -10,38 +10,47 @@ from jax import Array
 from mujoco.batch import Batch
 
 from reachlab.jax_setup import jit
-from reachlab.render.scene import add_table
 from reachlab.robots.isolation import own_servos
 from reachlab.robots.kinematics import forward_kinematics
 from reachlab.robots.robot import Robot
 from reachlab.settings.config import SimConfig
-from reachlab.settings.validation import InputError
 from reachlab.sims import ArmState, BatchArray, Kind, Moved
+from reachlab.sims.mujoco_contacts import Scenes
+from reachlab.sims.mujoco_model import PAYLOAD, physics_model, servo_lag
 from reachlab.sims.rendering import Drawn
+from reachlab.tasks.obstacles import Obstacles
 from reachlab.tasks.task import Goal
 
 GAIN_SPREAD, DAMPING_SPREAD = 0.15, 0.3
 """Where dynamics vary: relative spread of each joint's servo gains and of its damping."""
-
-PAYLOAD_RADIUS = 0.05
-"""The payload is a ball of this radius about the tool point [m]."""
 
 
 class MujocoSimulator(Drawn):
     """Arms under full dynamics, stepped together on all cores.
 
     A control period is `physics_steps` steps of the engine, with the joints' targets held. The engine's state, float64
-    rows, travels in `ArmState.engine` as its bits, so that any state can be continued from exactly.
+    rows, travels in `ArmState.engine` as its bits, so that any state can be continued from exactly; so do which arms
+    they are, where dynamics vary, and where their obstacles are.
+
+    Contact is told where there are obstacles: of the arm with them, with the table and with itself, see `add_contacts`,
+    at the start of each of the engine's steps. What is touched in the last of them is told after the next period.
     """
 
     kind: Kind = "host"
 
     def __init__(
-        self, robot: Robot, config: SimConfig, num_envs: int, threads: int = 0, *, randomise_dynamics: bool = False
+        self,
+        robot: Robot,
+        config: SimConfig,
+        num_envs: int,
+        threads: int = 0,
+        *,
+        randomise_dynamics: bool = False,
+        obstacles: int = 0,
     ) -> None:
         """Simulator of `num_envs` arms on `threads` threads, 0 for one a core; results do not depend on them."""
-        super().__init__(robot, config, num_envs, threads, randomise_dynamics=randomise_dynamics)
-        self._model = physics_model(robot, config, payload=randomise_dynamics)
+        super().__init__(robot, config, num_envs, threads, randomise_dynamics=randomise_dynamics, obstacles=obstacles)
+        self._model = physics_model(robot, config, payload=randomise_dynamics, obstacles=obstacles)
         self._substeps = config.physics_steps
         self._batch = Batch(self._model, nsim=num_envs, nthread=threads)
         self._qpos, self._qvel, self._ctrl = (self._batch.bind(name) for name in ("qpos", "qvel", "ctrl"))
@@ -49,8 +58,10 @@ class MujocoSimulator(Drawn):
         self._positions, self._speeds = self._model.jnt_qposadr[:n], self._model.jnt_dofadr[:n]
         servos = own_servos(self._model, range(n))
         self._servos = np.array([servos[joint] for joint in range(n)])
-        self.lag = _lag(self._model, self._servos, self._speeds)
+        self.lag = servo_lag(self._model, self._servos, self._speeds)
         self._arms = _Arms(self._batch, self._servos, self._speeds) if randomise_dynamics else None
+        self._scenes = Scenes(self._batch) if obstacles else None
+        self._contacts = self._batch.bind("ncon") if obstacles else None
         self._begin = self._batch.state[0].copy()
         self._given: Array | None = None  # what `engine` the arms have now, as long as they are as they were given
         self._pose = jit(lambda q: forward_kinematics(robot.chain, q))
@@ -62,6 +73,7 @@ class MujocoSimulator(Drawn):
         goal: Goal,
         mask: BatchArray | None,
         dynamics: BatchArray | None = None,
+        obstacles: Obstacles | None = None,
     ) -> ArmState:
         """See `Simulator.reset`."""
         del goal
@@ -71,10 +83,20 @@ class MujocoSimulator(Drawn):
         for rows, columns in ((self._qpos, self._positions), (self._ctrl, self._servos)):
             rows[np.ix_(chosen, columns)] = np.asarray(q)[chosen]
         if self._arms and dynamics is not None:
-            self._arms.become(np.where(chosen[:, None], np.asarray(dynamics, np.float64), self._arms.sampled))
-        moved = self._moved()
+            self._arms.become(np.where(chosen[:, None], np.asarray(dynamics, np.float64), self._arms.numbers))
+        if self._scenes and obstacles is not None:
+            self._scenes.become(np.where(chosen[:, None], Scenes.numbers_of(obstacles), self._scenes.numbers))
+        moved = self._moved(self._touching(chosen, state))
         pose = self._pose(moved.q)
-        return ArmState(moved.q, moved.qd, pose.position, pose.quaternion, moved.engine)
+        return ArmState(moved.q, moved.qd, pose.position, pose.quaternion, moved.engine, moved.contact)
+
+    def _touching(self, chosen: np.ndarray, state: ArmState | None) -> np.ndarray | None:
+        """Which arms touch something `[B]`: those `chosen` now, the others as it was told in the state."""
+        if self._contacts is None:
+            return None
+        self._batch.forward(chosen, mujoco.mjtStage.mjSTAGE_POS.value)
+        now = np.greater(self._contacts, 0)
+        return now if state is None else np.where(chosen, now, np.asarray(state.contact))
 
     def step(self, state: ArmState | Moved, target_q: BatchArray) -> Moved:
         """See `Simulator.step`.
@@ -84,13 +106,18 @@ class MujocoSimulator(Drawn):
         """
         self._restore(state)
         self._ctrl[:, self._servos] = np.asarray(target_q)
-        self._batch.step(nstep=self._substeps)
+        contact = None
+        if self._scenes:
+            counts = self._batch.rollout(self._substeps, record=("ncon",))["ncon"]  # [B, steps]
+            contact = (counts > 0).any(axis=1)
+        else:
+            self._batch.step(nstep=self._substeps)
         warnings = self._batch.warning[..., 1]  # [B, kinds], how often; beside it stands what the last one was about
         if warnings.any():
             index, kind = np.argwhere(warnings)[0]
             warnings[:] = 0
             raise FloatingPointError(f"MuJoCo warned of {mujoco.mjtWarning(kind).name[7:]} in environment {index}")
-        return self._moved()
+        return self._moved(contact)
 
     def _restore(self, state: ArmState | Moved | None) -> None:
         """Make the arms, which are about to move, those of a state; mostly they are."""
@@ -99,23 +126,29 @@ class MujocoSimulator(Drawn):
             return
         rows, columns = np.asarray(state.engine).view(np.float64), self._batch.state.shape[1]
         self._batch.state[:] = rows[:, :columns]
-        if self._arms:
-            self._arms.become(rows[:, columns:])
+        for varied in self._varied:
+            end = columns + varied.numbers.shape[1]
+            varied.become(rows[:, columns:end])
+            columns = end
 
-    def _moved(self) -> Moved:
+    @property
+    def _varied(self) -> list[_Arms | Scenes]:
+        return [varied for varied in (self._arms, self._scenes) if varied]
+
+    def _moved(self, contact: np.ndarray | None) -> Moved:
         """State of NumPy rows: what is compiled takes them in faster than JAX would convert them here."""
         q = self._qpos[:, self._positions].astype(np.float32)
         qd = self._qvel[:, self._speeds].astype(np.float32)
-        rows = [self._batch.state, *([self._arms.sampled] if self._arms else [])]
+        rows = [self._batch.state, *(varied.numbers for varied in self._varied)]
         engine = np.concatenate(rows, axis=1).view(np.uint32)
         engine.flags.writeable = False  # who holds it holds what the arms are, see `_restore`
         self._given = cast("Array", engine)
         # No tool: the engine's own site positions are one physics step old after a step.
-        return Moved(cast("Array", q), cast("Array", qd), engine=self._given)
+        return Moved(cast("Array", q), cast("Array", qd), engine=self._given, contact=cast("Array | None", contact))
 
 
 class _Arms:
-    """Arms that differ from each other by `sampled [B, 2 n + 1]` in -1 to 1: servo gains, damping and payload."""
+    """Arms that differ from each other by `numbers [B, 2 n + 1]` in -1 to 1: servo gains, damping and payload."""
 
     def __init__(self, batch: Batch, servos: np.ndarray, joints: np.ndarray) -> None:
         self._batch, self._servos, self._joints = batch, servos, joints
@@ -125,15 +158,15 @@ class _Arms:
             np.array(field) for field in (self._gain, self._bias, self._damping, self._mass, self._inertia)
         ]
         self._payload = batch.model.body(PAYLOAD).id
-        self.sampled = np.full((batch.nsim, 2 * len(joints) + 1), np.nan)
+        self.numbers = np.full((batch.nsim, 2 * len(joints) + 1), np.nan)
 
-    def become(self, sampled: np.ndarray) -> None:
-        """Make the arms those of `sampled`."""
-        if np.array_equal(sampled, self.sampled):
+    def become(self, numbers: np.ndarray) -> None:
+        """Make the arms those of `numbers`."""
+        if np.array_equal(numbers, self.numbers):
             return
-        self.sampled = np.array(sampled)
+        self.numbers = np.array(numbers)
         n = len(self._joints)
-        gains, dampings, payload = np.split(self.sampled, (n, 2 * n), axis=1)
+        gains, dampings, payload = np.split(self.numbers, (n, 2 * n), axis=1)
         gain, bias, damping, mass, inertia = self._nominal
         stiff = 1 + GAIN_SPREAD * gains[:, :, None]
         self._gain[:, self._servos] = gain[:, self._servos] * stiff
@@ -143,46 +176,3 @@ class _Arms:
         self._mass[:, self._payload] = mass[:, self._payload] * load
         self._inertia[:, self._payload] = inertia[:, self._payload] * load[:, None]
         self._batch.set_const()
-
-
-PAYLOAD = "payload"
-"""Name of the body that the payload is."""
-
-
-def _add_payload(spec: mujoco.MjSpec, tool: str, mass: float) -> None:
-    site = spec.site(tool)
-    body, place = (spec.body(tool), [0.0, 0.0, 0.0]) if site is None else (site.parent, site.pos)
-    inertia = [0.4 * mass * PAYLOAD_RADIUS**2] * 3  # of a ball
-    body.add_body(name=PAYLOAD, pos=place, mass=mass, inertia=inertia, ipos=[0, 0, 0], explicitinertial=True)
-
-
-def physics_model(robot: Robot, config: SimConfig, *, payload: bool = False) -> mujoco.MjModel:
-    """Compiled model of a robot with the options of a configuration, and a `payload` at the tool.
-
-    Raises:
-        InputError: the robot file does not compile with these options.
-    """
-    spec = robot.spec(pictures=config.collisions)
-    spec.option.timestep = config.control_period / config.physics_steps
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    # A state that is not finite must be noticed, not silently set back.
-    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-    if config.collisions:
-        add_table(spec, robot, solid=True)
-    else:
-        spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-    if config.gravity_compensation:
-        for body in spec.bodies:
-            body.gravcomp = 1.0
-    if payload:
-        _add_payload(spec, robot.tool, robot.payload)
-    try:
-        return spec.compile()
-    except ValueError as error:
-        raise InputError(f"robot {robot.name!r} does not compile in MuJoCo: {' '.join(str(error).split())}.") from None
-
-
-def _lag(model: mujoco.MjModel, servos: np.ndarray, joints: np.ndarray) -> tuple[float, ...]:
-    """Time by which each joint follows its servo's moving command [s]: damping, the joint's own too, by stiffness."""
-    damping = model.dof_damping[joints] - model.actuator_biasprm[servos, 2]
-    return tuple((damping / model.actuator_gainprm[servos, 0]).tolist())

@@ -20,6 +20,7 @@ from reachlab.settings.validation import InputError
 from reachlab.sims import SIMULATORS, ArmState, BatchArray, Kind, Moved
 from reachlab.sims.pybullet_arm import write_arm
 from reachlab.sims.pybullet_world import World, import_pybullet
+from reachlab.tasks.obstacles import Obstacles
 from reachlab.tasks.schema import SIZE
 from reachlab.tasks.task import Goal
 
@@ -35,13 +36,21 @@ class PybulletSimulator:
 
     kind: Kind = "host"
 
-    def __init__(self, robot: Robot, config: SimConfig, num_envs: int, *, randomise_dynamics: bool = False) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        config: SimConfig,
+        num_envs: int,
+        *,
+        randomise_dynamics: bool = False,
+        obstacles: int = 0,
+    ) -> None:
         """Simulator of `num_envs` arms.
 
         Raises:
             InputError: PyBullet is not installed or has no display, or there are too many environments.
         """
-        del randomise_dynamics
+        del randomise_dynamics, obstacles
         most = SIMULATORS["pybullet"].most_envs or num_envs  # each is a client of its own, of about 29 MB
         if num_envs > most:
             raise InputError(f"simulator 'pybullet' holds at most {most} environments, got {num_envs}: use --num-envs.")
@@ -80,9 +89,10 @@ class PybulletSimulator:
         goal: Goal,
         mask: BatchArray | None,
         dynamics: BatchArray | None = None,
+        obstacles: Obstacles | None = None,
     ) -> ArmState:
         """See `Simulator.reset`."""
-        del dynamics
+        del dynamics, obstacles
         wanted, points = np.asarray(q, np.float32), np.asarray(goal.position, np.float64)
         chosen = np.ones(len(wanted), bool) if state is None or mask is None else np.asarray(mask)
         for index in np.flatnonzero(chosen):

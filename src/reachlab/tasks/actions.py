@@ -11,6 +11,7 @@ from jax import Array
 
 from reachlab.robots.inverse_kinematics import ik_displace, ik_point_step
 from reachlab.robots.kinematics import forward_kinematics
+from reachlab.tasks.avoidance import keep_clear
 from reachlab.tasks.task import Bounds, Situation, TaskSetup, gap
 
 TINY = 1e-6
@@ -78,9 +79,11 @@ def joint_scale(setup: TaskSetup) -> np.ndarray:
 
 
 def _move_joints(setup: TaskSetup, now: Situation, action: Array) -> Array:
-    """Joint command displaced by the action."""
-    chain = setup.robot.chain
-    return jnp.clip(now.target_q + action * joint_scale(setup), jnp.array(chain.lower), jnp.array(chain.upper))
+    """Joint command displaced by the action, as far as obstacles allow."""
+    chain, step = setup.robot.chain, action * joint_scale(setup)
+    if now.obstacles is not None:
+        step = keep_clear(setup, now, step)
+    return jnp.clip(now.target_q + step, jnp.array(chain.lower), jnp.array(chain.upper))
 
 
 NEAR_GAIN, FAR_GAIN = 0.5, 2.5
@@ -185,7 +188,7 @@ def _worth(setup: TaskSetup, now: Situation) -> Array:
     away = now.goal.distance(now.tool_position)
     if (angle := now.goal.angle(now.tool_quaternion)) is not None:
         away = gap(setup.rules, away, angle)
-    most = CORRECTION if now.goal.joints is None else POSE_CORRECTION
+    most = POSE_CORRECTION if now.obstacles is None and now.goal.joints is not None else CORRECTION
     return most * jnp.minimum(jnp.square(away[:, None] / CORRECTION_FADE), 1.0)
 
 

@@ -12,11 +12,16 @@ from reachlab.robots.inverse_kinematics import MAX_JOINT_STEP, rotation_error
 from reachlab.robots.kinematics import Pose, components, stack
 from reachlab.robots.scalar_algebra import rotation_from_quaternion
 from reachlab.tasks.actions import ACTIONS
+from reachlab.tasks.avoidance import basis_points, clearance_terms, moving_capsules
+from reachlab.tasks.obstacles import distance_from
 from reachlab.tasks.schema import GOALS, Observation, Observed, Term
 from reachlab.tasks.task import Bounds, Goal, Situation, TaskSetup
 
 LOWEST_GOAL = -0.05
 """Bottom of the observed box [m]: the tutorial's settled object lies just below the workspace."""
+
+CLOSE, BASIS = 0.1, 4
+"""Distance at which an obstacle counts half as near as one that is touched [m], and points of the grid in a row."""
 
 NEAR = 0.02
 """Distance at which the near form of the way to the goal is half as long as a far one [m]."""
@@ -166,6 +171,17 @@ def _goal_velocity_bounds(setup: TaskSetup) -> Bounds:
     return _within(np.full(3, 5 * setup.rules.goal_speed[1]))
 
 
+def _clearance(setup: TaskSetup, now: Situation) -> Array:
+    return clearance_terms(setup, now, CLOSE * setup.robot.scale)
+
+
+def _scene(setup: TaskSetup, now: Situation) -> Array:
+    """Nearness `[B, BASIS³]` of obstacles to points about the goals."""
+    assert now.obstacles is not None, "checked with the settings"  # noqa: S101
+    away = distance_from(now.obstacles, basis_points(setup, BASIS))
+    return CLOSE / (CLOSE + jnp.maximum(away / setup.robot.scale, 0.0))
+
+
 def _joint_way(setup: TaskSetup, now: Situation) -> Array:
     del setup
     assert now.goal.joints is not None, "found with every pose"  # noqa: S101
@@ -195,18 +211,33 @@ STATE = (
 )
 """The arm, the goal, the way to it from the tool and the same drawn together, and the last action."""
 
+JOINT_WAY = Term("joint_way", "rad or m", _joint_way, _joint_way_bounds)
+
 POSE = (
     *STATE,
     Term("tool_axes", "1", lambda _, now: _axes(now.tool_quaternion), lambda _: _within(np.ones(6))),
     Term("goal_axes", "1", _goal_axes, lambda _: _within(np.ones(6))),
     Term("turn", "rad", _turn, lambda _: _within(np.full(3, 2.0))),
     Term("turn_near", "1", _turn_near, lambda _: _within(np.ones(3))),
-    Term("joint_way", "rad or m", _joint_way, _joint_way_bounds),
+    JOINT_WAY,
 )
 """The same with both orientations, the turn between them, and the way of the joints to a solution of the goal."""
 
 TRACK = (*STATE, Term("goal_velocity", "m/s", _goal_velocity, _goal_velocity_bounds))
 """The same as `STATE`, and how fast the goal moves."""
+
+CLUTTER = (
+    *STATE,
+    JOINT_WAY,
+    Term("clearance", "1", _clearance, lambda setup: _within(np.ones(3 * moving_capsules(setup)))),
+    Term("scene", "1", _scene, lambda _: (np.zeros(BASIS**3, np.float32), np.ones(BASIS**3, np.float32))),
+)
+"""The same as `STATE`, how far the joints are from where they have the goal, and the obstacles.
+
+Obstacles are seen by what is nearest to each capsule of the arm, which is what a policy must not touch, and by how near
+they are to the points of a grid (Prokudin et al., "Efficient learning on point clouds with basis point sets", ICCV
+2019), which tells ways round apart. Neither depends on their order, number or kind.
+"""
 
 ACHIEVED_AND_DESIRED = (
     Term(GOALS[0], "m", _achieved, _or_pose(_tool_bounds)),
@@ -227,6 +258,11 @@ OBSERVATIONS: dict[str, Observation] = {
         needs_pose=True,
     ),
     "track": Observation("as state, and the velocity of the target", TRACK),
+    "clutter": Observation(
+        "as state, how far the joints are from where they have the target, and how near obstacles are to each link and"
+        " to points of a grid",
+        CLUTTER,
+    ),
     "image": Observation("a camera's picture, 84 × 84 grey", (IMAGE,)),
     "goal": Observation(
         "the tool's position, achieved_goal and desired_goal [m], as a dict: the form of a GoalEnv",

@@ -83,6 +83,8 @@ def outcome(setup: TaskSetup, before: Progress, after: Progress, now: Situation,
     outside = jnp.zeros_like(after.distance, bool)
     if rules.ends_outside:
         outside = outside_workspace(setup.robot, now.tool_position)
+    if rules.end_on_contact and now.contact is not None:
+        outside |= now.contact
     success = ~outside & after.solved(rules)
     timeout = ~outside & (clock >= rules.max_steps)
     gained, terminated = success.astype(after.distance.dtype), outside
@@ -156,6 +158,7 @@ def _reach(tool: str) -> Task:
         tool=tool,
         goal_box=_goal_box,
         sample_goal=_sample_goal,
+        sample_obstacles=None,
         move=None,
         sample_start=_sample_start,
         begin=_begin,

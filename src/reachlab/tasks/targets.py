@@ -107,7 +107,7 @@ def _first_reached(draw: Callable[[Array], Drawn], setup: TaskSetup, key: Array)
 
     def again(before: Drawn) -> Drawn:
         drawn = draw(before.key)
-        return drawn._replace(reached=drawn.reached & _free(setup.robot, drawn.q), draws=before.draws + 1)
+        return drawn._replace(reached=drawn.reached & free_of_contact(setup.robot, drawn.q), draws=before.draws + 1)
 
     found = jax.lax.while_loop(lambda drawn: ~drawn.reached & (drawn.draws < DRAWS), again, nothing)
     return Goal(*forward_kinematics(setup.robot.chain, found.q), joints=found.q)
@@ -132,7 +132,7 @@ def _any_pose(setup: TaskSetup, key: Array) -> Drawn:
     return Drawn(key, nearest, reached, jnp.zeros((), jnp.int32))
 
 
-def _free(robot: Robot, q: Array) -> Array:
+def free_of_contact(robot: Robot, q: Array) -> Array:
     """Whether an arm at joints `[n]` is above the table, and its links do not meet, judged by its capsules."""
     if not robot.capsules.links:
         return jnp.ones((), bool)

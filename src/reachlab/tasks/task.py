@@ -18,6 +18,7 @@ from jax import Array
 from reachlab.robots.kinematics import Pose, angle_between
 from reachlab.robots.robot import Robot
 from reachlab.settings.config import Rules
+from reachlab.tasks.obstacles import Obstacles
 
 Bounds = tuple[np.ndarray, np.ndarray]
 """Lower and upper bounds `[k]`."""
@@ -78,8 +79,9 @@ class Situation(NamedTuple):
     """What observations, actions and baselines may use, for a batch.
 
     `q, target_q [B, n]` rad or m, `qd [B, n]` rad/s or m/s, the tool's pose `[B, 3]` m and `[B, 4]` wxyz, the goal,
-    `last_action [B, a]`; the camera's `picture [B, SIZE, SIZE]` uint8 where the observation holds one; and where the
-    tool truly is, `achieved`, if it is measured with noise.
+    `last_action [B, a]`; the camera's `picture [B, SIZE, SIZE]` uint8 where the observation holds one; where the tool
+    truly is, `achieved`, if it is measured with noise; the obstacles, where there are any; and whether the arm touches
+    anything, `contact [B]`, where that is judged.
     """
 
     q: Array
@@ -91,6 +93,8 @@ class Situation(NamedTuple):
     last_action: Array
     picture: Array | None = None
     achieved: Pose | None = None
+    obstacles: Obstacles | None = None
+    contact: Array | None = None
 
 
 @jax.tree_util.register_dataclass
@@ -162,7 +166,7 @@ class Outcome(NamedTuple):
         progress: what is remembered of the episode: distance, angle and the errors that count.
         speed: of the fastest joint [rad/s or m/s].
         effort: mean square of the action.
-        outside: the tool is outside the workspace.
+        outside: the tool is outside the workspace, or the arm has touched something that it must not.
         success: the task is solved.
         timeout: the time is used up.
         gained: what success pays for: 1 on the step on which it is reached and, where the episode continues, -1 on the
@@ -201,6 +205,8 @@ class Task:
         tool: which of a robot's tool frames is asked for, see `KnownRobot.tools`.
         goal_box: corners `[3]` m of the box that holds all goals.
         sample_goal: a goal, of a random key.
+        sample_obstacles: the obstacles of an episode, of a random key, the joints `[n]` in which it starts and the
+            goal; None where there are none.
         move: the goal after so many steps `[B]`; None where it stays.
         sample_start: joint vector `[n]` in which an episode starts, of a random key.
         begin: what is remembered at the start of an episode: of the goal and the tool's pose.
@@ -215,6 +221,7 @@ class Task:
     tool: str
     goal_box: Callable[[TaskSetup], Bounds]
     sample_goal: Callable[[TaskSetup, Array], Goal]
+    sample_obstacles: Callable[[TaskSetup, Array, Array, Goal], Obstacles] | None
     move: Callable[[TaskSetup, Goal, Array], Goal] | None
     sample_start: Callable[[TaskSetup, Array], Array]
     begin: Callable[[TaskSetup, Goal, Pose], Progress]

@@ -29,21 +29,21 @@ def _move(setup: TaskSetup, goal: Goal, clock: Array) -> Goal:
 
 
 def _begin(setup: TaskSetup, goal: Goal, tool: Pose) -> Progress:
-    """Nothing has been followed yet: an error without end."""
     del setup
     distance = goal.distance(tool.position)
-    return Progress(distance, mean_square=jnp.full_like(distance, jnp.inf))
+    return Progress(distance, mean_square=jnp.square(distance))
 
 
 def _judge(setup: TaskSetup, before: Progress, now: Situation, clock: Array) -> Outcome:
-    """As for a point that stays; the error that counts is the root mean square after the settling time."""
+    """As for a point that stays; the error that counts is the root mean square after the settling time.
+
+    Until then it is the distance.
+    """
     assert before.mean_square is not None, "as it began"  # noqa: S101
     distance = now.goal.distance(now.tool_position)
     counted = jnp.maximum(clock - setup.rules.settle_steps, 1)
-    known = jnp.where(counted == 1, 0.0, before.mean_square)
-    mean = known + (jnp.square(distance) - known) / counted
-    after = Progress(distance, mean_square=jnp.where(clock > setup.rules.settle_steps, mean, jnp.inf))
-    return outcome(setup, before, after, now, clock)
+    mean = before.mean_square + (jnp.square(distance) - before.mean_square) / counted
+    return outcome(setup, before, Progress(distance, mean_square=mean), now, clock)
 
 
 def _asks(rules: Rules, period: float) -> str:

@@ -1,0 +1,68 @@
+"""Holding a point among obstacles, without touching anything."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from reachlab.robots.inverse_kinematics import ik_point_step
+from reachlab.robots.kinematics import forward_kinematics
+from reachlab.settings.config import Rules
+from reachlab.tasks.reach import PRECISE
+from reachlab.tasks.scenes import sample_scene
+from reachlab.tasks.targets import free_of_contact
+from reachlab.tasks.task import Goal, TaskSetup
+
+ITERATIONS, LONGEST_STEP = 40, 0.1
+"""Steps of the solver, and largest displacement of the tool in one [m]; those that arrive do so in about fifteen."""
+
+NEAR = 1e-4
+"""Distance of the tool from a point at which joints count as having it [m]."""
+
+DRAWS = 100
+"""Goals drawn at most until one can be reached freely."""
+
+
+def _sample_goal(setup: TaskSetup, key: Array) -> Goal:
+    """A point of the box, and joints near home that have it, in which the arm touches neither itself nor the table."""
+    chain, home = setup.robot.chain, jnp.array(setup.robot.home)
+
+    def solve(point: Array) -> Array:
+        def step(_: int, q: Array) -> Array:
+            way = point - forward_kinematics(chain, q).position
+            way *= jnp.minimum(LONGEST_STEP / (jnp.linalg.norm(way) + NEAR), 1.0)
+            return q + ik_point_step(chain, q, q, way)
+
+        return jax.lax.fori_loop(0, ITERATIONS, step, home)
+
+    def again(drawn: tuple[Array, Goal, Array, Array]) -> tuple[Array, Goal, Array, Array]:
+        key, _, _, draws = drawn
+        key, now = jax.random.split(key)
+        point = PRECISE.sample_goal(setup, now).position
+        q = solve(point)
+        near = jnp.linalg.norm(forward_kinematics(chain, q).position - point) < NEAR
+        return key, Goal(point, joints=q), near & free_of_contact(setup.robot, q), draws + 1
+
+    nothing = (key, Goal(jnp.zeros(3), joints=home), jnp.zeros((), bool), jnp.zeros((), jnp.int32))
+    return jax.lax.while_loop(lambda drawn: ~drawn[2] & (drawn[3] < DRAWS), again, nothing)[1]
+
+
+def _asks(rules: Rules, period: float) -> str:
+    return f"{PRECISE.asks(rules, period)}; up to {rules.obstacles} obstacles, and nothing may be touched"
+
+
+def _succeeds(rules: Rules, period: float) -> str:
+    return f"{PRECISE.succeeds(rules, period)}, and the arm has touched nothing"
+
+
+CLUTTER = replace(
+    PRECISE,
+    sample_goal=_sample_goal,
+    sample_obstacles=lambda setup, key, start, goal: sample_scene(setup, key, start, goal.joints),
+    asks=_asks,
+    succeeds=_succeeds,
+)
+"""The flange is held at a point among obstacles."""

@@ -1,0 +1,141 @@
+"""Scenes of obstacles, drawn so that start and goal are free and a way between them exists."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from reachlab.robots.clearance import capsules_at, lowest_point, self_distance
+from reachlab.robots.kinematics import forward_kinematics
+from reachlab.robots.robot import Robot
+from reachlab.tasks.obstacles import FAR, Obstacles, beside, moving
+from reachlab.tasks.task import TaskSetup
+
+BALL, CAPSULE, BOX = range(3)
+"""Kinds of obstacles."""
+
+RADIUS, THIN, LONG, SIDE = (0.04, 0.1), (0.025, 0.06), (0.08, 0.25), (0.03, 0.12)
+"""Least and largest radius of a ball, radius and half length of a capsule, and half side of a box [m], in proportion to
+the arm's workspace."""
+
+AROUND = 0.12
+"""Obstacles lie so far from the way that the tool would take [m], likewise: the standard deviation along each axis."""
+
+CLEAR = 0.03
+"""Least distance of the arm at start and goal from obstacles [m], likewise; half of it on the way that is found."""
+
+CANDIDATES = 6
+"""Obstacles drawn in place of one, of which the first is taken that leaves start and goal free."""
+
+VIAS, WIDE = 6, 0.8
+"""Joint vectors over which a way is looked for beside the straight one, and how far from its middle they are [rad]."""
+
+STEPS = 8
+"""Points on a straight part of a way that have to be free."""
+
+ROUNDS = 8
+"""Scenes that are drawn until one has a way; if none has, the episode has no obstacles."""
+
+
+class _Scene(NamedTuple):
+    key: Array
+    obstacles: Obstacles
+    solved: Array
+    rounds: Array
+
+
+def sample_scene(setup: TaskSetup, key: Array, start: Array, goal: Array) -> Obstacles:
+    """Up to `obstacles` obstacles for an episode from joints `start [n]` to `goal [n]`, the number uniform."""
+    count = setup.rules.obstacles
+    nothing = _nothing(count)
+
+    def again(before: _Scene) -> _Scene:
+        key, for_count, for_shapes, for_way = jax.random.split(before.key, 4)
+        wanted = jax.random.randint(for_count, (), 0, count + 1)
+        drawn = _drawn(setup, for_shapes, jnp.stack([start, goal]))
+        there = jnp.arange(count) < wanted
+        obstacles = jax.tree.map(lambda a, b: jnp.where(there.reshape(-1, *[1] * (a.ndim - 1)), a, b), drawn, nothing)
+        return _Scene(key, obstacles, _has_way(setup, for_way, obstacles, start, goal), before.rounds + 1)
+
+    begun = _Scene(key, nothing, jnp.zeros((), bool), jnp.zeros((), jnp.int32))
+    found = jax.lax.while_loop(lambda scene: ~scene.solved & (scene.rounds < ROUNDS), again, begun)
+    return jax.tree.map(lambda a, b: jnp.where(found.solved, a, b), found.obstacles, nothing)
+
+
+def _nothing(count: int) -> Obstacles:
+    return Obstacles(
+        position=jnp.tile(jnp.array(FAR), (count, 1)),
+        quaternion=jnp.tile(jnp.array([1.0, 0.0, 0.0, 0.0]), (count, 1)),
+        half=jnp.zeros((count, 3)),
+        radius=jnp.full(count, RADIUS[0]),
+    )
+
+
+def _drawn(setup: TaskSetup, key: Array, free: Array) -> Obstacles:
+    """Obstacles that the arm does not meet at joints `free [2, n]`, near the way of the tool from the one to the other.
+
+    Where none of the candidates is so, there is none.
+    """
+    count = setup.rules.obstacles
+    for_shapes, for_share = jax.random.split(key)
+    shares = jax.random.uniform(for_share, (count * CANDIDATES, 1))
+    way = forward_kinematics(setup.robot.chain, free[0] + shares * (free[1] - free[0])).position
+    candidates = _shapes(setup, for_shapes, way)
+    clear = (_clearances(setup.robot, free, candidates) > CLEAR * setup.robot.scale).all(axis=0)
+    clear = clear.reshape(count, CANDIDATES)
+    chosen = jnp.arange(count) * CANDIDATES + clear.argmax(axis=1)
+    found = jax.tree.map(lambda x: x[chosen], candidates)
+    far = jnp.where(clear.any(axis=1)[:, None], found.position, jnp.array(FAR))
+    return Obstacles(far, found.quaternion, found.half, found.radius)
+
+
+def _shapes(setup: TaskSetup, key: Array, near: Array) -> Obstacles:
+    """A random obstacle near each of `near [k, 3]` m."""
+    scale, count = setup.robot.scale, len(near)
+    for_kind, for_place, for_turn, for_size = jax.random.split(key, 4)
+    kind = jax.random.randint(for_kind, (count, 1), 0, 3)
+    place = near + AROUND * scale * jax.random.normal(for_place, (count, 3))
+    turn = jax.random.normal(for_turn, (count, 4))
+    share = jax.random.uniform(for_size, (count, 3))
+
+    def between(limits: tuple[float, float], share: Array) -> Array:
+        return scale * (limits[0] + share * (limits[1] - limits[0]))
+
+    along = jnp.zeros((count, 3)).at[:, 2].set(between(LONG, share[:, 1]))
+    half = jnp.where(kind == BOX, between(SIDE, share), jnp.where(kind == CAPSULE, along, 0.0))
+    thick = jnp.where(kind == BALL, between(RADIUS, share[:, :1]), between(THIN, share[:, :1]))
+    return Obstacles(
+        position=place,
+        quaternion=turn / jnp.linalg.norm(turn, axis=-1, keepdims=True),
+        half=half,
+        radius=jnp.where(kind == BOX, 0.0, thick)[:, 0],
+    )
+
+
+def _clearances(robot: Robot, q: Array, obstacles: Obstacles) -> Array:
+    """Distances `[m, K]` m of the arm at joints `[m, n]` from obstacles `[K]`."""
+    count, others = len(q), len(obstacles.radius)
+    start, end, radius = moving(robot.capsules, capsules_at(robot.chain, robot.capsules, q))
+    one, other = (tuple(jnp.repeat(x, others, axis=1) for x in side) for side in (start, end))
+    each = jax.tree.map(lambda x: jnp.tile(x, (count, *[1] * (x.ndim - 1))), obstacles)
+    return (beside(one, other, each).distance - radius).min(axis=0).reshape(count, others)
+
+
+def _has_way(setup: TaskSetup, key: Array, obstacles: Obstacles, start: Array, goal: Array) -> Array:
+    """Whether the straight way in joint space is free, or one over a random joint vector near its middle."""
+    chain, robot = setup.robot.chain, setup.robot
+    away = jax.random.uniform(key, (VIAS, chain.n), minval=-WIDE, maxval=WIDE).at[0].set(0.0)
+    vias = jnp.clip((start + goal) / 2 + away, jnp.array(chain.lower), jnp.array(chain.upper))
+    shares = jnp.arange(1, STEPS + 1)[:, None] / STEPS
+    parts = [one + shares * (other - one) for via in vias for one, other in ((start, via), (via, goal))]
+    q = jnp.concatenate(parts)
+    at = capsules_at(chain, robot.capsules, q)
+    least = CLEAR * robot.scale / 2
+    free = (_clearances(robot, q, obstacles) > least).all(axis=1)
+    free &= lowest_point(robot.capsules, at) > robot.workspace[0][2]
+    if robot.capsules.pairs:
+        free &= self_distance(robot.capsules, at) > 0
+    return free.reshape(VIAS, -1).all(axis=1).any()
