@@ -233,7 +233,8 @@ class Player:
     def _look(self) -> None:
         arm, goal, progress = self.state.arm, self.state.goal, self.state.progress
         tool, target, angle = _row(arm.tool_position), _row(goal.position), _row(progress.angle)
-        error = None if progress.mean_square is None else _row(progress.error)
+        settled = self.clock > self._env.setup.rules.settle_steps
+        error = float(_row(progress.error)) if settled and progress.mean_square is not None else None
         self.moment = Moment(
             q=_row(arm.q),
             tool=tool,
@@ -242,7 +243,7 @@ class Player:
             target_orientation=_row(goal.quaternion),
             distance=float(_row(progress.distance)),
             angle=None if angle is None else float(angle),
-            error=float(error) if error is not None and np.isfinite(error) else None,
+            error=error,
             reached=self._env.reached(self.state),
             path=self._path.add(tool),
             trail=self._trail.add(target) if goal.path is not None else self._trail.points,
