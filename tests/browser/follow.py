@@ -42,6 +42,9 @@ GRIP = 2.0
 ARC = 0.65
 """Radius of the arcs by which a target is turned, as a share of the handle's size."""
 
+ACROSS = 0.7
+"""Least sine of the angle between the line of sight and an arrow that is taken."""
+
 ATTEMPTS = 3
 """Times that the mouse tries to take a handle that it misses."""
 
@@ -138,8 +141,10 @@ class Hand:
 
     def _drag(self, target: np.ndarray) -> None:
         low, high = self._shown.box
-        axis = int(self._random.choice(np.flatnonzero(high > low)))
-        direction = self._axes()[axis]
+        axes, sight = self._axes(), target - stage.VIEW_FROM
+        # An arrow along the line of sight is short in the page, and behind others.
+        across = np.linalg.norm(np.cross(axes, sight / np.linalg.norm(sight)), axis=1)
+        direction = axes[self._random.choice(np.flatnonzero((high > low) & (across > ACROSS)))]
         side = 1.0 if direction @ ((low + high) / 2 - target) > 0 else -1.0
         grip = target + stage.HANDLE_SIZE / 2 * direction
         self._pull(grip, grip + side * self._random.uniform(SHORTEST, LONGEST) * direction)
