@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from reachlab.agents import AGENTS
 from reachlab.envs.core import Env
@@ -13,7 +14,7 @@ from reachlab.envs.random_streams import REPORT_STREAM
 from reachlab.evaluation.episodes import BATCH, make_runner, run_episodes
 from reachlab.learn.learner import make_initial_policy
 from reachlab.settings.presets import configure
-from reachlab.watch.player import LATE, LEFT, Player, target_box
+from reachlab.watch.player import LATE, LEFT, TRAIL_STEP, Player, target_box
 
 FAR, NEAR = np.array([0.6, 0.2, -0.0083]), np.array([0.4, -0.2, -0.0083])
 
@@ -209,3 +210,118 @@ def test_a_policy_that_knows_home_alone_goes_back_there_on_its_way_before_it_fol
     player.step("trained", policy)
     assert player.clock == 1, "with all the time of an episode"
     np.testing.assert_allclose(player.moment.q, places[0], atol=0.05)
+
+
+# --- a target that is turned ----------------------------------------------------------------------
+
+
+def turned(quaternion: np.ndarray, *degrees: float) -> np.ndarray:
+    """An orientation, wxyz, turned by roll, pitch and yaw."""
+    turn = Rotation.from_euler("xyz", degrees, degrees=True)
+    return (turn * Rotation.from_quat(quaternion, scalar_first=True)).as_quat(scalar_first=True)
+
+
+def angle(one: np.ndarray, other: np.ndarray) -> float:
+    """Between orientations, wxyz [rad]."""
+    a, b = (Rotation.from_quat(quaternion, scalar_first=True) for quaternion in (one, other))
+    return float((a.inv() * b).magnitude())
+
+
+@pytest.fixture(scope="module")
+def poses() -> Player:
+    return Player(Env(configure("pose", randomise=()), 1), seed=0)
+
+
+def test_a_target_that_is_moved_and_turned_by_hand_is_reached(poses: Player) -> None:
+    for place, by in (([0.5, 0.1, 0.45], (20, 0, 60)), ([0.45, -0.2, 0.5], (0, -15, -90))):
+        poses.begin(0)
+        assert poses.moment.target_orientation is not None
+        wanted = turned(poses.moment.target_orientation, *by)
+        assert poses.move_target(np.array(place), wanted)
+        assert not poses.moment.reached
+        play(poses)
+        assert poses.moment.reached
+        assert np.linalg.norm(poses.moment.tool - place) < 0.002
+        assert angle(poses.moment.orientation, wanted) < 0.02
+        assert poses.moment.angle == pytest.approx(
+            angle(poses.moment.orientation, poses.moment.target_orientation), abs=1e-3
+        )
+
+
+def test_the_arm_stays_near_its_joints_when_the_target_is_turned_a_little(poses: Player) -> None:
+    poses.begin(0)
+    play(poses)
+    for _ in range(20):
+        before = poses.moment.q
+        assert poses.moment.target_orientation is not None
+        assert poses.move_target(poses.moment.target, turned(poses.moment.target_orientation, 0, 0, 2))
+        joints = poses.state.goal.joints
+        assert joints is not None
+        assert np.abs(np.asarray(joints[0]) - before).max() < 0.3
+        play(poses, 20)
+
+
+def test_a_target_that_is_put_where_the_arm_cannot_be_stays_as_it_was(poses: Player) -> None:
+    poses.begin(0)
+    before, goal = poses.moment, poses.state.goal
+    assert not poses.move_target(np.array([2.0, 0.0, 0.5]), before.orientation)
+    assert poses.state.goal is goal
+    assert poses.moment is before
+
+
+@pytest.mark.parametrize("task", ["precise", "pose", "track"])
+def test_a_target_that_is_moved_keeps_its_structure_so_that_nothing_is_compiled_anew(task: str) -> None:
+    player = Player(Env(configure(task), 1), seed=0)
+    before = player.state
+    assert player.move_target(player.moment.target, player.moment.orientation)
+    assert jax.tree.structure(player.state) == jax.tree.structure(before)
+    for one, other in zip(jax.tree.leaves(player.state), jax.tree.leaves(before), strict=True):
+        assert (one.shape, one.dtype) == (other.shape, other.dtype)
+
+
+# --- a target that moves --------------------------------------------------------------------------
+
+
+@pytest.fixture
+def tracker() -> Player:
+    return Player(Env(configure("track", randomise=(), goal_paths=("circle",)), 1), seed=0)
+
+
+def test_a_target_that_moves_leaves_a_trail_and_is_followed(tracker: Player) -> None:
+    assert tracker.on_path
+    tracker.follow(True)
+    places = [tracker.moment.target]
+    for _ in range(300):
+        tracker.step("ik", None)
+        places.append(tracker.moment.target)
+    trail = tracker.moment.trail
+    assert len(trail) > 10
+    assert np.linalg.norm(np.diff(trail, axis=0), axis=1).min() >= TRAIL_STEP
+    away = np.linalg.norm(trail[:, None] - np.array(places)[None], axis=-1)
+    assert away.min(axis=1).max() < 1e-6, "it has been at every point of it"
+    assert tracker.moment.reached, "the arm does not rest beside a target that moves on"
+    assert tracker.moment.error is not None
+    assert tracker.moment.error < 0.005
+    assert not tracker.over
+
+
+def test_a_target_that_is_taken_off_its_path_stays_until_the_next_episode(tracker: Player) -> None:
+    play(tracker, 50)
+    place = np.array([0.5, 0.1, 0.45])
+    assert tracker.move_target(place)
+    assert not tracker.on_path
+    play(tracker)
+    assert tracker.over
+    np.testing.assert_allclose(tracker.moment.target, place, atol=1e-6)
+    assert np.linalg.norm(tracker.moment.tool - place) < 0.002
+    tracker.proceed()
+    assert tracker.on_path
+    assert len(tracker.moment.trail) == 1
+    play(tracker)
+    assert len(tracker.moment.trail) > 1
+
+
+def test_a_target_that_stays_leaves_no_trail() -> None:
+    player = player_in("kinematic")
+    player.move_target(FAR)
+    assert len(player.moment.trail) == 0

@@ -6,13 +6,15 @@ import sys
 from collections.abc import Iterator
 from dataclasses import replace
 
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from reachlab.envs.core import Env
 from reachlab.envs.random_streams import env_keys
-from reachlab.render.marks import Marks
+from reachlab.render.marks import Axes, Marks
 from reachlab.render.offscreen import Camera
 from reachlab.render.scene import HEIGHT, WIDTH, scene_spec
 from reachlab.robots.loading import load_robot
@@ -96,6 +98,46 @@ def test_the_tools_path_is_drawn(robot: Robot, camera: Camera) -> None:
     line = changed(camera.picture(home, TARGET), camera.picture(home, TARGET, Marks(path=path)))
     assert line.sum() > 100
     assert np.array_equal(camera.picture(home, TARGET), camera.picture(home, TARGET, Marks(path=path[:1])))
+
+
+def test_the_trail_of_a_target_is_drawn_in_another_colour(robot: Robot, camera: Camera) -> None:
+    home = np.array(robot.home)
+    line, plain = np.linspace((0.6, -0.2, 0.1), (0.6, 0.2, 0.1), 20), camera.picture(home, TARGET)
+    path, trail = (camera.picture(home, TARGET, marks).astype(int) for marks in (Marks(path=line), Marks(trail=line)))
+    assert (path[changed(plain, path)] @ (1, 0, -1)).mean() < -50, "blue"
+    assert (trail[changed(plain, trail)] @ (1, 0, -1)).mean() > 50, "orange"
+    both = camera.picture(home, TARGET, Marks(path=line, trail=line))
+    assert changed(both, trail).sum() > 100, "the path is seen inside the trail"
+
+
+def test_an_orientation_is_drawn_as_three_axes_where_they_point(robot: Robot, camera: Camera) -> None:
+    home, place = np.array(robot.home), np.array((0.6, 0.1, 0.2))
+    turn = Rotation.from_euler("xyz", (20, 30, 40), degrees=True)
+    axes = Axes(place, turn.as_quat(scalar_first=True), (0.2, 0.004))
+    plain = camera.picture(home, TARGET)
+    pixels = changed(plain, camera.picture(home, TARGET, Marks(axes=(axes,))))
+    # A thin path from the middle to each tip covers no pixel beside those of the axes.
+    for tip in place + 0.2 * turn.as_matrix().T:
+        path = np.linspace(place, tip - 0.01 * (tip - place), 20)
+        line = changed(plain, camera.picture(home, TARGET, Marks(path=path)))
+        assert line.sum() > 20
+        assert pixels[line].mean() > 0.9
+    half = Axes(place, (turn * Rotation.from_rotvec((0, 0, np.pi))).as_quat(scalar_first=True), (0.2, 0.004))
+    assert changed(
+        camera.picture(home, TARGET, Marks(axes=(axes,))), camera.picture(home, TARGET, Marks(axes=(half,)))
+    ).any()
+
+
+def test_a_picture_of_a_pose_differs_where_only_its_orientation_does(camera: Camera) -> None:
+    del camera
+    env = Env(configure("pose"), 1)
+    state = env.init(env_keys(0, 1))
+    assert state.goal.quaternion is not None
+    turned = Rotation.from_quat(np.asarray(state.goal.quaternion), scalar_first=True) * Rotation.from_rotvec((0, 0, 1))
+    goal = replace(state.goal, quaternion=jnp.asarray(turned.as_quat(scalar_first=True), jnp.float32))
+    one, other = env.render(state), env.render(replace(state, goal=goal))
+    assert 20 < changed(one, other).sum() < 4000
+    env.close()
 
 
 def test_a_moving_arm_changes_the_picture(robot: Robot, camera: Camera) -> None:

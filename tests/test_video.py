@@ -18,7 +18,7 @@ from reachlab.evaluation.episodes import BATCH, make_runner, run_episodes
 from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError
 from reachlab.watch import video
-from reachlab.watch.captions import HEIGHT, VERDICTS, Caption, captioned, distance_text
+from reachlab.watch.captions import HEIGHT, VERDICTS, Caption, angle_text, captioned, distance_text
 from reachlab.watch.player import Player, played
 from reachlab.watch.video import BEGIN_PAUSE, ENCODERS, END_PAUSE, LONG_ENOUGH, SPEEDS, Clip, write_video
 
@@ -55,10 +55,14 @@ def moments(env: Env) -> list[list[Shown]]:
     return episodes
 
 
+def grey(_: object, *, path: np.ndarray, trail: np.ndarray) -> np.ndarray:
+    return np.full((*SIZE[::-1], 3), len(path) + len(trail), np.uint8)
+
+
 @pytest.fixture
 def film(env: Env, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., Clip]:
     """Writes a video of inverse kinematics whose pictures are plain grey, so that it needs no OpenGL."""
-    monkeypatch.setattr(env, "render", lambda _, path: np.full((*SIZE[::-1], 3), len(path), np.uint8))
+    monkeypatch.setattr(env, "render", grey)
 
     def write(name: str, episodes: int = 1, fps: float = 30.0, speed: float = 1.0) -> Clip:
         return write_video(env, "ik", None, tmp_path / name, seed=1, episodes=episodes, fps=fps, speed=speed)
@@ -189,6 +193,34 @@ def test_a_caption_leaves_the_picture_as_it_is() -> None:
     assert image[120:].std() > 10
 
 
+@pytest.mark.parametrize("further", [{"angle": 0.2}, {"error": 0.004}, {"angle": 2.5, "error": 0.1234}])
+def test_a_caption_tells_the_angle_and_the_mean_and_its_verdict_covers_neither(further: dict[str, float]) -> None:
+    picture = np.zeros((10, 640, 3), np.uint8)
+    short, long, ended = (
+        np.asarray(captioned(picture, Caption("Episode 1 of 4", "a task", 0.1234, 5.0, said, **told)))
+        for said, told in (("", {}), ("", further), ("success", further))
+    )
+    assert (short != long).any()
+    stamped = np.argwhere((ended == VERDICTS["success"]).all(axis=-1))[:, 1]
+    assert np.array_equal(ended[:, stamped.max() + 1 :], long[:, stamped.max() + 1 :]), "the figures are all there"
+    assert np.argwhere((short != long).any(axis=-1))[:, 1].min() > stamped.max()
+
+
+def test_a_film_shows_the_trail_of_a_target_that_moves(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    env, points = Env(configure("track", randomise=(), goal_paths=("smooth",)), 1), []
+
+    def count(_: object, *, path: np.ndarray, trail: np.ndarray) -> np.ndarray:
+        points.append(len(trail))
+        return grey(_, path=path, trail=trail)
+
+    monkeypatch.setattr(env, "render", count)
+    write_video(env, "ik", None, tmp_path / "film.webp", episodes=1, fps=5.0, speed=1.0)
+    env.close()
+    assert points[0] == 1
+    assert points == sorted(points)
+    assert points[-1] > 10
+
+
 @pytest.mark.parametrize("verdict", VERDICTS)
 def test_the_verdict_is_told_in_its_colour_at_the_end_only(verdict: str) -> None:
     picture = np.zeros((10, 640, 3), np.uint8)
@@ -205,3 +237,7 @@ def test_the_verdict_is_told_in_its_colour_at_the_end_only(verdict: str) -> None
 )
 def test_distances_are_in_millimetres(metres: float, text: str) -> None:
     assert distance_text(metres) == text
+
+
+def test_angles_are_in_degrees() -> None:
+    assert angle_text(np.pi / 6) == "30.0°"

@@ -17,9 +17,10 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 from playwright.sync_api import Browser, Page
+from scipy.spatial.transform import Rotation
 
 from browser.driver import chromium, executable, open_scene, opened, picture, traffic, wait_until
-from browser.follow import follow
+from browser.follow import Hand, follow
 from browser.viewer import free_port
 from reachlab.cli import main as cli
 from reachlab.envs.core import Env
@@ -36,7 +37,7 @@ from reachlab.watch import panel
 from reachlab.watch.player import PATH_STEP
 from reachlab.watch.saved_page import save_page
 from reachlab.watch.server import LOCAL, start_server
-from reachlab.watch.viewer import COMMANDS, Viewer
+from reachlab.watch.viewer import COMMANDS, UNREACHABLE, Viewer
 
 CHECKPOINTS = (0, 128)
 
@@ -153,6 +154,19 @@ def test_the_arm_follows_a_target_that_is_dragged_in_the_page_and_rests_there(
     assert {urlsplit(url).scheme for url in requests} >= {"http", "ws"}, "requests and web sockets are recorded"
 
 
+def test_a_target_that_is_turned_in_the_page_is_reached(page: Page, tmp_path: Path) -> None:
+    config = configure("pose", num_envs=8, hidden=(8,))
+    with view(config, untrained(config, tmp_path / "run")) as viewer:
+        before = viewer.player.moment.target_orientation
+        hand = Hand(viewer, page)
+        hand.turn()
+        wait_until(playing(viewer, lambda: angle(viewer.player.moment.target_orientation, before) > 0.3), "a turn")
+        wanted, place = np.array(viewer.handle.wxyz), np.array(viewer.handle.position)
+        wait_until(playing(viewer, lambda: viewer.player.moment.reached), "that the arm is there")
+        assert angle(viewer.player.moment.orientation, wanted) < 0.02
+        assert np.linalg.norm(viewer.player.moment.tool - place) < 0.002
+
+
 def test_a_saved_page_plays_from_its_file_alone(page: Page, config: RunConfig, tmp_path: Path) -> None:
     out = tmp_path / "page.html"
     save_page(Env(config, 1), "ik", None, seed=1, episodes=EPISODES, out=out)
@@ -188,6 +202,88 @@ def test_a_policy_that_sees_no_picture_has_no_place_for_one(viewer: Viewer) -> N
 
 
 # --- without ---------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def poses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Viewer]:
+    """Viewer of a task that asks for an orientation, as if a browser were there."""
+    config = configure("pose", num_envs=8, hidden=(8,))
+    with view(config, untrained(config, tmp_path / "run")) as viewer:
+        monkeypatch.setattr(viewer._server, "get_clients", lambda: {0: None})
+        yield viewer
+
+
+def angle(one: np.ndarray | None, other: np.ndarray | None) -> float:
+    """Between orientations, wxyz [rad]."""
+    assert one is not None
+    assert other is not None
+    a, b = (Rotation.from_quat(quaternion, scalar_first=True) for quaternion in (one, other))
+    return float((a.inv() * b).magnitude())
+
+
+def test_a_target_that_is_turned_by_its_handle_is_reached(poses: Viewer) -> None:
+    turn = Rotation.from_euler("z", 40, degrees=True)
+    wanted = (turn * Rotation.from_quat(poses.handle.wxyz, scalar_first=True)).as_quat(scalar_first=True)
+    place = np.array(poses.handle.position)
+    poses.handle.wxyz = wanted
+    for _ in range(180):
+        poses.frame(FRAME)
+    moment = poses.player.moment
+    assert poses.stage.target_axes.visible
+    assert poses.stage.axes.visible
+    for axes in (poses.stage.axes, poses.stage.target_axes):
+        assert angle(axes.wxyz, wanted) < 0.02
+        assert np.linalg.norm(axes.position - place) < 0.002
+    assert angle(moment.orientation, wanted) < 0.02
+    assert f"**{poses.stage.label.text}** to the target, **reached**" in poses.panel.said
+    assert poses.stage.label.text.endswith("°")
+
+
+def test_where_the_arm_has_no_such_pose_the_target_stays_and_the_panel_says_so(poses: Viewer) -> None:
+    before = poses.player.moment
+    poses.handle.position = poses.box[1]
+    back = Rotation.align_vectors(-poses.box[1:], np.array([[0.0, 0.0, 1.0]]))[
+        0
+    ]  # the wrist behind the farthest corner
+    poses.handle.wxyz = back.as_quat(scalar_first=True)
+    poses.frame(0.0)
+    assert UNREACHABLE in poses.panel.said
+    np.testing.assert_array_equal(poses.player.moment.target, before.target)
+    poses.frame(0.0)
+    np.testing.assert_allclose(poses.handle.position, before.target, atol=1e-6)
+    assert angle(np.array(poses.handle.wxyz), before.target_orientation) < 1e-3
+    poses.handle.position = before.target + np.array([0.0, 0.0, 0.01])
+    poses.frame(0.0)
+    assert UNREACHABLE not in poses.panel.said
+
+
+def test_a_target_that_moves_shows_its_trail_until_it_is_taken_off_its_path(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = configure("track", num_envs=8, hidden=(8,), goal_paths=("smooth",))
+    with view(config, untrained(config, tmp_path / "run")) as viewer:
+        monkeypatch.setattr(viewer._server, "get_clients", lambda: {0: None})
+        lengths = []
+        for _ in range(100):
+            viewer.frame(FRAME)
+            assert viewer.stage.trail
+            lengths.append(len(viewer.stage.trail.points))
+        assert lengths == sorted(lengths)
+        assert lengths[-1] > lengths[0] + 3
+        COMMANDS["Step"](viewer)
+        assert "RMS" in viewer.panel.said
+        COMMANDS["Pause"](viewer)
+        np.testing.assert_allclose(viewer.handle.position, viewer.player.moment.target, atol=0.02)
+        viewer.handle.position = place = viewer.box.mean(axis=0)
+        for _ in range(50):
+            viewer.frame(FRAME)
+        np.testing.assert_allclose(viewer.player.moment.target, place, atol=1e-6)
+        COMMANDS["Reset"](viewer)
+        assert viewer.player.on_path
+        first = viewer.player.moment.target
+        for _ in range(50):
+            viewer.frame(FRAME)
+        assert not np.allclose(viewer.player.moment.target, first, atol=1e-3)
 
 
 def test_the_workspace_and_the_tools_path_are_drawn(viewer: Viewer) -> None:

@@ -11,6 +11,7 @@ from functools import partial
 
 import numpy as np
 from playwright.sync_api import Page
+from scipy.spatial.transform import Rotation
 
 from browser.driver import open_scene, wait_until
 from reachlab.bench.table import Row, row
@@ -37,6 +38,12 @@ MOUSE_STEPS = 10
 
 GRIP = 2.0
 """Time after a drag in which the target has to move, else the mouse has missed its handle [s]."""
+
+ARC = 0.65
+"""Radius of the arcs by which a target is turned, as a share of the handle's size."""
+
+ACROSS = 0.7
+"""Least sine of the angle between the line of sight and an arrow that is taken."""
 
 ATTEMPTS = 3
 """Times that the mouse tries to take a handle that it misses."""
@@ -115,13 +122,15 @@ class Hand:
             time.sleep(max(0.0, min(rested, end) - time.monotonic()))
 
     def _grab(self) -> None:
-        """Drag the target along an axis that is free, and hold it."""
+        """Drag the target along an axis that is free, and hold it. One that moves is taken while all is paused."""
         for _ in range(ATTEMPTS):
+            self._shown.paused = self._shown.player.on_path
             before = self._shown.player.moment.target.copy()
             self._drag(before)
             with contextlib.suppress(TimeoutError):
                 wait_until(partial(self._has_moved, before), "a movement of the target", GRIP)
                 self.drags += 1
+                self._shown.paused = False
                 return
             self._page.mouse.up()
             open_scene(self._page, self._shown.url)
@@ -132,17 +141,32 @@ class Hand:
 
     def _drag(self, target: np.ndarray) -> None:
         low, high = self._shown.box
-        axis = int(self._random.choice(np.flatnonzero(high > low)))
-        side = 1.0 if target[axis] < (low + high)[axis] / 2 else -1.0
-        direction = np.eye(3)[axis]
+        axes, sight = self._axes(), target - stage.VIEW_FROM
+        # An arrow along the line of sight is short in the page, and behind others.
+        across = np.linalg.norm(np.cross(axes, sight / np.linalg.norm(sight)), axis=1)
+        direction = axes[self._random.choice(np.flatnonzero((high > low) & (across > ACROSS)))]
+        side = 1.0 if direction @ ((low + high) / 2 - target) > 0 else -1.0
         grip = target + stage.HANDLE_SIZE / 2 * direction
-        away = side * self._random.uniform(SHORTEST, LONGEST) * direction
-        size = self._page.viewport_size
+        self._pull(grip, grip + side * self._random.uniform(SHORTEST, LONGEST) * direction)
+
+    def turn(self) -> None:
+        """Turn the target by the arc between its first and its second axis, and let go."""
+        x, y, _ = self._axes()
+        radius, target = ARC * stage.HANDLE_SIZE, self._shown.player.moment.target
+        self._pull(target + radius * (x + y) / np.sqrt(2), target + radius * (x + 0.2 * y))
+        self._page.mouse.up()
+
+    def _axes(self) -> np.ndarray:
+        """Directions of the handle's arrows, a row each `[3, 3]`."""
+        return Rotation.from_quat(self._shown.handle.wxyz, scalar_first=True).as_matrix().T
+
+    def _pull(self, grip: np.ndarray, away: np.ndarray) -> None:
+        """Take the handle at a point `[3]` and pull it to another [m]."""
+        size, mouse = self._page.viewport_size, self._page.mouse
         assert size is not None
-        mouse = self._page.mouse
         mouse.move(*pixel(grip, **size))
         mouse.down()
-        mouse.move(*pixel(grip + away, **size), steps=MOUSE_STEPS)
+        mouse.move(*pixel(away, **size), steps=MOUSE_STEPS)
 
     def _wait_for_rest(self) -> None:
         """Wait until the arm rests, and note where.

@@ -15,7 +15,7 @@ from jax import Array
 from reachlab.envs.functions import Begin, EnvFunctions, EnvState, Stepped, Transition
 from reachlab.envs.setup import make_setup, settled
 from reachlab.jax_setup import dispatch_inline, first_process, jit
-from reachlab.render.marks import NO_PATH, Marks
+from reachlab.render.marks import NO_PATH, TARGET_AXES, TOOL_AXES, Axes, Marks
 from reachlab.render.view_randomisation import SAMPLES, develop, make_views
 from reachlab.settings.config import RunConfig
 from reachlab.sims import SIMULATORS, ArmState, BatchArray, make_simulator
@@ -219,14 +219,28 @@ class Env:
         """A function that uses this environment, compiled as a whole where everything can be traced."""
         return jit(function) if self.traced else function
 
-    def render(self, state: EnvState, index: int = 0, path: np.ndarray = NO_PATH) -> np.ndarray:
-        """Picture of one environment for people, `[height, width, 3]` uint8, with the tool's path `[k, 3]` [m]."""
-        marks = Marks(self.setup.rules.success_distance, self.reached(state, index), path)
-        return self.simulator.render(state.arm, state.goal, index, marks)
+    def render(
+        self, state: EnvState, index: int = 0, path: np.ndarray = NO_PATH, trail: np.ndarray = NO_PATH
+    ) -> np.ndarray:
+        """Picture of one environment for people, `[height, width, 3]` uint8.
+
+        With the tool's `path [k, 3]` and the goal's `trail [k, 3]` [m], and the axes of both where an orientation is
+        asked for.
+        """
+        goal, arm, axes = state.goal, state.arm, ()
+        if goal.quaternion is not None:
+            target = (np.asarray(rows)[index] for rows in (goal.position, goal.quaternion))
+            tool = (np.asarray(rows)[index] for rows in (arm.tool_position, arm.tool_quaternion))
+            axes = Axes(*target, size=TARGET_AXES), Axes(*tool, size=TOOL_AXES)
+        marks = Marks(self.setup.rules.success_distance, self.reached(state, index), path, trail, axes)
+        return self.simulator.render(arm, goal, index, marks)
 
     def reached(self, state: EnvState, index: int = 0) -> bool:
         """Whether a goal is reached now: the tool is near enough and, where the task asks for it, was held there."""
-        return bool(np.asarray(state.progress.solved(self.setup.rules))[index])
+        progress, rules = state.progress, self.setup.rules
+        # Of a goal that moves `solved` tells the whole episode.
+        now = progress.solved(rules) if progress.mean_square is None else progress.near(rules)
+        return bool(np.asarray(now)[index])
 
     def close(self) -> None:
         """Close the simulator."""

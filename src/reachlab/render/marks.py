@@ -1,4 +1,4 @@
-"""What pictures show beside an arm: its target, how near is near enough, and the tool's path."""
+"""What pictures show beside an arm: its target, how near is near enough, orientations, and where both have been."""
 
 from __future__ import annotations
 
@@ -13,17 +13,41 @@ for the tutorial's arm; beside another they are in proportion to its workspace."
 Colour = tuple[float, float, float]
 """Red, green and blue, each 0 to 1."""
 
-WAITING, REACHED, PATH = (0.85, 0.12, 0.15), (0.13, 0.63, 0.33), (0.15, 0.39, 0.92)
-"""Colours of the target before and while it is reached, and of the tool's path."""
+WAITING, REACHED = (0.85, 0.12, 0.15), (0.13, 0.63, 0.33)
+"""Colours of the target before and while it is reached."""
+
+PATH, TRAIL = (0.15, 0.39, 0.92), (0.95, 0.55, 0.05)
+"""Colours of the tool's path, and of the trail of a target that moves."""
+
+AXES: tuple[Colour, Colour, Colour] = ((0.9, 0.15, 0.15), (0.1, 0.65, 0.2), (0.15, 0.3, 0.9))
+"""Colours of the x, y and z axis of an orientation."""
+
+TOOL_AXES, TARGET_AXES = (0.09, 0.005), (0.13, 0.003)
+"""Length and radius of the drawn axes of the tool and of the target [m]: where both agree, the target's stand out."""
 
 BALL_OPACITY = 0.16
 """Of the ball around the target in which the tool is near enough."""
 
-PATH_RADIUS = 0.002
-"""Of the tool's drawn path [m]."""
+PATH_RADIUS, TRAIL_RADIUS, TRAIL_OPACITY = 0.002, 0.006, 0.35
+"""Of drawn paths and trails [m]: a tool that stays with its target is seen inside the trail."""
 
 NO_PATH = np.empty((0, 3))
-"""Path of a tool that has not moved."""
+"""Path of what has not moved."""
+
+
+@dataclass(frozen=True)
+class Axes:
+    """Axes that show an orientation.
+
+    Attributes:
+        position: where they meet `[3]` [m].
+        quaternion: the orientation `[4]`, wxyz.
+        size: their length and radius, beside the tutorial's arm [m].
+    """
+
+    position: np.ndarray
+    quaternion: np.ndarray
+    size: tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -34,11 +58,15 @@ class Marks:
         success_distance: radius of the ball around the target in which the tool is near enough [m].
         reached: the target is reached now.
         path: points `[k, 3]` [m] through which the tool came.
+        trail: points `[k, 3]` [m] at which the target has been, if it moves.
+        axes: orientations.
     """
 
     success_distance: float = TARGET_RADIUS
     reached: bool = False
     path: np.ndarray = field(default_factory=NO_PATH.copy)
+    trail: np.ndarray = field(default_factory=NO_PATH.copy)
+    axes: tuple[Axes, ...] = ()
 
     @property
     def colour(self) -> Colour:

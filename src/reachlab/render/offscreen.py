@@ -10,7 +10,18 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from reachlab.render.marks import BALL_OPACITY, PATH, PATH_RADIUS, TARGET_RADIUS, Marks
+from reachlab.render.marks import (
+    AXES,
+    BALL_OPACITY,
+    PATH,
+    PATH_RADIUS,
+    TARGET_RADIUS,
+    TRAIL,
+    TRAIL_OPACITY,
+    TRAIL_RADIUS,
+    Axes,
+    Marks,
+)
 from reachlab.render.scene import HEIGHT, WIDTH, distance_needed, front, in_front, scene_spec
 from reachlab.robots.robot import Robot
 from reachlab.settings.validation import InputError
@@ -25,7 +36,7 @@ AZIMUTH, ELEVATION = 130.0, -22.0
 """Where the camera looks: about the vertical from the arm's front, and up [deg]."""
 
 MAX_GEOMS = 2000
-"""Shapes that a picture may hold; a path that needs more of them is cut short."""
+"""Shapes that a picture may hold; paths that need more of them are cut short."""
 
 
 class Camera:
@@ -73,7 +84,10 @@ class Camera:
         for geom in self._scene.geoms[: self._scene.ngeom]:
             if geom.objtype == EDGE or (geom.objtype == GEOM and geom.objid == self._near):
                 geom.category = DECORATION
-        self._show_path(marks.path)
+        for axes in marks.axes:
+            self._show_axes(axes)
+        self._show_path(marks.path, PATH_RADIUS, (*PATH, 1.0))
+        self._show_path(marks.trail, TRAIL_RADIUS, (*TRAIL, TRAIL_OPACITY))
         height, width, _ = self._shape
         viewport = mujoco.MjrRect(0, 0, width, height)
         mujoco.mjr_render(viewport, self._scene, self._draw)
@@ -88,16 +102,30 @@ class Camera:
         model.geom_rgba[self._target] = [*marks.colour, 1]
         model.geom_rgba[self._near] = [*marks.colour, BALL_OPACITY * (marks.success_distance > radius)]
 
-    def _show_path(self, path: np.ndarray) -> None:
-        scene, still, turned = self._scene, np.zeros(3), np.eye(3).ravel()
+    def _show_axes(self, axes: Axes) -> None:
+        length, radius = axes.size
+        turn = np.empty(9)
+        mujoco.mju_quat2Mat(turn, np.asarray(axes.quaternion, float))
+        for direction, colour in zip(turn.reshape(3, 3).T, AXES, strict=True):
+            self._show_line(axes.position, axes.position + length * self._scale * direction, radius, (*colour, 1.0))
+
+    def _show_path(self, path: np.ndarray, radius: float, colour: tuple[float, ...]) -> None:
         for start, end in itertools.pairwise(path):
-            if scene.ngeom == scene.maxgeom:
-                return
-            line = scene.geoms[scene.ngeom]
-            mujoco.mjv_initGeom(line, mujoco.mjtGeom.mjGEOM_CAPSULE, still, still, turned, np.array([*PATH, 1.0], "f4"))
-            mujoco.mjv_connector(line, mujoco.mjtGeom.mjGEOM_CAPSULE, PATH_RADIUS * self._scale, start, end)
-            line.category = DECORATION
-            scene.ngeom += 1
+            self._show_line(start, end, radius, colour)
+
+    def _show_line(self, start: np.ndarray, end: np.ndarray, radius: float, colour: tuple[float, ...]) -> None:
+        """Draw a line between points `[3]` [m] if the scene has room for it.
+
+        Its radius [m] is beside the tutorial's arm; its colour has an opacity.
+        """
+        scene, still, turned = self._scene, np.zeros(3), np.eye(3).ravel()
+        if scene.ngeom == scene.maxgeom:
+            return
+        line = scene.geoms[scene.ngeom]
+        mujoco.mjv_initGeom(line, mujoco.mjtGeom.mjGEOM_CYLINDER, still, still, turned, np.array(colour, "f4"))
+        mujoco.mjv_connector(line, mujoco.mjtGeom.mjGEOM_CYLINDER, radius * self._scale, start, end)
+        line.category = DECORATION
+        scene.ngeom += 1
 
     def close(self) -> None:
         """Free the OpenGL context."""

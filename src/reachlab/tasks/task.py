@@ -53,7 +53,7 @@ class Goal:
         quaternion: `[..., 4]`, wxyz; None where any orientation will do.
         joints: joints `[..., n]` at which the tool is there [rad or m]; None where nobody has looked for them.
         velocity: `[..., 3]` [m/s]; None where it does not move.
-        path: on which it moves, `[..., k]`, see `paths`; None where it does not, or no more.
+        path: on which it moves, `[..., k]`, see `paths`; None where it does not, not a number where it does no more.
     """
 
     position: Array
@@ -65,6 +65,10 @@ class Goal:
     def distance(self, tool_position: Array) -> Array:
         """Distance `[...]` m from the tool at `[..., 3]` m to the goal."""
         return jnp.linalg.norm(tool_position - self.position, axis=-1)
+
+    def moves(self) -> Array:
+        """Whether it moves by itself `[...]`."""
+        return jnp.zeros(self.position.shape[:-1], bool) if self.path is None else ~jnp.isnan(self.path[..., 0])
 
     def angle(self, tool_quaternion: Array) -> Array | None:
         """Angle `[...]` rad from the tool's orientation `[..., 4]` to the goal's; None where none is asked for."""

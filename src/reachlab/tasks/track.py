@@ -22,10 +22,10 @@ def _sample_goal(setup: TaskSetup, key: Array) -> Goal:
 
 def _move(setup: TaskSetup, goal: Goal, clock: Array) -> Goal:
     """The goal on its path; one that was taken off it, as by a mouse, stays where it is."""
-    if goal.path is None:
-        return goal
-    place = place_at(setup, goal.path, clock)
-    return replace(goal, position=place.position, velocity=place.velocity)
+    assert goal.path is not None, "as it was sampled"  # noqa: S101
+    place, moves = place_at(setup, goal.path, clock), goal.moves()[:, None]
+    position, velocity = jnp.where(moves, place.position, goal.position), jnp.where(moves, place.velocity, 0.0)
+    return replace(goal, position=position, velocity=velocity)
 
 
 def _begin(setup: TaskSetup, goal: Goal, tool: Pose) -> Progress:

@@ -20,7 +20,7 @@ INSET_SCALE, FRAME = 2, 2
 """The policy's picture is drawn so many times as large, in a frame so wide [pixels]."""
 
 FIGURES = 110
-"""Width of the figures on the right, which the verdict leaves free [pixels]."""
+"""Width which the verdict leaves free for the figures on the right, at least [pixels]."""
 
 LARGE, SMALL = 17, 13
 """Sizes of type [pixels]."""
@@ -47,6 +47,8 @@ class Caption:
         distance: tool to target [m].
         time: since the episode began [s].
         verdict: of `VERDICTS`; empty while the episode is under way.
+        angle: between their orientations [rad]; None where any will do.
+        error: root mean square of the distance so far [m]; None where it does not count.
     """
 
     title: str
@@ -54,6 +56,8 @@ class Caption:
     distance: float
     time: float
     verdict: str = ""
+    angle: float | None = None
+    error: float | None = None
 
 
 def captioned(picture: np.ndarray, caption: Caption) -> Image.Image:
@@ -66,10 +70,13 @@ def captioned(picture: np.ndarray, caption: Caption) -> Image.Image:
     right = width - MARGIN
     draw.text((MARGIN, upper), caption.title, INK, _font("bold", LARGE), anchor="lm")
     draw.text((MARGIN, upper + LINE), caption.detail, FAINT, _font("plain", SMALL), anchor="lm")
-    draw.text((right, upper), distance_text(caption.distance), INK, _font("bold", LARGE), anchor="rm")
-    draw.text((right, upper + LINE), f"{caption.time:.2f} s", FAINT, _font("plain", SMALL), anchor="rm")
+    errors, time = _figures(caption)
+    draw.text((right, upper), errors, INK, _font("bold", LARGE), anchor="rm")
+    draw.text((right, upper + LINE), time, FAINT, _font("plain", SMALL), anchor="rm")
     if caption.verdict:
-        _stamp(draw, (right - FIGURES, height + HEIGHT // 2), caption.verdict)
+        widest = max(draw.textlength(errors, _font("bold", LARGE)), draw.textlength(time, _font("plain", SMALL)))
+        free = max(FIGURES, round(widest) + MARGIN + INNER)
+        _stamp(draw, (right - free, height + HEIGHT // 2), caption.verdict)
     return image
 
 
@@ -88,6 +95,19 @@ def distance_text(distance: float) -> str:
     """A distance [m] in millimetres, with a tenth where that can be seen."""
     millimetres = 1000 * distance
     return f"{millimetres:.{1 if millimetres < FINE_MM else 0}f} mm"
+
+
+def angle_text(angle: float) -> str:
+    """An angle [rad] in degrees."""
+    return f"{np.degrees(angle):.1f}°"
+
+
+def _figures(caption: Caption) -> tuple[str, str]:
+    """Two lines: how far the tool is from the target, and the time."""
+    errors, time = distance_text(caption.distance), f"{caption.time:.2f} s"
+    if caption.angle is not None:
+        errors += f"  {angle_text(caption.angle)}"
+    return errors, time if caption.error is None else f"RMS {distance_text(caption.error)} · {time}"
 
 
 def _stamp(draw: ImageDraw.ImageDraw, end: tuple[int, int], verdict: str) -> None:

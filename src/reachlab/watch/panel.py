@@ -34,10 +34,11 @@ class Panel:
         buttons: Sequence[str],
         *,
         pictured: bool,
+        axes: bool = False,
     ) -> None:
         """Panel for the agents of `AGENTS`, the run's checkpoints, oldest first, and buttons of these names.
 
-        Where the policy observes a picture (`pictured`) there is a place for it.
+        Where the policy observes a picture (`pictured`) there is a place for it. The tool's `axes` are shown, or not.
         """
         self._steps = {_label(steps): steps for steps in checkpoints}
         self.pressed: SimpleQueue[str] = SimpleQueue()
@@ -55,7 +56,7 @@ class Panel:
         self._endless = gui.add_checkbox(
             "Endless", False, hint="No episode ends: the arm follows the target and rests there"
         )
-        self._axes = gui.add_checkbox("Tool axes", False)
+        self._axes = gui.add_checkbox("Tool axes", axes)
         self._shadows = gui.add_checkbox("Shadows", False, hint="For a computer with a graphics card")
 
     @property

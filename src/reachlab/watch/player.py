@@ -1,10 +1,11 @@
-"""Plays an agent's episodes on one arm; the target may be moved by hand, and is then followed."""
+"""Plays an agent's episodes on one arm; the target may be moved and turned by hand, and is then followed."""
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -16,12 +17,14 @@ from reachlab.agents.policy import Policy
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState, Transition
 from reachlab.envs.random_streams import AGENT_STREAM, REPORT_STREAM, episode_keys
-from reachlab.tasks.task import Goal, TaskSetup
+from reachlab.jax_setup import jit
+from reachlab.tasks.task import TaskSetup
+from reachlab.watch.hand import make_place
 
 Advance = Callable[[Policy | None, EnvState, Array, bool, np.ndarray], tuple[EnvState, Transition, Array]]
 
-PATH_POINTS, PATH_STEP = 300, 0.004
-"""Points of the tool's path at most, and their least distance [m]."""
+PATH_POINTS, PATH_STEP, TRAIL_STEP = 300, 0.004, 0.01
+"""Points of a path at most, and their least distance [m]; and that of the points of a target's trail."""
 
 TRAINED = "trained"
 """The agent that takes a policy."""
@@ -37,19 +40,39 @@ class Moment:
     Attributes:
         q: joints `[n]` [rad or m].
         tool, orientation: of the tool, `[3]` [m] and `[4]` wxyz.
-        target: `[3]` [m].
-        distance: from tool to target [m].
+        target, target_orientation: `[3]` [m] and `[4]` wxyz, None where any will do.
+        distance, angle: from tool to target [m] and [rad], None likewise.
+        error: root mean square of the distance so far [m]; None where it does not count, or not yet.
         reached: the tool is near enough now and, where the task asks for it, was held.
         path: points `[k, 3]` [m] through which the tool came.
+        trail: points `[k, 3]` [m] at which a target that moves by itself has been.
     """
 
     q: np.ndarray
     tool: np.ndarray
     orientation: np.ndarray
     target: np.ndarray
+    target_orientation: np.ndarray | None
     distance: float
+    angle: float | None
+    error: float | None
     reached: bool
     path: np.ndarray
+    trail: np.ndarray
+
+
+@dataclass
+class Trace:
+    """Where something has been: its newest `PATH_POINTS` points `[k, 3]` [m], `step` [m] or more apart."""
+
+    step: float
+    points: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))
+
+    def add(self, point: np.ndarray) -> np.ndarray:
+        """The points, this one `[3]` among them if it is far enough from the last; the same array where it is not."""
+        if not len(self.points) or np.linalg.norm(self.points[-1] - point) >= self.step:
+            self.points = np.concatenate([self.points[1 - PATH_POINTS :], point[None]])
+        return self.points
 
 
 class Player:
@@ -79,7 +102,8 @@ class Player:
         self._env, self._seed = env, seed
         self._advances: dict[str, Advance] = {}
         self._init = env.compile_whole(env.init)
-        rules = env.setup.rules
+        setup, rules = env.setup, env.setup.rules
+        self._place, self._begin_task = make_place(setup), jit(partial(setup.task.begin, setup))
         self._knows_home_alone = not (rules.hold_steps or rules.start_noise or env.config.loop.chained_starts)
         self._nothing = np.full(env.setup.robot.chain.n, np.nan, np.float32)
         self._following = False
@@ -93,7 +117,7 @@ class Player:
         self._touched, self._at_home = self._following, True
         self.state, self.clock = self._init(keys), 0
         self.over, self.success, self.failed = False, False, ""
-        self._path: deque[np.ndarray] = deque(maxlen=PATH_POINTS)
+        self._path, self._trail = Trace(PATH_STEP), Trace(TRAIL_STEP)
         self._way: list[np.ndarray] = []
         self._going_back = False
         self._look()
@@ -137,9 +161,9 @@ class Player:
         """
         rules, (low, high) = self._env.setup.rules, np.array(self._env.setup.robot.workspace)
         away = np.linalg.norm(self.moment.tool - np.clip(self.moment.tool, low, high))
-        if not rules.hold_steps and away > rules.success_distance:
+        if rules.ends_outside and away > rules.success_distance:
             return LEFT
-        late = self.clock >= rules.max_steps and self.moment.distance >= rules.success_distance
+        late = self.clock >= rules.max_steps and not self.on_path and not self._near()
         return LATE if late else ""
 
     def proceed(self) -> None:
@@ -150,9 +174,10 @@ class Player:
         if not self.failed or (self._at_home and not self._following):
             self.begin(self.number + 1)
             return
-        target = self.state.goal.position
+        moment, moves = self.moment, self.on_path
         self.begin(self.number)
-        self.move_target(np.asarray(target[0]))
+        if not moves:
+            self.move_target(moment.target, moment.target_orientation)
         self._at_home = True
 
     def observed_picture(self) -> np.ndarray | None:
@@ -165,30 +190,69 @@ class Player:
         self._following, self._touched = following, self._touched or following
         self.over = self.over and (bool(self.failed) or not following)
 
-    def move_target(self, target: np.ndarray) -> None:
-        """Put the target at `[3]` [m]; the arm continues from where it is, with all the time of an episode."""
-        self.state = replace(self.state, goal=Goal(jnp.asarray(target, jnp.float32)[None]))
+    def prepare_hand(self) -> None:
+        """Compile what moving the target takes, and begin the episode again."""
+        self.move_target(self.moment.target, self.moment.target_orientation)
+        self.begin(self.number)
+
+    @property
+    def on_path(self) -> bool:
+        """Whether the target moves by itself."""
+        return bool(self.state.goal.moves()[0])
+
+    def move_target(self, target: np.ndarray, orientation: np.ndarray | None = None) -> bool:
+        """Put the target at `[3]` m and, where one is asked for, into an orientation `[4]` wxyz, by default its own.
+
+        The arm continues from where it is, with all the time of an episode. False where no joints are found at which
+        the tool is so: then the target stays.
+        """
+        if self.moment.target_orientation is None:
+            turned = None
+        else:
+            turned = np.asarray(self.moment.target_orientation if orientation is None else orientation, np.float32)
+        state = self.state
+        goal, found = self._place(state.goal, np.asarray(target, np.float32), turned, np.asarray(state.arm.q)[0])
+        if not found:
+            return False
+        self.state = replace(state, goal=goal)
         self._renew()
-        away = float(self.state.distance[0]) >= self._env.setup.rules.success_distance
-        self._going_back = self._knows_home_alone and away and bool(self._way)
+        self._going_back = self._knows_home_alone and not self._near() and bool(self._way)
         self._touched, self._at_home, self.over = True, False, bool(self.failed)
         self._look()
+        return True
+
+    def _near(self) -> bool:
+        return bool(np.asarray(self.state.progress.near(self._env.setup.rules))[0])
 
     def _renew(self) -> None:
         """Give the arm all the time of an episode again."""
-        setup, state = self._env.setup, self.state
-        progress = setup.task.begin(setup, state.goal, state.arm.tool)
+        state = self.state
+        progress = self._begin_task(state.goal, state.arm.tool)
         self.state, self.clock = replace(state, progress=progress, clock=jnp.zeros_like(state.clock)), 0
 
     def _look(self) -> None:
-        arm = self.state.arm
-        rows = (arm.q, arm.tool_position, arm.tool_quaternion, self.state.goal.position, self.state.distance)
-        q, tool, orientation, target, distance = (np.asarray(row)[0] for row in rows)
-        longer = not self._path or np.linalg.norm(self._path[-1] - tool) >= PATH_STEP
-        if longer:
-            self._path.append(tool)
-        path = np.array(self._path) if longer else self.moment.path
-        self.moment = Moment(q, tool, orientation, target, float(distance), self._env.reached(self.state), path)
+        arm, goal, progress = self.state.arm, self.state.goal, self.state.progress
+        tool, target, angle = _row(arm.tool_position), _row(goal.position), _row(progress.angle)
+        settled = self.clock > self._env.setup.rules.settle_steps
+        error = float(_row(progress.error)) if settled and progress.mean_square is not None else None
+        self.moment = Moment(
+            q=_row(arm.q),
+            tool=tool,
+            orientation=_row(arm.tool_quaternion),
+            target=target,
+            target_orientation=_row(goal.quaternion),
+            distance=float(_row(progress.distance)),
+            angle=None if angle is None else float(angle),
+            error=error,
+            reached=self._env.reached(self.state),
+            path=self._path.add(tool),
+            trail=self._trail.add(target) if goal.path is not None else self._trail.points,
+        )
+
+
+def _row(rows: Array | None) -> Any:
+    """The first of rows `[1, ...]`, if there are any."""
+    return None if rows is None else np.asarray(rows)[0]
 
 
 def played(player: Player, agent: str, policy: Policy | None, stride: int) -> Iterator[None]:
@@ -206,13 +270,14 @@ def make_advance(env: Env, agent: str) -> Advance:
     A joint command `[n]` that is a number is taken in place of the agent's.
     """
     act, rules = make_act(env, agent), env.setup.rules
+    rests_there = not rules.hold_steps and env.setup.task.move is None
 
     def advance(
         policy: Policy | None, state: EnvState, key: Array, following: bool, command: np.ndarray
     ) -> tuple[EnvState, Transition, Array]:
         instead = None
-        if not rules.hold_steps:
-            rests = (state.distance < rules.success_distance) & (following | (rules.at_goal == "hold"))
+        if rests_there:
+            rests = state.progress.near(rules) & (following | (rules.at_goal == "hold"))
             instead = jnp.where(rests[:, None], state.target_q, command)
         return act(policy, state, key, instead=instead)
 

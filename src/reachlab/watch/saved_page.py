@@ -10,7 +10,7 @@ from reachlab.envs.core import Env
 from reachlab.settings.validation import InputError, choose
 from reachlab.watch.player import Player, played
 from reachlab.watch.server import LOCAL, TITLE, start_server
-from reachlab.watch.stage import FRAME_RATE, PAUSE, Stage, in_millimetres
+from reachlab.watch.stage import FRAME_RATE, PAUSE, Stage, errors_text
 
 
 def save_page(env: Env, agent: str, policy: Policy | None, seed: int, episodes: int, out: Path) -> None:
@@ -42,8 +42,9 @@ def _record(env: Env, agent: str, policy: Policy | None, seed: int, episodes: in
             player.begin(number)
             for _ in played(player, agent, policy, steps):
                 with server.atomic():
-                    stage.show(player.moment, observation=player.observed_picture())
-                    stage.label.text = in_millimetres(player.moment.distance)
+                    moment = player.moment
+                    stage.show(moment, axes=moment.angle is not None, observation=player.observed_picture())
+                    stage.label.text = errors_text(moment)
                     stage.head(f"{title} · episode {number + 1} of {episodes}")
                 # The page shows texts and colours a little later than poses: an episode's begin stands too.
                 stands = player.over or player.clock == 0

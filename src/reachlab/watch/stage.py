@@ -1,4 +1,4 @@
-"""The scene in the browser: arm, table, target and the tool's path, drawn by viser."""
+"""The scene in the browser: arm, table, target, orientations and paths, drawn by viser."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from reachlab.render import view_randomisation as views
-from reachlab.render.marks import PATH, Colour, Marks
+from reachlab.render.marks import PATH, TARGET_AXES, TOOL_AXES, TRAIL, Colour, Marks
 from reachlab.render.scene import TABLE_CENTRE, TABLE_SIZE, distance_needed, in_front, scene_spec
 from reachlab.robots.robot import Robot
+from reachlab.watch.captions import angle_text
 from reachlab.watch.player import Moment
 from reachlab.watch.solids import Solid, solids
 
@@ -28,14 +29,11 @@ PAUSE = 0.8
 EDGES, EDGE_WIDTH = (150, 155, 166), 0.002
 """Colour of the workspace's edges, and their width [m]."""
 
-PATH_WIDTH = 0.004
-"""Width of the tool's drawn path [m]."""
-
-AXES_LENGTH, AXES_RADIUS = 0.12, 0.004
-"""Size of the tool's drawn axes [m]."""
+PATH_WIDTH, TRAIL_WIDTH = 0.004, 0.01
+"""Width of the tool's drawn path and of a target's trail [m]."""
 
 HANDLE_SIZE = 0.16
-"""Size of the arrows by which the target is moved [m]."""
+"""Size of the arrows and arcs by which the target is moved and turned [m]."""
 
 LABEL_BELOW = (0.0, 0.0, -0.05)
 """Where the label hangs under the target [m]."""
@@ -68,6 +66,8 @@ class Stage:
     Attributes:
         workspace: the edges of the robot's workspace.
         path: the tool's path in this episode, once it has moved.
+        trail: where the target has been, once it has moved by itself.
+        axes, target_axes: of the tool and of the target, which show their orientation.
         label: the text below the target.
         balls: the target, and around it the ball in which the tool is near enough.
         camera: the observation camera with its picture, once there is one.
@@ -79,8 +79,9 @@ class Stage:
         self._model = scene_spec(robot, success_distance).compile()
         self._data = mujoco.MjData(self._model)
         self._joints = self._model.jnt_qposadr[: robot.chain.n]
-        self._drawn_path = np.empty(0)
         self.path: viser.LineSegmentsHandle | None = None
+        self.trail: viser.LineSegmentsHandle | None = None
+        self._drawn: dict[str, np.ndarray] = {}
         self.camera: viser.CameraFrustumHandle | None = None
         self._set_view(server)
         self._frames = [self._scene.add_frame(self._name(body), show_axes=False) for body in range(self._model.nbody)]
@@ -93,30 +94,35 @@ class Stage:
         # Not a child of the target: a recording moves children only when they themselves change.
         self.label = self._scene.add_label("/label", "", anchor="top-center", visible=False)
         self._heading: viser.LabelHandle | None = None
-        length, radius = AXES_LENGTH * robot.scale, AXES_RADIUS * robot.scale
-        self._axes = self._scene.add_frame("/tool", axes_length=length, axes_radius=radius, visible=False)
+        self.axes, self.target_axes = self._add_axes("/tool", TOOL_AXES), self._add_axes("/target_axes", TARGET_AXES)
         self._place(np.array(robot.home), None)
 
-    def add_handle(self, free: Sequence[bool]) -> viser.TransformControlsHandle:
-        """Handle by which a person moves the target, along the axes x, y, z that are free."""
-        x, y, z = free
+    def add_handle(self, free: Sequence[bool], *, turns: bool = False) -> viser.TransformControlsHandle:
+        """Handle by which a person moves the target, along the axes x, y, z that are free, or also `turns` it."""
+        # The axes of one that turns are its own.
+        x, y, z = (turns or axis for axis in free)
         return self._scene.add_transform_controls(
             "/handle",
             scale=HANDLE_SIZE * self._robot.scale,
             active_axes=(x, y, z),
-            disable_rotations=True,
+            disable_rotations=not turns,
             depth_test=False,
         )
 
     def show(self, moment: Moment, *, axes: bool = False, observation: np.ndarray | None = None) -> None:
         """Show a moment, and in front of the observation camera its picture, `[height, width, 3]` uint8."""
         self._place(moment.q, moment.target)
-        self._target.visible, self.label.visible, self._axes.visible = True, True, axes
+        turned = moment.target_orientation
+        self._target.visible, self.label.visible, self.axes.visible = True, True, axes
+        self.target_axes.visible = turned is not None
         self.label.position = moment.target + self._robot.scale * np.array(LABEL_BELOW)
-        self._axes.position, self._axes.wxyz = moment.tool, moment.orientation
+        self.axes.position, self.axes.wxyz = moment.tool, moment.orientation
+        if turned is not None:
+            self.target_axes.position, self.target_axes.wxyz = moment.target, turned
         for ball in self.balls:
             ball.color = _bytes(Marks(reached=moment.reached).colour)
-        self._show_path(moment.path)
+        self.path = self._show_path("/path", self.path, moment.path, PATH, PATH_WIDTH)
+        self.trail = self._show_path("/trail", self.trail, moment.trail, TRAIL, TRAIL_WIDTH)
         if observation is not None:
             self._show_observation(observation)
 
@@ -194,23 +200,29 @@ class Stage:
         else:
             self.camera.image = picture
 
-    def _show_path(self, path: np.ndarray) -> None:
-        if path is self._drawn_path:
-            return
-        self._drawn_path = path
+    def _add_axes(self, name: str, size: tuple[float, float]) -> viser.FrameHandle:
+        length, radius = self._robot.scale * np.array(size)
+        return self._scene.add_frame(name, axes_length=length, axes_radius=radius, origin_radius=radius, visible=False)
+
+    def _show_path(
+        self, name: str, line: viser.LineSegmentsHandle | None, path: np.ndarray, colour: Colour, width: float
+    ) -> viser.LineSegmentsHandle | None:
+        """The line of a path `[k, 3]` [m]; None as long as there is no point of it."""
+        if not len(path) or path is self._drawn.get(name):
+            return line
+        self._drawn[name] = path
         corners = np.array([path[0], *path], np.float32)
         points = np.stack([corners[:-1], corners[1:]], axis=1)
-        if self.path is None:
-            self.path = self._scene.add_line_segments(
-                "/path", points, _bytes(PATH), thickness=PATH_WIDTH * self._robot.scale
-            )
-        else:
-            self.path.points = points
+        if line is None:
+            return self._scene.add_line_segments(name, points, _bytes(colour), thickness=width * self._robot.scale)
+        line.points = points
+        return line
 
 
-def in_millimetres(distance: float) -> str:
-    """A distance [m] as the label and the panel show it."""
-    return f"{1000 * distance:.1f} mm"
+def errors_text(moment: Moment) -> str:
+    """How far the tool is from the target, as the label and the panel show it."""
+    distance = f"{1000 * moment.distance:.1f} mm"
+    return distance if moment.angle is None else f"{distance}, {angle_text(moment.angle)}"
 
 
 def _bytes(colour: Colour) -> tuple[int, int, int]:

@@ -130,7 +130,8 @@ def _slow_enough(player: Player, agent: str, policy: Policy | None, period: floa
 
 def _picture(env: Env, player: Player) -> np.ndarray:
     """Picture of the arm now, and in a corner the one that the policy observes, if it observes one."""
-    picture, observation = env.render(player.state, path=player.moment.path), player.observed_picture()
+    moment, observation = player.moment, player.observed_picture()
+    picture = env.render(player.state, path=moment.path, trail=moment.trail)
     return picture if observation is None else inset(picture, observation)
 
 
@@ -143,6 +144,8 @@ def _caption(env: Env, agent: str, player: Player, title: str, speed: float) -> 
         distance=player.moment.distance,
         time=player.clock * config.physics.control_period,
         verdict=("success" if player.success else "failed") if player.over else "",
+        angle=player.moment.angle,
+        error=player.moment.error,
     )
 
 

@@ -1,4 +1,4 @@
-"""The viewer: an agent at work in the browser, with a target that a person moves."""
+"""The viewer: an agent at work in the browser, with a target that a person moves and turns."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from reachlab.settings.validation import InputError, choose
 from reachlab.watch.panel import Panel
 from reachlab.watch.player import TRAINED, Player, target_box
 from reachlab.watch.server import start_server
-from reachlab.watch.stage import FRAME_RATE, PAUSE, Stage, in_millimetres
+from reachlab.watch.stage import FRAME_RATE, PAUSE, Stage, errors_text
 
 if TYPE_CHECKING:
     import viser
@@ -26,6 +26,9 @@ TEXT_RATE = 5.0
 
 MOST_BEHIND = 0.5
 """Time that is made up for where steps take longer than they should [s]; the rest is dropped."""
+
+UNREACHABLE = "The arm has no such pose: the target stays at the last one that it has."
+"""Said where a target is dragged or turned to where the arm cannot be."""
 
 Load = Callable[[int], Policy]
 """Policy of the checkpoint after so many steps."""
@@ -66,10 +69,14 @@ class Viewer:
         self._playing: int | None = None
         self._server = start_server(host, port)
         self.stage = Stage(self._server, env.setup.robot, env.setup.rules.success_distance)
-        self.panel = Panel(self._server.gui, agent, checkpoints, tuple(COMMANDS), pictured=env.pictured)
+        self._turns = env.setup.rules.asks_orientation
+        self.panel = Panel(
+            self._server.gui, agent, checkpoints, tuple(COMMANDS), pictured=env.pictured, axes=self._turns
+        )
         self.panel.on_shadows(self.stage.cast_shadows)
         self._pace = Pace()
         self._dragged = self.paused = self._told_reached = False
+        self._reachable = True
         self._owed = self._rest = 0.0
         self.url = f"http://{host}:{self._server.get_port()}"
 
@@ -86,8 +93,9 @@ class Viewer:
     def prepare(self, seed: int) -> None:
         """Compile what playing takes and show the first held-out target of a seed."""
         self.player = Player(self._env, seed)
+        self.player.prepare_hand()
         self.box = target_box(self._env.setup)
-        self.handle = self.stage.add_handle((self.box[1] > self.box[0]).tolist())
+        self.handle = self.stage.add_handle((self.box[1] > self.box[0]).tolist(), turns=self._turns)
 
         async def drag(event: viser.TransformControlsEvent) -> None:
             self._dragged = event.phase != "end"
@@ -135,7 +143,7 @@ class Viewer:
         self._tell()
 
     def reset(self) -> None:
-        """Begin a new episode, with a new target."""
+        """Begin a new episode, with a new target; one that moves is on its path again."""
         self.player.begin(self.player.number + 1)
         self._begun()
 
@@ -145,6 +153,7 @@ class Viewer:
         self._begun()
 
     def _begun(self) -> None:
+        self._reachable = True
         if not self._dragged:
             self._put_handle()
         self._show()
@@ -191,17 +200,25 @@ class Viewer:
 
     def _follow_hand(self) -> None:
         """Bring the target to where its handle was moved, and the handle back to where a target may be."""
-        hand = np.array(self.handle.position)
-        if not np.array_equal(hand, self._hand):
+        hand = self._handle_pose()
+        if not np.array_equal(hand, self._hand) or (self._dragged and self.player.on_path):
             self._hand = hand
-            self.player.move_target(np.clip(hand, *self.box))
+            self._reachable = self.player.move_target(np.clip(hand[:3], *self.box), hand[3:])
             self._show()
+            self._tell()
         elif not self._dragged:
             self._put_handle()
 
     def _put_handle(self) -> None:
-        self.handle.position = self.player.moment.target
-        self._hand = np.array(self.handle.position)
+        moment = self.player.moment
+        self.handle.position = moment.target
+        if moment.target_orientation is not None:
+            self.handle.wxyz = moment.target_orientation
+        self._hand = self._handle_pose()
+
+    def _handle_pose(self) -> np.ndarray:
+        """Position [m] and quaternion, wxyz, of the handle `[7]`."""
+        return np.concatenate([self.handle.position, self.handle.wxyz])
 
     def _show(self) -> None:
         observation = self.player.observed_picture()
@@ -220,15 +237,18 @@ class Viewer:
         """Write the figures of one moment into the panel and below the target, both at once."""
         player, moment = self.player, self.player.moment
         rate = "paused" if self.paused else f"{self._pace.rate:.0f} steps/s"
-        distance, self._told_reached = in_millimetres(moment.distance), moment.reached
+        errors, self._told_reached = errors_text(moment), moment.reached
+        mean = "" if moment.error is None else f", RMS {1000 * moment.error:.1f} mm"
         after = (
             ", **reached**" if moment.reached else f": **{player.failed}**, begins again at home" * bool(player.failed)
         )
         with self._server.atomic():
-            self.stage.label.text = distance
+            self.stage.label.text = errors
             self.panel.say(
-                f"**{distance}** to the target{after}\n\n"
+                f"**{errors}** to the target{mean}{after}\n\n"
                 f"{player.successes} of {player.episodes} episodes reached · {rate}"
+                + f"\n\n{UNREACHABLE}"
+                * (not self._reachable)
             )
 
 
