@@ -137,6 +137,7 @@ def make_runner(env: Env, agent: str | Function) -> Runner:
         return Runner(jit(run), BATCH)
 
     count_step = jit(count_step)
+    advance = env.compile_whole(advance) if isinstance(agent, str) else advance
 
     def run_on_host(policy: Policy | None, keys: Array, watch: Watch = ignore) -> Episodes:
         carry, tracks = begin(keys), []

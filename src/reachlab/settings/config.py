@@ -67,7 +67,7 @@ class TaskConfig(Checked):
     """Distance that a radian of the angle to the target counts as in rewards and corrections [m/rad]."""
     targets: str = "table"
     """Where targets are sampled; see `reachlab list`."""
-    target_turn: Point | None = None
+    target_turn: tuple[NonNegative, NonNegative, NonNegative] | None = None
     """Ask for an orientation: the held one turned by up to this roll, pitch and yaw about the world's axes [rad]."""
     target_height: Annotated[float, Range(-10.0, 10.0)] | None = None
     """Height of the targets on the table [m]; by default the tutorial's -0.0083 m, where its object settles, in
