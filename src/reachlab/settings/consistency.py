@@ -88,7 +88,7 @@ NEEDS: dict[str, Need] = {
     "target_height": TABLE,
     "target_low": BOX,
     "target_high": BOX,
-    "target_turn": Need("targets box or table", lambda s: s["targets"] != "any"),
+    "target_turn": Need("targets box or table", lambda s: s["targets"] != "any" or s["target_turn"] is None),
     "success_angle": TURNED,
     "angle_weight": TURNED,
     "hold_speed": Need("hold_steps above 0 or reward precise", lambda s: s["hold_steps"] or s["reward"] == "precise"),
