@@ -97,7 +97,7 @@ EVALUATED = (*GOALS, "goal_paths", "goal_speed", "goal_jump", "goal_velocity", "
 
 def _goal_flags() -> type:
     """Dataclass with a flag for each setting of `EVALUATED`; None where one is not given."""
-    told = tyro.conf.arg(help="As in train.", metavar="VALUE", help_behavior_hint="")
+    told = tyro.conf.arg(help="As in train, by default the run's or the task's.", metavar="VALUE", help_behavior_hint="")
     flags = [(name, Annotated[hints(TaskConfig)[name] | None, told], None) for name in EVALUATED]
     return make_dataclass("GoalFlags", flags, bases=(Checked,), frozen=True)
 

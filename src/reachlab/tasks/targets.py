@@ -171,9 +171,9 @@ def nearest_joints(setup: TaskSetup, pose: Pose, near: Array, start: Array, key:
 
 TARGETS: dict[str, Targets] = {
     "table": Targets("on the table", _table_corners, _sample_in_box),
-    "box": Targets("in a box", _box_corners, _sample_in_box),
+    "box": Targets("in a box, of target_low and target_high or the arm's own", _box_corners, _sample_in_box),
     "any": Targets(
-        "a pose that random joints have",
+        "wherever random joints bring the tool",
         _reach_corners,
         lambda setup, key: _first_reached(lambda key: _any_pose(setup, key), setup, key),
     ),
