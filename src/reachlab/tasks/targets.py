@@ -30,6 +30,9 @@ ITERATIONS = 30
 POSITION_TOLERANCE, ANGLE_TOLERANCE = 1e-4, 5e-4
 """Errors with which a pose counts as solved [m, rad]. The goal becomes the solution's own pose, so they do not stay."""
 
+ROUNDING = 1e-4
+"""An arm may be so far below where it is lowest at home [m]."""
+
 DRAWS = 100
 """Poses drawn at most until one can be reached; where none can, none of the arm's goals could be."""
 
@@ -136,8 +139,10 @@ def _free(robot: Robot, q: Array) -> Array:
     """Whether an arm at joints `[n]` is above the table, and its links do not meet, judged by its capsules."""
     if not robot.capsules.links:
         return jnp.ones((), bool)
-    at = capsules_at(robot.chain, robot.capsules, q[None])
-    above = lowest_point(robot.capsules, at)[0] > robot.workspace[0][2]
+    at, home = (capsules_at(robot.chain, robot.capsules, joints[None]) for joints in (q, jnp.array(robot.home)))
+    # The capsule of a link just above the table may reach below it at all times; at home nothing is in the way.
+    floor = jnp.minimum(robot.workspace[0][2], lowest_point(robot.capsules, home)[0] - ROUNDING)
+    above = lowest_point(robot.capsules, at)[0] > floor
     return above & (self_distance(robot.capsules, at)[0] > 0) if robot.capsules.pairs else above
 
 
