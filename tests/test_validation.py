@@ -127,9 +127,15 @@ CONTRADICTIONS: list[tuple[dict[str, Any], str]] = [
     ({"task": "pose", "observation": "track"}, "observation 'track' needs a goal that moves, as that of task 'track'"),
     ({"task": "track", "observation": "pose"}, "observation 'pose' needs a goal with an orientation"),
     ({"task": "track", "goal_paths": ()}, "goal_paths names no path: choose one"),
-    ({"task": "track", "goal_paths": ("line", "circel")}, "goal path 'circel' is not one of: circle, jumps, line, smooth"),
+    (
+        {"task": "track", "goal_paths": ("line", "circel")},
+        "goal path 'circel' is not one of: circle, jumps, line, smooth",
+    ),
     ({"task": "track", "goal_speed": (0.2, 0.1)}, "a least speed above the largest, 0.2 against 0.1 m/s: exchange"),
-    ({"task": "track", "settle_steps": 250}, "no step would count after settle_steps 250 in an episode of max_steps 250"),
+    (
+        {"task": "track", "settle_steps": 250},
+        "no step would count after settle_steps 250 in an episode of max_steps 250",
+    ),
     ({"task": "track", "target_turn": (0.1, 0.1, 0.1)}, "the goal of task 'track' is a point that moves in a box"),
     ({"task": "track", "targets": "any"}, "the goal of task 'track' is a point that moves in a box"),
     ({"task": "track", "targets": "table"}, "the goal of task 'track' is a point that moves in a box"),

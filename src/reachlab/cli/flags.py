@@ -91,13 +91,24 @@ LESSON = ("observation", "seed", "randomise", "total_steps", "report_episodes", 
 GOALS = ("targets", "target_turn", "target_low", "target_high", "target_height")
 """Settings that say where goals are."""
 
-EVALUATED = (*GOALS, "goal_paths", "goal_speed", "goal_jump", "goal_velocity", "settle_steps", "start_noise", "max_steps")
+EVALUATED = (
+    *GOALS,
+    "goal_paths",
+    "goal_speed",
+    "goal_jump",
+    "goal_velocity",
+    "settle_steps",
+    "start_noise",
+    "max_steps",
+)
 """Settings of a task that an evaluation may change: what is asked for, and for how long."""
 
 
 def _goal_flags() -> type:
     """Dataclass with a flag for each setting of `EVALUATED`; None where one is not given."""
-    told = tyro.conf.arg(help="As in train, by default the run's or the task's.", metavar="VALUE", help_behavior_hint="")
+    told = tyro.conf.arg(
+        help="As in train, by default the run's or the task's.", metavar="VALUE", help_behavior_hint=""
+    )
     flags = [(name, Annotated[hints(TaskConfig)[name] | None, told], None) for name in EVALUATED]
     return make_dataclass("GoalFlags", flags, bases=(Checked,), frozen=True)
 

@@ -35,8 +35,8 @@ class GymnaxState(environment.EnvState):
 class GymnaxEnv(environment.Environment[GymnaxState, environment.EnvParams]):
     """One arm that has to reach a target.
 
-    `info` holds `is_success`, `distance` [m] and, where an orientation is asked for, `angle` [rad]. An episode is no longer than the setting `max_steps`;
-    `max_steps_in_episode` of the parameters can make it shorter.
+    `info` holds `is_success`, `distance` [m] and, where an orientation is asked for, `angle` [rad]. An episode is no
+    longer than the setting `max_steps`; `max_steps_in_episode` of the parameters can make it shorter.
     """
 
     def __init__(self, task: str = "tutorial", **settings: Any) -> None:

@@ -1,8 +1,6 @@
-"""Every setting of a run, as frozen dataclasses.
+"""Every setting of a run, as frozen dataclasses: what flags, keywords of `gymnasium.make` and `config.json` are read from.
 
-A setting is one field with its unit and meaning below it. The command line, the keywords of
-`gymnasium.make` and `config.json` are all read from these classes, so field names are unique among
-them. This module imports nothing heavy.
+Field names are unique among them. This module imports nothing heavy.
 """
 
 from __future__ import annotations
@@ -31,8 +29,7 @@ class TaskConfig(Checked):
     """The rules of the reach task."""
 
     tool: str | None = None
-    """Tool frame: a site or body of the robot whose position has to reach the target; by default the robot's own for
-    this task."""
+    """Tool frame, a site or body of the robot, that has to reach the target; by default its own for this task."""
     observation: str = "target+tool"
     """What the policy observes; see `reachlab list`."""
     action: str = "tool_delta"
