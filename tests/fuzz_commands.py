@@ -261,10 +261,8 @@ def senseless(words: Sequence[str]) -> str | None:
             return False
         if isinstance(before, bool):
             return (given != ["no"]) != before
-        if before is None:
+        if before is None or name == "goal-paths":
             return True
-        if name == "goal-paths":
-            return tuple(given) != tuple(before)
         numbers = [float(x) for x in given]
         return numbers != [float(x) for x in (before if isinstance(before, tuple | list) else [before])]
 

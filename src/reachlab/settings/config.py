@@ -1,4 +1,4 @@
-"""Every setting of a run, as frozen dataclasses: what flags, keywords of `gymnasium.make` and `config.json` are read from.
+"""Every setting of a run, as frozen dataclasses: flags, keywords of `gymnasium.make` and `config.json` follow them.
 
 Field names are unique among them. This module imports nothing heavy.
 """
