@@ -166,7 +166,9 @@ def test_a_hinge_that_turns_further_than_once_goes_the_short_way(name: str) -> N
     near, q = aim.copy(), aim.copy()
     near[wide[-1]], q[wide[-1]] = 3.5, -2.7  # which is 0.083 rad beyond 3.5, a turn away
     pose = forward_kinematics(chain, jnp.array(q))
-    found, reached = jit(lambda pose: nearest_joints(setup, Pose(*pose), near, q, jax.random.key(0)))(pose)
+    found, reached = jit(lambda pose: nearest_joints(setup, pose, jnp.array(near), jnp.array(q), jax.random.key(0)))(
+        pose
+    )
     assert reached
     if np.array(chain.upper)[wide[-1]] > 3.6:
         assert np.abs(np.asarray(found) - near).max() < 0.3
