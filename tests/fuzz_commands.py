@@ -34,9 +34,11 @@ os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 
 from reachlab.agents import AGENTS
 from reachlab.cli import main as cli
+from reachlab.cli.flags import EVALUATED
 from reachlab.cli.verbs import VERBS
 from reachlab.robots.catalogue import ROBOTS
 from reachlab.runs.sinks import SINKS
+from reachlab.settings.config import TaskConfig
 from reachlab.settings.consistency import RANDOMISED
 from reachlab.settings.json_form import flatten, to_json
 from reachlab.settings.presets import preset
@@ -45,8 +47,9 @@ from reachlab.sims import SIMULATORS
 from reachlab.tasks import TASKS
 from reachlab.tasks.actions import ACTIONS
 from reachlab.tasks.observations import OBSERVATIONS
-from reachlab.tasks.reach import TARGETS
+from reachlab.tasks.paths import PATHS as GOAL_PATHS
 from reachlab.tasks.rewards import REWARDS
+from reachlab.tasks.targets import TARGETS
 from reachlab.watch import viewer
 
 SOUND = 0.75
@@ -72,6 +75,7 @@ NAMES: dict[str, Sequence[str]] = {
     "action": [*ACTIONS, "tool-delta"],
     "reward": [*REWARDS, "spars"],
     "targets": [*TARGETS, "floor"],
+    "goal_paths": [*GOAL_PATHS, "zigzag"],
     "agent": [*AGENTS, "tained"],
     "randomise": [*RANDOMISED, "colours"],
     "suite": ["sped", "speed"],
@@ -126,7 +130,9 @@ def flags_of(cls: type) -> dict[str, Any]:
     """Annotations of a verb's flags by name; those of the dataclasses in it stand beside them."""
     found: dict[str, Any] = {}
     for name, hint in hints(cls).items():
-        if name == "sinks":
+        if name == "goals":
+            found |= {setting: hints(TaskConfig)[setting] for setting in EVALUATED if setting != "goal_velocity"}
+        elif name == "sinks":
             found |= {sink: bool for sink in SINKS if sink != "wandb"}  # which may not leave this machine
         else:
             found |= flags_of(typing.cast("type", hint)) if dataclasses.is_dataclass(hint) else {name: hint}
@@ -201,11 +207,13 @@ def command(chance: random.Random, verbs: Sequence[str]) -> list[str]:
 def _needs(now: Callable[[str], Any]) -> dict[str, bool]:
     """Flags, and whether each has an effect."""
     mujoco, pybullet, stops = now("sim") == "mujoco", now("sim") == "pybullet", now("stop-early") not in (False, "no")
-    table, precise = now("targets") == "table", now("reward") == "precise"
+    table, precise, moves = now("targets") == "table", now("reward") == "precise", now("task") == "track"
+    close = precise or now("reward") == "track"
     return {
         **dict.fromkeys(("collisions", "gravity-compensation", "physics-steps"), mujoco),
         **dict.fromkeys(("gui", "slow"), pybullet),
-        **dict.fromkeys(("closeness-weight", "closeness-scale", "effort-weight"), precise),
+        **dict.fromkeys(("closeness-weight", "closeness-scale", "effort-weight"), close),
+        **dict.fromkeys(("goal-paths", "goal-speed", "goal-jump", "goal-velocity", "settle-steps"), moves),
         **dict.fromkeys(("target-low", "target-high"), not table),
         **dict.fromkeys(("stop-success", "stop-streak", "validation-interval"), stops),
         "target-height": table,
@@ -253,7 +261,7 @@ def senseless(words: Sequence[str]) -> str | None:
             return False
         if isinstance(before, bool):
             return (given != ["no"]) != before
-        if before is None:
+        if before is None or name == "goal-paths":
             return True
         numbers = [float(x) for x in given]
         return numbers != [float(x) for x in (before if isinstance(before, tuple | list) else [before])]

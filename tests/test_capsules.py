@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
+from contacts import contacts, link_of
 from foreign_arms import FILES
 from reachlab.envs.core import Env
 from reachlab.evaluation.report import evaluate
@@ -73,13 +74,6 @@ def surface(model: mujoco.MjModel, geom: int) -> np.ndarray:
     if kind == mujoco.mjtGeom.mjGEOM_BOX:
         return np.concatenate([side * size, size * directions / np.abs(directions).max(axis=1, keepdims=True)])
     return directions * (size[0] if kind == mujoco.mjtGeom.mjGEOM_SPHERE else size)
-
-
-def link_of(model: mujoco.MjModel, body: int) -> int:
-    """Number of the link that a body is part of: of the last joint on the way to it."""
-    while body and not model.body_jntnum[body]:
-        body = model.body_parentid[body]
-    return int(model.body_jntadr[body] + model.body_jntnum[body]) if body else 0
 
 
 def points_of_links(robot: Robot, q: np.ndarray) -> list[np.ndarray]:
@@ -205,23 +199,6 @@ def test_a_cut_keeps_the_surface() -> None:
 
 
 # --- which pairs count ----------------------------------------------------------------------------
-
-
-def contacts(robot: Robot, q: np.ndarray) -> list[set[tuple[int, int]]]:
-    """Pairs of links that MuJoCo finds to touch, by what is drawn of them, at each of `q [B, n]`."""
-    spec = robot.spec()
-    spec.option.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-    for geom in spec.geoms:
-        drawn = geom.contype == geom.conaffinity == 0
-        geom.contype = geom.conaffinity = int(drawn)
-    model = spec.compile()
-    data, found = mujoco.MjData(model), []
-    for one in q:
-        data.qpos[:] = one
-        mujoco.mj_forward(model, data)
-        bodies = model.geom_bodyid[data.contact.geom[data.contact.dist < 0]]
-        found.append({tuple(sorted(link_of(model, body) for body in pair)) for pair in bodies})
-    return found
 
 
 @pytest.mark.parametrize("name", ROBOTS)

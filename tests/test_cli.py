@@ -36,7 +36,10 @@ from reachlab.sims.mujoco import MujocoSimulator
 from reachlab.tasks import TASKS
 from reachlab.tasks.actions import ACTIONS
 from reachlab.tasks.observations import OBSERVATIONS
+from reachlab.tasks.paths import PATHS
+from reachlab.tasks.reach import AT_GOAL
 from reachlab.tasks.rewards import REWARDS
+from reachlab.tasks.targets import TARGETS
 
 TINY = [
     "--num-envs",
@@ -58,6 +61,9 @@ TABLES = {
     "observations": OBSERVATIONS,
     "actions": ACTIONS,
     "rewards": REWARDS,
+    "targets": TARGETS,
+    "goal paths": PATHS,
+    "at goal": AT_GOAL,
     "agents": AGENTS,
     "suites": SUITES,
 }
@@ -162,6 +168,36 @@ def test_list_tells_what_a_task_asks_for(reachlab: Shell) -> None:
     assert tasks["tutorial"].startswith("touch a point on the table: the tool comes within 100 mm of it")
     assert tasks["precise"].startswith("hold a point in the arm's box: the tool has been within 10 mm for 10 steps")
     assert "within 10 mm for 10 steps (0.2 s)" in tasks["precise"]
+
+
+def test_baselines_are_measured_on_goals_of_any_setting(reachlab: Shell) -> None:
+    words = ("eval", "--task", "track", "--agent", "ik", "--episodes", 2, "--max-steps", 60)
+    table = reachlab(*words, "--goal-paths", "smooth", "--goal-speed", 0.1, 0.1)
+    assert table.status == 0
+    assert "after the first 1 s is below 10 mm" in table.out
+    assert all(heading in table.out for heading in ("RMS error", "p95 error", "lag"))
+    told = json.loads(reachlab(*words, "--goal-paths", "line", "--goal-speed", 0.3, 0.3, "--json").out)
+    assert list(told["tracking"]["by_speed"]) == ["0.225 and more"]
+    assert "among" not in reachlab(*words, "--goal-paths", "line", "circle", "--goal-velocity", "False").err
+    said = reachlab("eval", "--task", "pose", "--agent", "ik", "--goal-paths", "line")
+    assert said == Said(2, "", said.err)
+    assert "goal_paths has an effect only with a task whose goal moves" in said.err
+
+
+def test_the_table_of_poses_tells_both_errors(reachlab: Shell) -> None:
+    said = reachlab("eval", "--task", "pose", "--agent", "zero", "--episodes", 2, "--max-steps", 12)
+    text = " ".join(said.out.replace("┃", " ").replace("│", " ").split())
+    assert "within 10 mm and 0.05 rad for 10 steps" in text
+    for words in ("median angle", "≤ 10 mm,", "≤ 2 mm,"):
+        assert words in text
+
+
+def test_reports_of_a_run_on_other_goals_are_not_kept_in_it(reachlab: Shell, untrained: Path) -> None:
+    words = ("eval", untrained, "--agent", "zero", "--episodes", 2, "--seed", 77)
+    assert reachlab(*words, "--max-steps", 5, "--json").status == 0
+    assert not list(untrained.rglob("*-77.json"))
+    assert reachlab(*words).status == 0
+    assert len(list(untrained.rglob("*-77.json"))) == 1
 
 
 def test_the_version_is_told(reachlab: Shell) -> None:

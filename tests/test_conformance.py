@@ -25,22 +25,34 @@ USUAL = (
     ("tutorial", "kinematic", "target+tool", "tool_delta", "dense"),
     ("tutorial", "pybullet", "target+tool", "tool_delta", "dense"),
     ("precise", "mujoco", "state", "joint_residual", "precise"),
+    ("pose", "mujoco", "pose", "joint_residual", "precise"),
+    ("track", "mujoco", "track", "joint_residual", "track"),
 )
 """Task, simulator, observation, action and reward with which every robot is tried."""
+
+OTHERS = (
+    *(("precise", observation, "tool_delta", "sparse") for observation in ("target", "target+tool", "state", "goal")),
+    *(("pose", observation, "joint_delta", "sparse") for observation in ("pose", "goal+state")),
+    *(("track", observation, "joint_delta", "sparse") for observation in ("track", "goal+state")),
+)
+"""Task, observation, action and reward with which the first robot is tried in every simulator."""
 
 
 def _tried(task: str, robot: str, sim: str, observation: str, action: str, reward: str) -> bool:
     """Every robot as usual; of the first one every observation with every action, and every reward with every action.
 
-    Of other tasks than the tutorial's its usual action and reward; rewards beyond the sparse one in the fastest
-    simulator.
+    Of other tasks than the tutorial's those of `OTHERS`; rewards beyond the sparse one in the fastest simulator.
     """
     if (task, sim, observation, action, reward) in USUAL:
         return True
     if robot != FIRST or (reward != "sparse" and sim != TRACED):
         return False
-    if OBSERVATIONS[observation].pictured or task != PICTURED[0]:
-        return (action, reward) == PICTURED[1:] and (task == PICTURED[0] or not OBSERVATIONS[observation].pictured)
+    if task != PICTURED[0]:
+        return (task, observation, action, reward) in OTHERS
+    if (design := OBSERVATIONS[observation]).needs_pose or design.needs_velocity:
+        return False
+    if design.pictured:
+        return (action, reward) == PICTURED[1:]
     return reward == "sparse" or observation == "target+tool"
 
 

@@ -26,6 +26,8 @@ def test_random_commands_end_in_order() -> None:
         "--targets box --target-low 0.5 0 0 --target-high 0.4 0.1 0.1",
         "--targets box --target-low 5 5 5 --target-high 6 6 6",
         "--reward sparse --approach-weight 2",
+        "--goal-paths line",
+        "--task pose --settle-steps 10",
     ],
 )
 def test_what_makes_no_sense_is_known_for_that(words: str) -> None:

@@ -49,6 +49,8 @@ SIMS: dict[str, dict[str, Any]] = {
 }
 RUNS = {sim: {"sim": sim, **settings} for sim, settings in SIMS.items()}
 RUNS["precise"] = {"task": "precise", "sim": "mujoco"}
+RUNS["pose"] = {"task": "pose", "sim": "mujoco"}
+RUNS["track"] = {"task": "track", "sim": "mujoco", "settle_steps": 10}
 
 
 def at(iteration: int, act: Callable[[], object]) -> Callable[[Progress], None]:

@@ -67,9 +67,13 @@ def succeeded(config: RunConfig) -> str:
     return setup.task.succeeds(setup.rules, setup.period)
 
 
-def success_mm(config: RunConfig) -> str:
-    """Distance of success in words."""
-    return f"{1000 * _setup(config).rules.success_distance:.3g} mm"
+def nearness(config: RunConfig) -> str:
+    """How near the tool has to be for a success, in words."""
+    setup = _setup(config)
+    rules, moves = setup.rules, setup.task.move is not None
+    turned = f" and {rules.success_angle:.3g} rad" if rules.asks_orientation else ""
+    how = "held " if rules.hold_steps else "followed " if moves else ""
+    return f"{how}within {1000 * rules.success_distance:.3g} mm{turned}"
 
 
 def _setup(config: RunConfig) -> TaskSetup:
@@ -83,29 +87,19 @@ def _setup(config: RunConfig) -> TaskSetup:
 
 def print_reports(reports: Sequence[dict[str, Any]], config: RunConfig) -> None:
     """Print what counts as a success, and a table with a row for each report of a run's agents."""
-    first, held = reports[0], config.rules.hold_steps > 0
+    first = reports[0]
     varied = f", {' and '.join(first['randomised'])} randomised" if first["randomised"] else ""
     what = f"{first['task']} task, {first['robot']}{varied}"
     say(f"{what}: {first['episodes']:,} held-out targets of seed {first['seed']}.")
     say(f"Success: {succeeded(config)}.")
     table = Table("agent", "simulator")
-    # Where touching ends the episode the final error is always about the success distance, so it is left out.
-    last = (
-        ("median error", "p99 error", "≤ 2 mm", "≤ 1 mm", "time to reach") if held else ("mean steps", "time to reach")
-    )
-    for heading in ("success", "95 % interval", *last):
+    figures = [_figures(report, held=config.rules.hold_steps > 0) for report in reports]
+    for heading in ("success", "95 % interval", *figures[0]):
         table.add_column(heading, justify="right")
-    for report in reports:
+    for report, row in zip(reports, figures, strict=True):
         low, high = report["success_interval"]
-        time_s = report["time_to_reach_s"]
-        table.add_row(
-            report["agent"],
-            report["sim"],
-            f"{100 * report['success_rate']:.2f} %",
-            f"{100 * low:.1f} to {100 * high:.1f}",
-            *(_precision(report) if held else [f"{report['steps_mean']:.0f}"]),
-            "" if time_s is None else f"{time_s:.2f} s",
-        )
+        success = _percent(report["success_rate"]), f"{100 * low:.1f} to {100 * high:.1f}"
+        table.add_row(report["agent"], report["sim"], *success, *row.values())
     console.print(table)
     touched = [report for report in reports if report["self_contact"] is not None]
     if touched:
@@ -113,10 +107,27 @@ def print_reports(reports: Sequence[dict[str, Any]], config: RunConfig) -> None:
         say(f"Episodes in which links of the arm met: {', '.join(shares)}.")
 
 
-def _precision(report: dict[str, Any]) -> list[str]:
-    error, shares = report["final_error_mm"], report["success_within"]
-    errors = [_millimetres(error[name]) for name in ("median", "p99")]
-    return [*errors, *(f"{100 * shares[limit]:.2f} %" for limit in ("2", "1"))]
+def _figures(report: dict[str, Any], *, held: bool) -> dict[str, str]:
+    """What is told of a report beside its success, by heading; which of it depends on what the task asks for."""
+    time_s, error, angle = report["time_to_reach_s"], report["final_error_mm"], report["final_angle_rad"]
+    reached = {"time to reach": "" if time_s is None else f"{time_s:.2f} s"}
+    if tracking := report["tracking"]:
+        lag = tracking["lag_s"]
+        errors = {f"{name} error": _millimetres(tracking[f"{name.lower()}_mm"]) for name in ("RMS", "p95")}
+        return {**errors, "lag": "" if lag is None else f"{1000 * lag:.1f} ms"}
+    if pairs := report["success_within_pairs"]:
+        median = "not held" if angle["median"] is None else f"{angle['median']:.2g} rad"
+        shares = {f"≤ {pair}": _percent(share) for pair, share in list(pairs.items())[1:]}
+        return {"median error": _millimetres(error["median"]), "median angle": median, **shares, **reached}
+    if held:
+        shares = {f"≤ {limit} mm": _percent(report["success_within"][limit]) for limit in ("2", "1")}
+        return {f"{name} error": _millimetres(error[name]) for name in ("median", "p99")} | shares | reached
+    # Where touching ends the episode the final error is always about the success distance, so it is left out.
+    return {"mean steps": f"{report['steps_mean']:.0f}", **reached}
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.2f} %"
 
 
 def _millimetres(error: float | None) -> str:

@@ -65,7 +65,7 @@ def evaluate(arguments: Eval) -> None:
                     note(f"{name}: {error}")
                     failed.append(name)
     finally:  # the reports that there are, whatever ended the evaluation
-        _show_evaluation(reports, trained, as_list=len(names) * len(arguments.agent) > 1, json=arguments.json)
+        _show_evaluation(reports, configs[names[0]], as_list=len(names) * len(arguments.agent) > 1, json=arguments.json)
     for warning in unsaved:
         note(f"Warning: {warning}")
     if failed:
@@ -128,7 +128,13 @@ def _evaluated_config(arguments: Eval, trained: RunConfig, name: str) -> RunConf
     """
     from reachlab.envs.setup import in_evaluation
 
-    return in_evaluation(trained, name, gui=arguments.gui, slow=arguments.slow, randomise=arguments.randomise)
+    pybullet = {"gui": arguments.gui, "slow": arguments.slow}
+    return in_evaluation(trained, name, **pybullet, randomise=arguments.randomise, **_other_goals(arguments))
+
+
+def _other_goals(arguments: Eval) -> dict[str, Any]:
+    """Settings of the goals that the flags change."""
+    return {name: value for name, value in vars(arguments.goals).items() if value is not None}
 
 
 def _can_be_used(config: RunConfig) -> bool:
@@ -154,7 +160,8 @@ def _evaluated(
 ) -> Iterator[tuple[dict[str, Any], list[str]]]:
     """Report of each agent in one simulator, and where it could not be saved in the run a list with the reason.
 
-    Agent `trained` is the policy of a run, or a model, whose reports are not saved.
+    Agent `trained` is the policy of a run, or a model, whose reports are not saved; nor are those on other goals than
+    the run's, which would stand in for those on its own.
 
     What is already `loaded` is used again: all simulators get the same checkpoint, even where a training writes newer
     ones meanwhile.
@@ -184,7 +191,7 @@ def _evaluated(
             rows = {"goal": played.goal, "distance": played.distance, "success": played.success}
             title = "-".join((name, agent, str(arguments.seed), *arguments.randomise))
             try:
-                if run:
+                if run and not _other_goals(arguments):
                     run.write_report(title, report, rows)
             except InputError as error:
                 yield report, [str(error)]

@@ -11,9 +11,9 @@ import tyro
 from reachlab.agents import AGENTS
 from reachlab.bench import SUITES
 from reachlab.runs.sinks import SINKS
-from reachlab.settings.config import DaggerConfig, RunConfig
+from reachlab.settings.config import DaggerConfig, RunConfig, TaskConfig
 from reachlab.settings.presets import DISTILLATION
-from reachlab.settings.validation import Checked, Count, NonNegative, Positive, Range, Seed, Steps
+from reachlab.settings.validation import Checked, Count, NonNegative, Positive, Range, Seed, Steps, hints
 
 Optional = tyro.conf.arg(metavar="PATH", help_behavior_hint="")
 """A path that may be left out."""
@@ -88,6 +88,36 @@ LESSON = ("observation", "seed", "randomise", "total_steps", "report_episodes", 
 """Flags of `Distil` that are settings of its run, beside `settings`."""
 
 
+GOALS = ("targets", "target_turn", "target_low", "target_high", "target_height")
+"""Settings that say where goals are."""
+
+EVALUATED = (
+    *GOALS,
+    "goal_paths",
+    "goal_speed",
+    "goal_jump",
+    "goal_velocity",
+    "settle_steps",
+    "start_noise",
+    "max_steps",
+)
+"""Settings of a task that an evaluation may change: what is asked for, and for how long."""
+
+
+def _goal_flags() -> type:
+    """Dataclass with a flag for each setting of `EVALUATED`; None where one is not given."""
+    told = tyro.conf.arg(
+        help="As in train, by default the run's or the task's.", metavar="VALUE", help_behavior_hint=""
+    )
+    flags = [(name, Annotated[hints(TaskConfig)[name] | None, told], None) for name in EVALUATED]
+    return make_dataclass("GoalFlags", flags, bases=(Checked,), frozen=True)
+
+
+def _no_goal_flags() -> Any:
+    """Flags of an evaluation's goals, none of them given."""
+    return _goal_flags()()
+
+
 @dataclass(frozen=True)
 class Eval(Checked):
     """Evaluate a run beside its baselines, or baselines alone, on held-out targets."""
@@ -117,6 +147,10 @@ class Eval(Checked):
     """Seed of the targets."""
     randomise: tuple[str, ...] = ()
     """What varies from episode to episode: dynamics, and for a policy that gets pictures view; see train."""
+    goals: Annotated[Any, tyro.conf.arg(name="", constructor_factory=_goal_flags)] = field(
+        default_factory=_no_goal_flags
+    )
+    """Other goals than those of the run or the task; reports of a run on such goals are not kept in it."""
     gui: bool = False
     """PyBullet: open its window."""
     slow: bool = False
@@ -214,7 +248,7 @@ class Bench(Checked):
 
 @dataclass(frozen=True)
 class List(Checked):
-    """Show tasks, robots, simulators, observations, actions, rewards, agents and suites of `bench`."""
+    """Show tasks, robots, simulators, observations, actions, rewards, targets, agents and suites of `bench`."""
 
     json: bool = False
     """Print them as one JSON object on standard output."""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Self
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Column
 
-from reachlab.cli.console import note, notes, print_reports, say, succeeded, success_mm
+from reachlab.cli.console import nearness, note, notes, print_reports, say, succeeded
 from reachlab.settings.config import RunConfig
 
 if TYPE_CHECKING:
@@ -61,10 +61,9 @@ class _Ended:
         """Their success rate in words; for a task that asks to hold a point, also the mean distance at their end."""
         if not self.episodes:
             return ""
-        held = "held " if config.rules.hold_steps else ""
-        rate = f"success ({held}within {success_mm(config)}) {100 * self.successes / self.episodes:.1f} %"
+        rate = f"success ({nearness(config)}) {100 * self.successes / self.episodes:.1f} %"
         text = f"{rate} of {self.episodes:,.0f} training episodes"
-        return text + (f", {1000 * self.metres / self.episodes:.1f} mm at their end" if held else "")
+        return text + (f", {1000 * self.metres / self.episodes:.1f} mm at their end" if config.rules.hold_steps else "")
 
 
 class Bar:

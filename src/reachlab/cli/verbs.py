@@ -43,7 +43,10 @@ def list_names(arguments: List) -> None:
     from reachlab.tasks import TASKS
     from reachlab.tasks.actions import ACTIONS
     from reachlab.tasks.observations import OBSERVATIONS
+    from reachlab.tasks.paths import PATHS
+    from reachlab.tasks.reach import AT_GOAL
     from reachlab.tasks.rewards import REWARDS
+    from reachlab.tasks.targets import TARGETS
 
     names: dict[str, dict[str, str]] = {
         "tasks": {
@@ -58,6 +61,9 @@ def list_names(arguments: List) -> None:
         "observations": {name: design.summary for name, design in OBSERVATIONS.items()},
         "actions": {name: design.summary for name, design in ACTIONS.items()},
         "rewards": {name: _summary(reward) for name, reward in REWARDS.items()},
+        "targets": {name: targets.summary for name, targets in TARGETS.items()},
+        "goal paths": {name: path.summary for name, path in PATHS.items()},
+        "at goal": dict(AT_GOAL),
         "agents": {name: agent.summary for name, agent in AGENTS.items()},
         "suites": {name: suite.summary for name, suite in SUITES.items()},
     }

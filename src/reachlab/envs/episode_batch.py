@@ -25,12 +25,16 @@ from reachlab.tasks.schema import Observed
 
 
 class Now(NamedTuple):
-    """What is observed of episodes and told of them: observations, and `[B]` each success, distance [m] and steps."""
+    """What is observed of episodes and told of them: observations, and `[B]` each success, distance [m] and steps.
+
+    Where an orientation is asked for, the angle [rad] too.
+    """
 
     observation: Observed
     success: BatchArray
     distance: BatchArray
     steps: BatchArray
+    angle: BatchArray | None = None
 
 
 class Result(NamedTuple):
@@ -199,7 +203,7 @@ class Programs:
 
     def _now(self, state: EnvState) -> Now:
         """What is observed of episodes that begin."""
-        return Now(self._env.observe(state), jnp.zeros(len(state.distance), bool), state.distance, state.clock)
+        return _now(state, self._env.observe(state), jnp.zeros(len(state.distance), bool))
 
 
 def _pick(mask: Array, new: Array, old: Array) -> Array:
@@ -261,15 +265,19 @@ class HostBatch:
         """What is observed once those of `mask [B]` have begun new episodes."""
         self._state = self._env.reset(self.state, mask)
         observation = merge(mask, self._env.observe_now(self._state, mask), now.observation)
-        return Now(observation, np.asarray(now.success) & ~mask, self._state.distance, self._state.clock)
+        return _now(self._state, observation, np.asarray(now.success) & ~mask)
 
     def _now(self) -> Now:
         """What is observed of episodes that begin."""
         state, success = self.state, np.zeros(self._env.num_envs, bool)
-        return Now(self._env.observe_now(state), success, state.distance, state.clock)
+        return _now(state, self._env.observe_now(state), success)
 
 
 def _result(state: EnvState, done: Transition, seen: Observed) -> Result:
     """Result of a step to a state after which nothing begins anew."""
-    now = Now(seen, done.terms["success"], done.terms["distance"], state.clock)
-    return Result(now, done.reward, done.terminated, done.truncated)
+    return Result(_now(state, seen, done.terms["success"]), done.reward, done.terminated, done.truncated)
+
+
+def _now(state: EnvState, seen: Observed, success: BatchArray) -> Now:
+    """What is observed of a state and told of it."""
+    return Now(seen, success, state.distance, state.clock, state.progress.angle)

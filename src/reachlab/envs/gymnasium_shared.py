@@ -85,6 +85,12 @@ class Episodes:
         return self.env.render(self.state, index)
 
 
+def told(now: Now) -> dict[str, Any]:
+    """Infos `[B]` by name: `is_success`, `distance` [m], `elapsed_steps`, and `angle` [rad] where one is asked for."""
+    infos = {"is_success": now.success, "distance": now.distance, "elapsed_steps": now.steps}
+    return infos if now.angle is None else {**infos, "angle": now.angle}
+
+
 def checked_render_mode(mode: str | None) -> str | None:
     """The render mode.
 

@@ -17,13 +17,14 @@ from reachlab.envs.gymnasium_shared import (
     checked_render_mode,
     observation_space,
     single,
+    told,
 )
 
 
 class ReachEnv(gymnasium.Env[Any, np.ndarray]):
     """One arm that has to reach a target.
 
-    `info` holds `is_success`, `distance` [m] and `elapsed_steps`.
+    `info` holds `is_success`, `distance` [m], `elapsed_steps` and, where an orientation is asked for, `angle` [rad].
     """
 
     metadata = METADATA
@@ -74,4 +75,4 @@ class ReachEnv(gymnasium.Env[Any, np.ndarray]):
 
 
 def _info(now: Now) -> dict[str, Any]:
-    return {"is_success": now.success.item(), "distance": now.distance.item(), "elapsed_steps": now.steps.item()}
+    return {name: value.item() for name, value in told(now).items()}

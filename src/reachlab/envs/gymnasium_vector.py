@@ -9,7 +9,6 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from reachlab.envs.episode_batch import Now
 from reachlab.envs.gymnasium_shared import (
     METADATA,
     Episodes,
@@ -17,6 +16,7 @@ from reachlab.envs.gymnasium_shared import (
     checked_render_mode,
     observation_space,
     single,
+    told,
 )
 from reachlab.settings.validation import InputError, choose
 
@@ -71,7 +71,7 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
         mask = self._checked_mask(options)
         now = self._episodes.reset(seeds, mask, self.np_random)
         self._ended = self._ended & ~mask
-        return now.observation, _batch_info(_info(now), mask)
+        return now.observation, _batch_info(told(now), mask)
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Observations, rewards, terminated, truncated and infos that the actions `[B, a]` led to.
@@ -92,10 +92,10 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
         now, reward, terminated, truncated, final = self._episodes.step(actions)
         if self._mode is AutoresetMode.DISABLED:
             self._ended = np.asarray(terminated) | np.asarray(truncated)
-        infos = _batch_info(_info(now), np.ones(self.num_envs, bool))
+        infos = _batch_info(told(now), np.ones(self.num_envs, bool))
         if final is not None and (ended := np.asarray(terminated) | np.asarray(truncated)).any():
             observation = _objects(final.observation, ended) if self._numpy else final.observation
-            infos |= _batch_info({"final_obs": observation, "final_info": _batch_info(_info(final), ended)}, ended)
+            infos |= _batch_info({"final_obs": observation, "final_info": _batch_info(told(final), ended)}, ended)
         return now.observation, reward.astype(np.float64) if self._numpy else reward, terminated, truncated, infos
 
     def render(self) -> tuple[np.ndarray, ...] | None:
@@ -119,10 +119,6 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
                 f"options['reset_mask'] must be a bool array of {shape} that picks an environment, got {mask!r}."
             )
         return mask
-
-
-def _info(now: Now) -> dict[str, Any]:
-    return {"is_success": now.success, "distance": now.distance, "elapsed_steps": now.steps}
 
 
 def _batch_info(info: dict[str, Any], mask: np.ndarray) -> dict[str, Any]:

@@ -35,8 +35,8 @@ class GymnaxState(environment.EnvState):
 class GymnaxEnv(environment.Environment[GymnaxState, environment.EnvParams]):
     """One arm that has to reach a target.
 
-    `info` holds `is_success` and `distance` [m]. An episode is no longer than the setting `max_steps`;
-    `max_steps_in_episode` of the parameters can make it shorter.
+    `info` holds `is_success`, `distance` [m] and, where an orientation is asked for, `angle` [rad]. An episode is no
+    longer than the setting `max_steps`; `max_steps_in_episode` of the parameters can make it shorter.
     """
 
     def __init__(self, task: str = "tutorial", **settings: Any) -> None:
@@ -79,7 +79,8 @@ class GymnaxEnv(environment.Environment[GymnaxState, environment.EnvParams]):
         del key, params
         episode, done = self._env.step(_batch(state.episode), jnp.asarray(action)[None])
         episode, done = _single(episode), _single(done)
-        info = {"is_success": done.terms["success"], "distance": done.terms["distance"]}
+        names = {"is_success": "success", "distance": "distance", "angle": "angle"}
+        info = {name: done.terms[term] for name, term in names.items() if term in done.terms}
         state = GymnaxState(episode.clock, episode, done.terminated, done.truncated)
         observation, state = self._apply_transition_gradient_policy(done.observation, state)
         return observation, state, done.reward, done.terminated, info

@@ -18,6 +18,7 @@ from reachlab.sims import SIMULATORS
 from reachlab.tasks import TASKS
 from reachlab.tasks.actions import ACTIONS
 from reachlab.tasks.observations import OBSERVATIONS
+from reachlab.tasks.paths import PATHS
 from reachlab.tasks.reach import AT_GOAL
 from reachlab.tasks.reachability import SAMPLES, survey
 from reachlab.tasks.rewards import REWARDS
@@ -32,8 +33,9 @@ NAMES: dict[str, tuple[str, Mapping[str, object]]] = {
     "reward": ("reward", REWARDS),
     "targets": ("targets", TARGETS),
     "at_goal": ("at_goal", AT_GOAL),
+    "goal_paths": ("goal path", PATHS),
 }
-"""Settings that are names of tables, and what they are called."""
+"""Settings that are names of tables, or lists of them, and what they are called."""
 
 MOST_OUT_OF_REACH = 0.05
 """Share of goals out of reach from which it is said that those fail whatever is learnt."""
@@ -48,8 +50,10 @@ def check_names(config: RunConfig) -> None:
         InputError: it is not; the sentence lists the names and the nearest one.
     """
     settings = flatten(to_json(config))
-    for name, (kind, table) in NAMES.items():
-        choose(kind, settings[name], table)
+    for setting, (kind, table) in NAMES.items():
+        chosen = settings[setting]
+        for name in (chosen,) if isinstance(chosen, str) else chosen:
+            choose(kind, name, table)
 
 
 def check(config: RunConfig, base: RunConfig | None = None) -> None:
@@ -64,12 +68,15 @@ def check(config: RunConfig, base: RunConfig | None = None) -> None:
     """
     check_names(config)
     observation, action = OBSERVATIONS[config.rules.observation], ACTIONS[config.rules.action]
+    task: Task = TASKS[config.task].load()
     facts = Facts(
         pictures=observation.pictured,
         dynamics=SIMULATORS[config.sim].dynamics,
         scale=action.scale,
         turns=action.turns,
         needs_pose=observation.needs_pose,
+        needs_velocity=observation.needs_velocity,
+        moves=task.move is not None,
     )
     check_consistency(config, facts, base)
 

@@ -136,7 +136,10 @@ def make_runner(env: Env, agent: str | Function) -> Runner:
 
         return Runner(jit(run), BATCH)
 
-    count_step = jit(count_step)
+    if env.traced and isinstance(agent, str):
+        advance = jit(advance)
+    else:
+        count_step = jit(count_step)
 
     def run_on_host(policy: Policy | None, keys: Array, watch: Watch = ignore) -> Episodes:
         carry, tracks = begin(keys), []

@@ -12,8 +12,9 @@ from reachlab.evaluation.episodes import Track
 BANDS = 4
 """Bands of speed, equally wide, that errors are told of."""
 
-BREAK = 0.05
-"""A velocity that changes by so much in a step has changed suddenly [m/s]; smooth paths change by less."""
+BREAK, SHARP = 0.05, 0.5
+"""A velocity that changes by so much in a step [m/s], and by that share of the speeds before and after it, which is a
+corner of more than 60 degrees, has changed suddenly; on smooth paths it changes by less."""
 
 JUMP = 0.001
 """A goal that is so far from where its velocity took it has jumped [m]."""
@@ -28,7 +29,7 @@ def followed(track: Track, period: float, settle: int, fastest: float) -> dict[s
     - `rms_mm`, `median_mm`, `p95_mm`: of the distance of tool and goal, and `by_speed` of those at each speed [m/s]
     - `lag_s`: by how much the tool is late, the least-squares fit of its way behind the goal to the goal's velocity [s]
     - `breaks`: how often the goal's velocity changed or its place jumped suddenly, and `again_within`: for distances
-      [mm] the median and p99 of the time until the tool was within them for good, until the next time [s]
+      [mm] the median and p99 of the time until the tool was within them up to the next time [s]; None where it was not
     """
     error = (track.goal - track.tool).astype(np.float64)
     distance, speed = np.linalg.norm(error, axis=-1), np.linalg.norm(track.velocity, axis=-1)
@@ -36,6 +37,7 @@ def followed(track: Track, period: float, settle: int, fastest: float) -> dict[s
     late, moved = distance[:, counted], speed[:, counted]
     band = np.clip(np.digitize(moved, edges) - 1, 0, BANDS - 1)
     names = [f"{low:.3g} to {high:.3g}" for low, high in itertools.pairwise(edges)]
+    names[-1] = f"{edges[-2]:.3g} and more"
     return {
         **_errors(late),
         "by_speed": {name: _errors(late[band == i]) for i, name in enumerate(names) if (band == i).any()},
@@ -57,7 +59,8 @@ def _lag(error: np.ndarray, velocity: np.ndarray) -> float | None:
 
 def _recovery(track: Track, distance: np.ndarray, period: float, settle: int) -> dict[str, Any]:
     moved = np.diff(track.goal, axis=1) - period * (track.velocity[:, 1:] + track.velocity[:, :-1]) / 2
-    turned = np.linalg.norm(np.diff(track.velocity, axis=1), axis=-1) > BREAK
+    changed, speed = np.linalg.norm(np.diff(track.velocity, axis=1), axis=-1), np.linalg.norm(track.velocity, axis=-1)
+    turned = changed > np.maximum(BREAK, SHARP * (speed[:, 1:] + speed[:, :-1]))
     sudden = turned | (np.linalg.norm(moved, axis=-1) > JUMP + BREAK * period)
     taken: dict[int, list[float]] = {limit: [] for limit in AGAIN}
     for episode, breaks in enumerate(sudden):
@@ -68,12 +71,19 @@ def _recovery(track: Track, distance: np.ndarray, period: float, settle: int) ->
                 continue
             for limit in AGAIN:
                 outside = np.flatnonzero(distance[episode, begin:end] > limit / 1000)
-                taken[limit].append(period * (outside[-1] + 1 if len(outside) else 0))
+                steps = outside[-1] + 1 if len(outside) else 0
+                taken[limit].append(period * steps if steps < end - begin else np.inf)
     return {
         "breaks": len(taken[AGAIN[0]]),
         "again_within": {
-            str(limit): dict(zip(("median", "p99"), np.quantile(times, (0.5, 0.99)).tolist(), strict=True))
+            str(limit): {name: _time(times, share) for name, share in {"median": 0.5, "p99": 0.99}.items()}
             for limit, times in taken.items()
             if times
         },
     }
+
+
+def _time(times: list[float], share: float) -> float | None:
+    """Quantile of times, None if it is infinite, which JSON has no word for."""
+    value = np.quantile(times, share, method="inverted_cdf")
+    return float(value) if np.isfinite(value) else None

@@ -1,8 +1,6 @@
-"""Every setting of a run, as frozen dataclasses.
+"""Every setting of a run, as frozen dataclasses: flags, keywords of `gymnasium.make` and `config.json` follow them.
 
-A setting is one field with its unit and meaning below it. The command line, the keywords of
-`gymnasium.make` and `config.json` are all read from these classes, so field names are unique among
-them. This module imports nothing heavy.
+Field names are unique among them. This module imports nothing heavy.
 """
 
 from __future__ import annotations
@@ -34,8 +32,7 @@ class TaskConfig(Checked):
     """The rules of the reach task."""
 
     tool: str | None = None
-    """Tool frame: a site or body of the robot whose position has to reach the target; by default the robot's own for
-    this task."""
+    """Tool frame, a site or body of the robot, that has to reach the target; by default its own for this task."""
     observation: str = "target+tool"
     """What the policy observes; see `reachlab list`."""
     action: str = "tool_delta"
@@ -70,7 +67,7 @@ class TaskConfig(Checked):
     """Distance that a radian of the angle to the target counts as in rewards and corrections [m/rad]."""
     targets: str = "table"
     """Where targets are sampled; see `reachlab list`."""
-    target_turn: Point | None = None
+    target_turn: tuple[NonNegative, NonNegative, NonNegative] | None = None
     """Ask for an orientation: the held one turned by up to this roll, pitch and yaw about the world's axes [rad]."""
     target_height: Annotated[float, Range(-10.0, 10.0)] | None = None
     """Height of the targets on the table [m]; by default the tutorial's -0.0083 m, where its object settles, in

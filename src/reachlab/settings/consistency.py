@@ -32,6 +32,8 @@ class Facts:
         scale: the setting by which actions are multiplied, if there is one.
         turns: an action can bring the tool into any orientation.
         needs_pose: the observation needs a goal with an orientation.
+        needs_velocity: it needs one that moves.
+        moves: the task's goal moves.
     """
 
     pictures: bool
@@ -39,6 +41,8 @@ class Facts:
     scale: str | None
     turns: bool
     needs_pose: bool
+    needs_velocity: bool
+    moves: bool
 
 
 @dataclass(frozen=True)
@@ -75,6 +79,7 @@ TABLE = Need("targets table", lambda s: s["targets"] == "table")
 BOX = Need("targets box", lambda s: s["targets"] == "box")
 TURNED = Need("target_turn or targets any", lambda s: asks_orientation(s.settings))
 CLOSE = Need("reward precise or closeness", lambda s: s["reward"] in ("precise", "closeness"))
+MOVES = Need("a task whose goal moves, as track", lambda s: s.facts.moves)
 STOP_EARLY = Need("stop_early", lambda s: s["stop_early"], vital=False)
 
 NEEDS: dict[str, Need] = {
@@ -83,7 +88,7 @@ NEEDS: dict[str, Need] = {
     "target_height": TABLE,
     "target_low": BOX,
     "target_high": BOX,
-    "target_turn": Need("targets box or table", lambda s: s["targets"] != "any"),
+    "target_turn": Need("targets box or table", lambda s: s["targets"] != "any" or s["target_turn"] is None),
     "success_angle": TURNED,
     "angle_weight": TURNED,
     "hold_speed": Need("hold_steps above 0 or reward precise", lambda s: s["hold_steps"] or s["reward"] == "precise"),
@@ -94,6 +99,16 @@ NEEDS: dict[str, Need] = {
         lambda s: s["reward"] in ("precise", "closeness") and s["closeness_weight"] > 0,
     ),
     "effort_weight": CLOSE,
+    "goal_paths": MOVES,
+    "goal_velocity": MOVES,
+    "settle_steps": MOVES,
+    "goal_jump": Need(
+        "a task whose goal moves, as track, and jumps among goal_paths",
+        lambda s: s.facts.moves and "jumps" in s["goal_paths"],
+    ),
+    "goal_speed": Need(
+        "a task whose goal moves, as track, and a path beside jumps", lambda s: s.facts.moves and _is_fast(s)
+    ),
     "physics_steps": MUJOCO,
     "collisions": MUJOCO,
     "gravity_compensation": MUJOCO,
@@ -105,6 +120,39 @@ NEEDS: dict[str, Need] = {
     "validation_interval": STOP_EARLY,
 }
 """What settings need to have an effect; those that are not here always have one."""
+
+
+def _is_fast(s: Asked) -> bool:
+    """Whether a goal goes along some path, rather than jump from place to place."""
+    return any(name != "jumps" for name in s["goal_paths"])
+
+
+def _moves(s: Asked) -> str | None:
+    low, high = s["goal_speed"]
+    if s.facts.needs_velocity and not s.facts.moves:
+        return f"observation {s['observation']!r} needs a goal that moves, as that of task 'track'."
+    if not s.facts.moves:
+        return None
+    if not s["goal_paths"]:
+        return "goal_paths names no path: choose one of those that `reachlab list` shows, or several."
+    if low > high:
+        return f"goal_speed has a least speed above the largest, {low:g} against {high:g} m/s: exchange them."
+    if s["settle_steps"] >= s["max_steps"]:
+        return (
+            f"no step would count after settle_steps {s['settle_steps']} in an episode of max_steps {s['max_steps']}:"
+            " choose fewer --settle-steps or more --max-steps."
+        )
+    if s["targets"] != "box" or s["target_turn"] is not None:
+        return (
+            f"the goal of task {s['task']!r} is a point that moves in a box: set targets to 'box', and leave"
+            " target_turn out."
+        )
+    if s["at_goal"] != "continue" or s["hold_steps"] or s["end_outside"]:
+        return (
+            "a goal that moves is followed to the end of the episode: set at_goal to 'continue', hold_steps to 0 and"
+            " end_outside to false."
+        )
+    return None
 
 
 def _orientation(s: Asked) -> str | None:
@@ -175,7 +223,7 @@ def _action_held_too_long(s: Asked) -> str | None:
 
 
 CONTRADICTIONS: tuple[Callable[[Asked], str | None], ...] = (
-    *(_at_goal, _orientation, _held_too_long, _crossed_box, _minibatches, _randomised, _action_held_too_long),
+    *(_moves, _at_goal, _orientation, _held_too_long, _crossed_box, _minibatches, _randomised, _action_held_too_long),
 )
 """What cannot be: each gives its sentence, or nothing."""
 

@@ -100,13 +100,13 @@ def hints(cls: type) -> dict[str, Any]:
 
 
 def _check(name: str, value: Any, hint: Any) -> None:
-    if typing.get_origin(hint) in UNIONS:
-        kinds = [kind for kind in typing.get_args(hint) if kind is not type(None)]
+    base, limits = (hint.__origin__, hint.__metadata__) if hasattr(hint, "__metadata__") else (hint, ())
+    if typing.get_origin(base) in UNIONS:
+        kinds = [kind for kind in typing.get_args(base) if kind is not type(None)]
         if len(kinds) == 1:
             if value is not None:
                 _check(name, value, kinds[0])
             return
-    base, limits = (hint.__origin__, hint.__metadata__) if hasattr(hint, "__metadata__") else (hint, ())
     try:
         if isinstance(value, bool) and base is not bool:
             raise TypeCheckError("a truth value is no number")

@@ -77,7 +77,7 @@ def _sample_line(setup: TaskSetup, key: Array, speed: Array) -> Array:
 
 
 def _on_line(setup: TaskSetup, numbers: Array, time: Array) -> Place:
-    """There and back at an even speed."""
+    """There and back."""
     del setup
     speed, begin, end = numbers[0], numbers[1:4], numbers[4:7]
     way = end - begin
@@ -118,7 +118,8 @@ WAVES = 3 * len(HARMONICS)
 def _sample_smooth(setup: TaskSetup, key: Array, speed: Array) -> Array:
     """The lowest frequency, the centre, and amplitudes and phases of its waves in x, y and z.
 
-    The frequency is such that the mean speed over the episode is that asked for.
+    The frequency is such that the mean speed over a period of the lowest wave is that asked for. Other stretches of a
+    path are up to a third slower or faster.
     """
     low, high = _box(setup)
     for_size, for_amplitudes, for_centre, for_phases = jax.random.split(key, 4)

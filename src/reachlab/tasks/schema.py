@@ -144,11 +144,19 @@ def _concatenated(parts: Sequence[Any]) -> Any:
 
 @dataclass(frozen=True)
 class Observation:
-    """An observation design: its terms, in a sentence what they are, and whether they need an orientation to go to."""
+    """An observation design.
+
+    Attributes:
+        summary: what its terms are, in a sentence.
+        terms: what it is made of.
+        needs_pose: they need a goal with an orientation.
+        needs_velocity: they need a goal that moves.
+    """
 
     summary: str
     terms: tuple[Term, ...]
     needs_pose: bool = False
+    needs_velocity: bool = False
 
     @property
     def pictured(self) -> bool:

@@ -30,6 +30,9 @@ ITERATIONS = 30
 POSITION_TOLERANCE, ANGLE_TOLERANCE = 1e-4, 5e-4
 """Errors with which a pose counts as solved [m, rad]. The goal becomes the solution's own pose, so they do not stay."""
 
+ROUNDING = 1e-4
+"""An arm may be so far below where it is lowest at home [m]."""
+
 DRAWS = 100
 """Poses drawn at most until one can be reached; where none can, none of the arm's goals could be."""
 
@@ -136,8 +139,10 @@ def free_of_contact(robot: Robot, q: Array) -> Array:
     """Whether an arm at joints `[n]` is above the table, and its links do not meet, judged by its capsules."""
     if not robot.capsules.links:
         return jnp.ones((), bool)
-    at = capsules_at(robot.chain, robot.capsules, q[None])
-    above = lowest_point(robot.capsules, at)[0] > robot.workspace[0][2]
+    at, home = (capsules_at(robot.chain, robot.capsules, joints[None]) for joints in (q, jnp.array(robot.home)))
+    # The capsule of a link just above the table may reach below it at all times; at home nothing is in the way.
+    floor = jnp.minimum(robot.workspace[0][2], lowest_point(robot.capsules, home)[0] - ROUNDING)
+    above = lowest_point(robot.capsules, at)[0] > floor
     return above & (self_distance(robot.capsules, at)[0] > 0) if robot.capsules.pairs else above
 
 
@@ -171,9 +176,9 @@ def nearest_joints(setup: TaskSetup, pose: Pose, near: Array, start: Array, key:
 
 TARGETS: dict[str, Targets] = {
     "table": Targets("on the table", _table_corners, _sample_in_box),
-    "box": Targets("in a box", _box_corners, _sample_in_box),
+    "box": Targets("in a box, of target_low and target_high or the arm's own", _box_corners, _sample_in_box),
     "any": Targets(
-        "a pose that random joints have",
+        "wherever random joints bring the tool",
         _reach_corners,
         lambda setup, key: _first_reached(lambda key: _any_pose(setup, key), setup, key),
     ),

@@ -9,6 +9,7 @@ from jax import Array
 
 from reachlab.robots.kinematics import Pose
 from reachlab.settings.config import Rules
+from reachlab.settings.validation import InputError
 from reachlab.tasks.paths import PATHS, place_at, sample_path
 from reachlab.tasks.reach import PRECISE, outcome
 from reachlab.tasks.task import Goal, Outcome, Progress, Situation, TaskSetup
@@ -46,6 +47,15 @@ def _judge(setup: TaskSetup, before: Progress, now: Situation, clock: Array) -> 
     return outcome(setup, before, Progress(distance, mean_square=mean), now, clock)
 
 
+def _check(setup: TaskSetup) -> None:
+    for axis, low, high in zip("xyz", *setup.task.goal_box(setup), strict=True):
+        if low >= high:
+            raise InputError(
+                f"a goal that moves needs a box that is wide in every direction, and it goes from {low:g} to {high:g} m"
+                f" in {axis}: choose other --target-low and --target-high."
+            )
+
+
 def _asks(rules: Rules, period: float) -> str:
     ways = "; ".join(PATHS[name].summary for name in rules.goal_paths)
     low, high = rules.goal_speed
@@ -68,6 +78,7 @@ TRACK = replace(
     move=_move,
     begin=_begin,
     judge=_judge,
+    check=_check,
     asks=_asks,
     succeeds=_succeeds,
 )
