@@ -18,7 +18,7 @@ from reachlab.agents.policy import Policy
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState
 from reachlab.robots.catalogue import KnownRobot
-from reachlab.settings.config import TaskConfig
+from reachlab.settings.rules import TaskConfig
 from reachlab.settings.tables import Lazy
 from reachlab.sims import ArmState, BatchArray, Moved, SimulatorEntry
 from reachlab.sims.kinematic import KinematicSimulator

@@ -38,10 +38,10 @@ from reachlab.cli.flags import EVALUATED
 from reachlab.cli.verbs import VERBS
 from reachlab.robots.catalogue import ROBOTS
 from reachlab.runs.sinks import SINKS
-from reachlab.settings.config import TaskConfig
 from reachlab.settings.consistency import RANDOMISED
 from reachlab.settings.json_form import flatten, to_json
 from reachlab.settings.presets import preset
+from reachlab.settings.rules import TaskConfig
 from reachlab.settings.validation import Range, hints
 from reachlab.sims import SIMULATORS
 from reachlab.tasks import TASKS

@@ -6,9 +6,10 @@ import math
 
 import pytest
 
-from reachlab.settings.config import LearnerConfig, LoopConfig, PPOConfig, RunConfig, SimConfig, TaskConfig
+from reachlab.settings.config import LearnerConfig, LoopConfig, PPOConfig, RunConfig, SimConfig
 from reachlab.settings.json_form import flatten, from_json, to_json
 from reachlab.settings.presets import RULES, Rule, configure, in_simulator, preset
+from reachlab.settings.rules import TaskConfig
 from reachlab.settings.validation import InputError, choose
 from reachlab.tasks import TASKS
 

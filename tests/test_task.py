@@ -16,8 +16,9 @@ from scipy.spatial.transform import Rotation
 
 from reachlab.envs.setup import check, make_setup, settled
 from reachlab.robots.kinematics import forward_kinematics
-from reachlab.settings.config import Rules, RunConfig, TaskConfig
+from reachlab.settings.config import RunConfig
 from reachlab.settings.presets import configure
+from reachlab.settings.rules import Rules, TaskConfig
 from reachlab.settings.validation import InputError
 from reachlab.tasks.actions import ACTIONS, bounded, command, joint_scale
 from reachlab.tasks.observations import OBSERVATIONS, observe

@@ -29,8 +29,9 @@ from reachlab.learn.ppo_method import initial_state
 from reachlab.render.marks import REACHED, TARGET_RADIUS
 from reachlab.robots.loading import load_robot
 from reachlab.runs.directory import RunDirectory
-from reachlab.settings.config import Rules, RunConfig
+from reachlab.settings.config import RunConfig
 from reachlab.settings.presets import configure
+from reachlab.settings.rules import Rules
 from reachlab.settings.validation import InputError
 from reachlab.tasks import TASKS
 from reachlab.watch import panel

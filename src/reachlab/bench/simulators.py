@@ -24,8 +24,8 @@ from reachlab.robots.catalogue import ROBOTS
 from reachlab.robots.kinematics import forward_kinematics
 from reachlab.robots.loading import load_robot
 from reachlab.robots.robot import PybulletModel, Robot
-from reachlab.settings.config import Rules
 from reachlab.settings.presets import configure, in_simulator
+from reachlab.settings.rules import Rules
 from reachlab.sims import make_simulator
 from reachlab.sims.mujoco_model import physics_model
 from reachlab.sims.pybullet_world import GRAVITY, GROUND, TABLE, import_pybullet

@@ -11,8 +11,9 @@ import tyro
 from reachlab.agents import AGENTS
 from reachlab.bench import SUITES
 from reachlab.runs.sinks import SINKS
-from reachlab.settings.config import DaggerConfig, RunConfig, TaskConfig
+from reachlab.settings.config import DaggerConfig, RunConfig
 from reachlab.settings.presets import DISTILLATION
+from reachlab.settings.rules import TaskConfig
 from reachlab.settings.validation import Checked, Count, NonNegative, Positive, Range, Seed, Steps, hints
 
 Optional = tyro.conf.arg(metavar="PATH", help_behavior_hint="")

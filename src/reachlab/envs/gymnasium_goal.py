@@ -15,7 +15,7 @@ from reachlab.envs.gymnasium_shared import Episodes
 from reachlab.envs.gymnasium_single import ReachEnv
 from reachlab.envs.gymnasium_vector import ReachVectorEnv
 from reachlab.robots.kinematics import angle_between
-from reachlab.settings.config import Rules
+from reachlab.settings.rules import Rules
 from reachlab.settings.validation import InputError, choose
 from reachlab.tasks.observations import OBSERVATIONS
 from reachlab.tasks.rewards import GOAL_REWARDS

@@ -9,10 +9,11 @@ from typing import Any
 
 from reachlab.robots.loading import load_robot
 from reachlab.robots.robot import Robot
-from reachlab.settings.config import Rules, RunConfig, TaskConfig
+from reachlab.settings.config import RunConfig
 from reachlab.settings.consistency import Facts, check_consistency
 from reachlab.settings.json_form import flatten, override, to_json
 from reachlab.settings.presets import configure, in_simulator, preset
+from reachlab.settings.rules import Rules, TaskConfig
 from reachlab.settings.validation import InputError, choose
 from reachlab.sims import SIMULATORS
 from reachlab.tasks import TASKS

@@ -19,7 +19,7 @@ from reachlab.envs.functions import EnvState, Transition
 from reachlab.envs.random_streams import AGENT_STREAM, episode_keys
 from reachlab.jax_setup import jit
 from reachlab.robots.clearance import capsules_at, self_distance
-from reachlab.settings.config import Rules
+from reachlab.settings.rules import Rules
 from reachlab.sims import SIMULATORS
 
 Watch = Callable[[int], None]

@@ -10,7 +10,7 @@ from jax import Array
 
 from reachlab.robots.inverse_kinematics import ik_point_step
 from reachlab.robots.kinematics import forward_kinematics
-from reachlab.settings.config import Rules
+from reachlab.settings.rules import Rules
 from reachlab.tasks.reach import PRECISE
 from reachlab.tasks.scenes import sample_scene
 from reachlab.tasks.targets import free_of_contact

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from reachlab.robots.kinematics import Pose
-from reachlab.settings.config import Rules
+from reachlab.settings.rules import Rules
 from reachlab.settings.validation import InputError
 from reachlab.tasks.targets import TARGETS
 from reachlab.tasks.task import Bounds, Goal, Outcome, Progress, Situation, Task, TaskSetup, gap, outside_workspace

@@ -7,7 +7,7 @@ from typing import Any
 
 from jax import Array
 
-from reachlab.settings.config import Rules
+from reachlab.settings.rules import Rules
 from reachlab.tasks.task import Outcome, gap, within
 
 OUTSIDE_REWARD = -0.1

@@ -17,7 +17,7 @@ from jax import Array
 
 from reachlab.robots.kinematics import Pose, angle_between
 from reachlab.robots.robot import Robot
-from reachlab.settings.config import Rules
+from reachlab.settings.rules import Rules
 from reachlab.tasks.obstacles import Obstacles
 
 Bounds = tuple[np.ndarray, np.ndarray]

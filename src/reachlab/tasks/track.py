@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from reachlab.robots.kinematics import Pose
-from reachlab.settings.config import Rules
+from reachlab.settings.rules import Rules
 from reachlab.settings.validation import InputError
 from reachlab.tasks.paths import PATHS, place_at, sample_path
 from reachlab.tasks.reach import PRECISE, outcome
