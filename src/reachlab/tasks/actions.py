@@ -177,6 +177,9 @@ of inverse kinematics, which is proportional to the distance, outweighs them."""
 POSE_CORRECTION = 0.3
 """The same to the joints of a pose: not enough to turn one round, for they need no way round anything."""
 
+CLUTTER_CORRECTION = 1.0
+"""The same among obstacles: enough to stop, and with the dampers to be led round."""
+
 MOVING_CORRECTION = 0.05
 """The same to a target that moves: never faded, for the tool is never just there, and as much as its errors take."""
 
@@ -188,7 +191,9 @@ def _worth(setup: TaskSetup, now: Situation) -> Array:
     away = now.goal.distance(now.tool_position)
     if (angle := now.goal.angle(now.tool_quaternion)) is not None:
         away = gap(setup.rules, away, angle)
-    most = POSE_CORRECTION if now.obstacles is None and now.goal.joints is not None else CORRECTION
+    most = CORRECTION if now.goal.joints is None else POSE_CORRECTION
+    if now.obstacles is not None:
+        most = CLUTTER_CORRECTION
     return most * jnp.minimum(jnp.square(away[:, None] / CORRECTION_FADE), 1.0)
 
 

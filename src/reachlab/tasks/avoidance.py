@@ -13,13 +13,13 @@ from reachlab.robots.scalar_algebra import Vec
 from reachlab.tasks.obstacles import Nearest, nearest
 from reachlab.tasks.task import Situation, TaskSetup
 
-STOP = 0.015
+STOP = 0.03
 """Distance at which a capsule may come no nearer [m], in proportion to the arm's workspace."""
 
-RATE = 0.15
+RATE = 0.08
 """Share of its way to that distance that a capsule may go in a step."""
 
-SWEEPS = 3
+SWEEPS = 6
 """Times that the displacement is made to obey each capsule's limit in turn."""
 
 TINY = 1e-6
