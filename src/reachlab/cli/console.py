@@ -101,10 +101,11 @@ def print_reports(reports: Sequence[dict[str, Any]], config: RunConfig) -> None:
         success = _percent(report["success_rate"]), f"{100 * low:.1f} to {100 * high:.1f}"
         table.add_row(report["agent"], report["sim"], *success, *row.values())
     console.print(table)
-    touched = [report for report in reports if report["self_contact"] is not None]
-    if touched:
-        shares = (f"{report['agent']} in {report['sim']} {100 * report['self_contact']:.2f} %" for report in touched)
-        say(f"Episodes in which links of the arm met: {', '.join(shares)}.")
+    for kind, what in (("contact", "the arm touched anything"), ("self_contact", "links of the arm met")):
+        told = [report for report in reports if report[kind] is not None]
+        if told:
+            shares = (f"{report['agent']} in {report['sim']} {_percent(report[kind])}" for report in told)
+            say(f"Episodes in which {what}: {', '.join(shares)}.")
 
 
 def _figures(report: dict[str, Any], *, held: bool) -> dict[str, str]:

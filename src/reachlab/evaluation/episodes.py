@@ -64,6 +64,7 @@ class Episodes:
         touched: links of the arm met in it `[B]`, judged by its capsules; None where joints are set, rather than moved
             by dynamics, or where no links could meet.
         track: where goal and tool were after each of its steps; None where the goal does not move.
+        contact: the arm touched anything in it `[B]`, judged by the engine; None where there are no obstacles.
     """
 
     goal: Array
@@ -78,6 +79,7 @@ class Episodes:
     squared_jerk: Array
     motion: tuple[Array, Array, Array]
     touched: Array | None = None
+    contact: Array | None = None
     track: Track | None = None
 
 
@@ -117,6 +119,7 @@ def make_runner(env: Env, agent: str | Function) -> Runner:
             squared_jerk=jnp.zeros(count),
             motion=(state.arm.q, still, still),
             touched=jnp.zeros(count, bool) if touches else None,
+            contact=state.arm.contact,
         )
         return state, episodes, jax.random.fold_in(keys[0], AGENT_STREAM)
 
@@ -187,6 +190,7 @@ def _count(
         squared_jerk=episodes.squared_jerk + jerk,
         motion=(state.arm.q, moved_now, change_now),
         touched=None if touches is None or touched is None else touched | touches(state.arm.q),
+        contact=None if episodes.contact is None else episodes.contact | state.arm.contact,
     )
 
     def keep(old: Array, now: Array) -> Array:

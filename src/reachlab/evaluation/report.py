@@ -57,6 +57,8 @@ class Report:
         time_to_reach_s: mean time of the successes until the tool is there for good [s]; None without any.
         max_joint_speed: largest speed of each joint [rad/s].
         jerk: mean squared joint jerk [rad²/s⁶].
+        contact: share of episodes in which the arm touched anything, itself included, where the engine judges it; their
+            errors count as infinite.
         self_contact: share of episodes in which links of the arm met at any step, see `Episodes.touched`.
         wall_s: time that the evaluation took [s].
         versions: of the packages that it depends on.
@@ -82,6 +84,7 @@ class Report:
     time_to_reach_s: float | None
     max_joint_speed: list[float]
     jerk: float
+    contact: float | None
     self_contact: float | None
     wall_s: float
     versions: dict[str, str]
@@ -167,6 +170,8 @@ def summarise(
     """Report of finished episodes."""
     count, successes = len(result.done), int(result.success.sum())
     error = np.asarray(result.distance, np.float64) * 1000
+    if result.contact is not None:
+        error = np.where(result.contact, np.inf, error)
     angle = None if result.angle is None else np.asarray(result.angle, np.float64)
     period, ends = env.config.physics.control_period, env.config.rules.at_goal == "end"
     reached = result.arrival[np.asarray(result.success)]
@@ -191,6 +196,7 @@ def summarise(
         time_to_reach_s=float(reached.mean() * period) if successes else None,
         max_joint_speed=[float(speed) for speed in result.max_speed.max(axis=0)],
         jerk=float((result.squared_jerk / result.steps).mean()),
+        contact=None if result.contact is None else float(np.mean(result.contact)),
         self_contact=None if result.touched is None else float(result.touched.mean()),
         wall_s=wall_s,
         versions=versions(),
