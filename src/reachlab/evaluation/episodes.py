@@ -173,7 +173,7 @@ def _count(
     rules: Rules,
     touches: Touches | None,
 ) -> Episodes:
-    (q, moved, change), touched = episodes.motion, episodes.touched
+    (q, moved, change), touched, before = episodes.motion, episodes.touched, episodes.contact
     moved_now = state.arm.q - q
     change_now = moved_now - moved
     jerk = jnp.square((change_now - change) / period**3).mean(-1)
@@ -190,7 +190,7 @@ def _count(
         squared_jerk=episodes.squared_jerk + jerk,
         motion=(state.arm.q, moved_now, change_now),
         touched=None if touches is None or touched is None else touched | touches(state.arm.q),
-        contact=None if episodes.contact is None else episodes.contact | state.arm.contact,
+        contact=None if before is None or state.arm.contact is None else before | state.arm.contact,
     )
 
     def keep(old: Array, now: Array) -> Array:
