@@ -97,6 +97,7 @@ EVALUATED = (
     "goal_paths",
     "goal_speed",
     "goal_jump",
+    "obstacles",
     "goal_velocity",
     "settle_steps",
     "start_noise",
