@@ -54,17 +54,37 @@ def survey(setup: TaskSetup) -> Survey:
     An orientation that is held counts for nothing: where joint limits leave no choice, position outranks it.
     """
     random, robot, bounded = np.random.default_rng(0), setup.robot, setup.rules.ends_outside
-    targets = random.uniform(*setup.task.goal_box(setup), (SAMPLES, 3))
     low, high = np.array(robot.workspace)
-    points = _nearest(robot, np.clip(targets, low, high) if bounded else targets)
-    inside = ((points >= low - ROUNDING) & (points <= high + ROUNDING)).all(axis=-1)
-    near = np.linalg.norm(points - targets, axis=-1) < setup.rules.success_distance
+    reached = _drawn_within(setup) if _solved(setup) else _within_reach(setup, random)
 
     noise = setup.rules.start_noise
     starts = robot.home + random.uniform(-noise, noise, (SAMPLES, robot.chain.n))
     begun = _tool(robot, np.clip(starts, robot.chain.lower, robot.chain.upper))
     outside = bounded & ((begun < low) | (begun > high)).any(axis=-1)
-    return Survey(float((near & (inside | (not bounded))).mean()), float(outside.mean()))
+    return Survey(float(reached.mean()), float(outside.mean()))
+
+
+def _within_reach(setup: TaskSetup, random: np.random.Generator) -> np.ndarray:
+    """Which of `SAMPLES` random targets the tool comes near to."""
+    bounded, (low, high) = setup.rules.ends_outside, np.array(setup.robot.workspace)
+    targets = random.uniform(*setup.task.goal_box(setup), (SAMPLES, 3))
+    points = _nearest(setup.robot, np.clip(targets, low, high) if bounded else targets)
+    inside = ((points >= low - ROUNDING) & (points <= high + ROUNDING)).all(axis=-1)
+    near = np.linalg.norm(points - targets, axis=-1) < setup.rules.success_distance
+    return near & (inside | (not bounded))
+
+
+def _solved(setup: TaskSetup) -> bool:
+    """Whether the task draws targets until one can be reached."""
+    return setup.rules.asks_orientation or setup.task.sample_obstacles is not None
+
+
+def _drawn_within(setup: TaskSetup) -> np.ndarray:
+    """Which of `SAMPLES` targets that the task draws are in its box; those that it gave up to find are not."""
+    low, high = setup.task.goal_box(setup)
+    keys = jax.random.split(jax.random.key(0), SAMPLES)
+    drawn = np.asarray(jit(jax.vmap(lambda key: setup.task.sample_goal(setup, key).position))(keys))
+    return ((drawn >= low - ROUNDING) & (drawn <= high + ROUNDING)).all(axis=-1)
 
 
 def _tool(robot: Robot, q: np.ndarray) -> np.ndarray:
