@@ -35,7 +35,7 @@ from reachlab.settings.rules import Rules
 from reachlab.settings.validation import InputError
 from reachlab.tasks import TASKS
 from reachlab.watch import panel
-from reachlab.watch.player import PATH_STEP
+from reachlab.watch.moment import PATH_STEP
 from reachlab.watch.saved_page import save_page
 from reachlab.watch.server import LOCAL, start_server
 from reachlab.watch.viewer import COMMANDS, UNREACHABLE, Viewer
