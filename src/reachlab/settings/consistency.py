@@ -61,8 +61,8 @@ def _obstructed(s: Asked) -> str | None:
         return f"obstacles has a fewest number above the most, {fewest} against {most}: exchange them."
     if s["chained_starts"]:
         return (
-            f"with chained_starts {s['chained_starts']:g} episodes would start inside obstacles, which are drawn so that"
-            " a start near home is free: leave it out."
+            f"with chained_starts {s['chained_starts']:g} episodes would start inside obstacles, which leave"
+            " only a start near home free: leave it out."
         )
     if s["targets"] != "box" or s["target_turn"] is not None:
         return f"the goal of task {s['task']!r} is a point in a box: set targets to 'box', and leave target_turn out."
