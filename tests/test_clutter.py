@@ -112,7 +112,7 @@ def test_numbers_of_obstacles_are_those_of_the_rules(begun: EnvState) -> None:
     assert found is not None
     counts = np.asarray(found.present).sum(axis=1)
     assert counts.max() == 2
-    assert (counts == 2).mean() > 0.9
+    assert (counts == 2).mean() > 0.75
     fixed.close()
 
 
@@ -139,7 +139,7 @@ def test_kinds_and_sizes_are_in_range(env: Env, begun: EnvState) -> None:
 
 # --- distances ------------------------------------------------------------------------------------
 
-LINEAR = 1e-3
+LINEAR = 1e-4
 """By how much a displacement of `STEP` may be off its linearisation, and off limits that contradict each other [m]."""
 
 SAMPLES = 4000
@@ -255,7 +255,7 @@ def test_a_damped_displacement_comes_no_nearer_than_it_may(damped: tuple[np.ndar
     counted &= (before > 0).all(axis=0) & (allowed > 0).all(axis=0)
     assert counted.sum() > 100
     too_near, undamped = (before - after - allowed)[counted], (before - wild - allowed)[counted]
-    assert (undamped > LINEAR).mean() > 0.02, "without dampers it would"
+    assert (undamped > LINEAR).mean() > 0.01, "without dampers it would"
     assert too_near.max() < LINEAR
 
 
