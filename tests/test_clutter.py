@@ -214,13 +214,10 @@ def each(obstacles: Obstacles) -> list[Obstacles]:
 
 
 def situation(q: np.ndarray, obstacles: Obstacles) -> Situation:
-    q = np.asarray(q, np.float32)
-    still, count = np.zeros_like(q), len(q)
-    tool = np.zeros((count, 3), np.float32), np.zeros((count, 4), np.float32)
-    goal = Goal(jnp.zeros((count, 3)), joints=jnp.zeros_like(q))
-    return Situation(
-        *map(jnp.asarray, (q, still, *tool)), goal, jnp.asarray(q), jnp.asarray(still), obstacles=obstacles
-    )
+    joints, count = jnp.asarray(q, jnp.float32), len(q)
+    still, goal = jnp.zeros_like(joints), Goal(jnp.zeros((count, 3)), joints=jnp.zeros_like(joints))
+    tool = jnp.zeros((count, 3)), jnp.zeros((count, 4))
+    return Situation(joints, still, *tool, goal, joints, still, obstacles=obstacles)
 
 
 STEP = 0.02

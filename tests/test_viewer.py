@@ -484,4 +484,3 @@ def test_an_obstacle_is_dragged_in_the_page_and_the_engine_has_it_there(page: Pa
         moved = viewer.player.moment.blocks[0].position
         np.testing.assert_allclose(moved, place + np.array([0.0, 0.0, 0.15]), atol=0.03)
         np.testing.assert_allclose(viewer.stage.obstacles[0].position, moved, atol=1e-6)
-        page.screenshot(path="/tmp/wt/scratch/obst_view.png")
