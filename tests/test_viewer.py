@@ -20,12 +20,13 @@ from playwright.sync_api import Browser, Page
 from scipy.spatial.transform import Rotation
 
 from browser.driver import chromium, executable, open_scene, opened, picture, traffic, wait_until
-from browser.follow import Hand, follow, pixel
+from browser.follow import Hand, follow
 from browser.viewer import free_port
 from reachlab.cli import main as cli
 from reachlab.envs.core import Env
 from reachlab.learn.load import load_policy
 from reachlab.learn.ppo_method import initial_state
+from reachlab.render import marks
 from reachlab.render.marks import REACHED, TARGET_RADIUS
 from reachlab.robots.loading import load_robot
 from reachlab.runs.directory import RunDirectory
@@ -36,6 +37,7 @@ from reachlab.settings.validation import InputError
 from reachlab.tasks import TASKS
 from reachlab.watch import panel
 from reachlab.watch.moment import PATH_STEP
+from reachlab.watch.player import TOUCHED
 from reachlab.watch.saved_page import save_page
 from reachlab.watch.server import LOCAL, start_server
 from reachlab.watch.viewer import COMMANDS, MOVABLE, UNREACHABLE, Viewer
@@ -464,23 +466,17 @@ def test_ctrl_c_ends_it_quietly(run: RunDirectory) -> None:
 # --- obstacles ------------------------------------------------------------------------------------
 
 
-def test_an_obstacle_is_dragged_in_the_page_and_the_engine_has_it_there(page: Page, tmp_path: Path) -> None:
+def test_an_obstacle_that_is_pulled_is_there_in_the_scene_and_in_the_engine(tmp_path: Path) -> None:
     config = configure("clutter", num_envs=8, hidden=(8,), obstacles=(1, 1), randomise=())
     with view(config, untrained(config, tmp_path / "run")) as viewer:
         assert MOVABLE in viewer.panel.said
         place = np.array([0.6, 0.3, 0.5])
-        viewer.player.move_obstacle(0, place)  # where nothing hides it
-        viewer.toggle_pause()
-        viewer._show()
-        open_scene(page, viewer.url)
-        assert picture(page).std() > 10
-        size = page.viewport_size
-        assert size is not None
-        page.mouse.move(*pixel(place, **size))
-        page.mouse.down()
-        page.mouse.move(*pixel(place + np.array([0.0, 0.0, 0.15]), **size), steps=10)
-        wait_until(playing(viewer, lambda: viewer.player.moment.blocks[0].position[2] > 0.6), "a moved obstacle")
-        page.mouse.up()
-        moved = viewer.player.moment.blocks[0].position
-        np.testing.assert_allclose(moved, place + np.array([0.0, 0.0, 0.15]), atol=0.03)
-        np.testing.assert_allclose(viewer.stage.obstacles[0].position, moved, atol=1e-6)
+        viewer._pulled.put((0, place))
+        viewer.frame(0.0)
+        np.testing.assert_allclose(viewer.player.moment.blocks[0].position, place, atol=1e-6)
+        np.testing.assert_allclose(viewer.stage.obstacles[0].position, place, atol=1e-6)
+        viewer._pulled.put((0, viewer.player.moment.tool))
+        viewer.frame(0.0)
+        viewer.step()
+        assert viewer.player.failed == TOUCHED
+        assert viewer.stage.obstacles[0].color == tuple(round(255 * part) for part in marks.TOUCHED)
