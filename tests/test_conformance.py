@@ -27,6 +27,7 @@ USUAL = (
     ("precise", "mujoco", "state", "joint_residual", "precise"),
     ("pose", "mujoco", "pose", "joint_residual", "precise"),
     ("track", "mujoco", "track", "joint_residual", "track"),
+    ("clutter", "mujoco", "clutter", "joint_residual", "closeness"),
 )
 """Task, simulator, observation, action and reward with which every robot is tried."""
 
@@ -34,8 +35,9 @@ OTHERS = (
     *(("precise", observation, "tool_delta", "sparse") for observation in ("target", "target+tool", "state", "goal")),
     *(("pose", observation, "joint_delta", "sparse") for observation in ("pose", "goal+state")),
     *(("track", observation, "joint_delta", "sparse") for observation in ("track", "goal+state")),
+    *(("clutter", observation, "joint_delta", "sparse") for observation in ("clutter", "goal+state")),
 )
-"""Task, observation, action and reward with which the first robot is tried in every simulator."""
+"""Task, observation, action and reward with which the first robot is tried in every simulator that has it."""
 
 
 def _tried(task: str, robot: str, sim: str, observation: str, action: str, reward: str) -> bool:
@@ -45,11 +47,13 @@ def _tried(task: str, robot: str, sim: str, observation: str, action: str, rewar
     """
     if (task, sim, observation, action, reward) in USUAL:
         return True
+    if task == "clutter" and not SIMULATORS[sim].obstacles:
+        return False
     if robot != FIRST or (reward != "sparse" and sim != TRACED):
         return False
     if task != PICTURED[0]:
         return (task, observation, action, reward) in OTHERS
-    if (design := OBSERVATIONS[observation]).needs_pose or design.needs_velocity:
+    if (design := OBSERVATIONS[observation]).needs_pose or design.needs_velocity or design.needs_obstacles:
         return False
     if design.pictured:
         return (action, reward) == PICTURED[1:]

@@ -14,7 +14,8 @@ from reachlab.envs.random_streams import REPORT_STREAM
 from reachlab.evaluation.episodes import BATCH, make_runner, run_episodes
 from reachlab.learn.learner import make_initial_policy
 from reachlab.settings.presets import configure
-from reachlab.watch.player import LATE, LEFT, TRAIL_STEP, Player, target_box
+from reachlab.watch.moment import TRAIL_STEP
+from reachlab.watch.player import LATE, LEFT, Player, target_box
 
 FAR, NEAR = np.array([0.6, 0.2, -0.0083]), np.array([0.4, -0.2, -0.0083])
 

@@ -51,6 +51,7 @@ RUNS = {sim: {"sim": sim, **settings} for sim, settings in SIMS.items()}
 RUNS["precise"] = {"task": "precise", "sim": "mujoco"}
 RUNS["pose"] = {"task": "pose", "sim": "mujoco"}
 RUNS["track"] = {"task": "track", "sim": "mujoco", "settle_steps": 10}
+RUNS["clutter"] = {"task": "clutter", "sim": "mujoco", "obstacles": (1, 3)}
 
 
 def at(iteration: int, act: Callable[[], object]) -> Callable[[Progress], None]:

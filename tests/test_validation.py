@@ -21,7 +21,7 @@ from reachlab.learn import train as training
 from reachlab.robots.loading import load_robot
 from reachlab.runs.directory import RunDirectory
 from reachlab.settings.config import RunConfig
-from reachlab.settings.consistency import NEEDS
+from reachlab.settings.needs import NEEDS
 from reachlab.settings.presets import configure, in_simulator
 from reachlab.settings.validation import InputError
 from reachlab.sims import SIMULATORS
@@ -68,11 +68,12 @@ def said(caplog: pytest.LogCaptureFixture) -> list[str]:
 
 @pytest.mark.parametrize("task", TASKS)
 def test_presets_trouble_nobody_whatever_is_chosen_with_them(task: str, caplog: pytest.LogCaptureFixture) -> None:
-    for sim, observation, reward in itertools.product(SIMULATORS, OBSERVATIONS, REWARDS):
-        if observation in ("pose", "track") and observation != task:
-            continue  # which need a goal that turns or moves
+    sims = [sim for sim, entry in SIMULATORS.items() if entry.obstacles or task != "clutter"]
+    for sim, observation, reward in itertools.product(sims, OBSERVATIONS, REWARDS):
+        if observation in ("pose", "track", "clutter") and observation != task:
+            continue  # which need a goal that turns or moves, or obstacles
         check(configure(task, sim=sim, observation=observation, reward=reward))
-    for sim in SIMULATORS:
+    for sim in sims:
         check(in_simulator(configure(task), sim))
         in_evaluation(configure(task), sim)
     check_reach(configure(task))
@@ -108,6 +109,8 @@ WITHOUT_EFFECT: list[tuple[dict[str, Any], str]] = [
     ({"task": "track", "goal_paths": ("line",), "goal_jump": 0.1}, "as track, and jumps among goal_paths"),
     ({"goal_velocity": False}, "goal_velocity has an effect only with a task whose goal moves"),
     ({"settle_steps": 10}, "settle_steps has an effect only with a task whose goal moves"),
+    ({"task": "precise", "obstacles": (0, 2)}, "obstacles has an effect only with a task with obstacles, as clutter"),
+    ({"end_on_contact": True}, "end_on_contact has an effect only with a task with obstacles, as clutter"),
 ]
 
 CONTRADICTIONS: list[tuple[dict[str, Any], str]] = [
@@ -120,12 +123,26 @@ CONTRADICTIONS: list[tuple[dict[str, Any], str]] = [
     ({"at_goal": "hold", "hold_steps": 5}, "at_goal 'hold' holds the arm at the target, and hold_steps 5 asks"),
     ({"at_goal": "stay"}, "at_goal 'stay' is not one of: continue, end, hold"),
     ({"targets": "floor"}, "targets 'floor' is not one of: any, box, table"),
-    ({"task": "tutorail"}, "task 'tutorail' is not one of: pose, precise, track, tutorial. Did you mean 'tutorial'?"),
+    (
+        {"task": "tutorail"},
+        "task 'tutorail' is not one of: clutter, pose, precise, track, tutorial. Did you mean 'tutorial'?",
+    ),
     ({"task": "pose", "action": "tool_delta"}, "action 'tool_delta' holds the tool's orientation and cannot bring it"),
     ({"task": "pose", "target_turn": (0.1, -0.1, 0.0)}, "each entry of target_turn must be at least 0, got -0.1"),
     ({"observation": "pose"}, "observation 'pose' needs a goal with an orientation: set target_turn"),
     ({"task": "pose", "observation": "track"}, "observation 'track' needs a goal that moves, as that of task 'track'"),
     ({"task": "track", "observation": "pose"}, "observation 'pose' needs a goal with an orientation"),
+    (
+        {"task": "precise", "observation": "clutter"},
+        "observation 'clutter' needs obstacles, as those of task 'clutter'",
+    ),
+    ({"task": "clutter", "obstacles": (3, 2)}, "a fewest number above the most, 3 against 2: exchange them"),
+    ({"task": "clutter", "obstacles": (0, 17)}, "each entry of obstacles must be at least 0 and at most 16, got 17"),
+    ({"task": "clutter", "chained_starts": 0.5}, "with chained_starts 0.5 episodes would start inside obstacles"),
+    ({"task": "clutter", "sim": "kinematic"}, "task 'clutter' has obstacles, and simulator 'kinematic' has none"),
+    ({"task": "clutter", "sim": "pybullet"}, "task 'clutter' has obstacles, and simulator 'pybullet' has none"),
+    ({"task": "clutter", "targets": "table"}, "the goal of task 'clutter' is a point in a box: set targets to 'box'"),
+    ({"task": "clutter", "target_turn": (0.1, 0.1, 0.1)}, "the goal of task 'clutter' is a point in a box"),
     ({"task": "track", "goal_paths": ()}, "goal_paths names no path: choose one"),
     (
         {"task": "track", "goal_paths": ("line", "circel")},

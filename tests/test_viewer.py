@@ -26,6 +26,7 @@ from reachlab.cli import main as cli
 from reachlab.envs.core import Env
 from reachlab.learn.load import load_policy
 from reachlab.learn.ppo_method import initial_state
+from reachlab.render import marks
 from reachlab.render.marks import REACHED, TARGET_RADIUS
 from reachlab.robots.loading import load_robot
 from reachlab.runs.directory import RunDirectory
@@ -35,10 +36,11 @@ from reachlab.settings.rules import Rules
 from reachlab.settings.validation import InputError
 from reachlab.tasks import TASKS
 from reachlab.watch import panel
-from reachlab.watch.player import PATH_STEP
+from reachlab.watch.moment import PATH_STEP
+from reachlab.watch.player import TOUCHED
 from reachlab.watch.saved_page import save_page
 from reachlab.watch.server import LOCAL, start_server
-from reachlab.watch.viewer import COMMANDS, UNREACHABLE, Viewer
+from reachlab.watch.viewer import COMMANDS, MOVABLE, UNREACHABLE, Viewer
 
 CHECKPOINTS = (0, 128)
 
@@ -459,3 +461,22 @@ def test_ctrl_c_ends_it_quietly(run: RunDirectory) -> None:
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=30)
     assert (process.returncode, out, err) == (0, "", "")
+
+
+# --- obstacles ------------------------------------------------------------------------------------
+
+
+def test_an_obstacle_that_is_pulled_is_there_in_the_scene_and_in_the_engine(tmp_path: Path) -> None:
+    config = configure("clutter", num_envs=8, hidden=(8,), obstacles=(1, 1), randomise=())
+    with view(config, untrained(config, tmp_path / "run")) as viewer:
+        assert MOVABLE in viewer.panel.said
+        place = np.array([0.6, 0.3, 0.5])
+        viewer._pulled.put((0, place))
+        viewer.frame(0.0)
+        np.testing.assert_allclose(viewer.player.moment.blocks[0].position, place, atol=1e-6)
+        np.testing.assert_allclose(viewer.stage.obstacles[0].position, place, atol=1e-6)
+        viewer._pulled.put((0, viewer.player.moment.tool))
+        viewer.frame(0.0)
+        viewer.step()
+        assert viewer.player.failed == TOUCHED
+        assert viewer.stage.obstacles[0].color == tuple(round(255 * part) for part in marks.TOUCHED)

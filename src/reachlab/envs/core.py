@@ -15,13 +15,14 @@ from jax import Array
 from reachlab.envs.functions import Begin, EnvFunctions, EnvState, Stepped, Transition
 from reachlab.envs.setup import make_setup, settled
 from reachlab.jax_setup import dispatch_inline, first_process, jit
-from reachlab.render.marks import NO_PATH, TARGET_AXES, TOOL_AXES, Axes, Marks
+from reachlab.render.marks import NO_PATH, TARGET_AXES, TOOL_AXES, Axes, Block, Marks
 from reachlab.render.view_randomisation import SAMPLES, develop, make_views
 from reachlab.settings.config import RunConfig
 from reachlab.sims import SIMULATORS, ArmState, BatchArray, make_simulator
 from reachlab.tasks.actions import ACTIONS
 from reachlab.tasks.observations import OBSERVATIONS
-from reachlab.tasks.scenes import places
+from reachlab.tasks.obstacles import Obstacles
+from reachlab.tasks.scenes import clearances, places
 from reachlab.tasks.schema import SIZE, Observed
 from reachlab.tasks.task import Goal, Situation
 
@@ -33,6 +34,10 @@ def merge(mask: np.ndarray, new: Observed, old: Observed) -> Observed:
 
 FEWEST = 8
 """Episodes that are sampled together at least, where few are: one compiled program for each power of two."""
+
+
+TOUCHING = 0.005
+"""Distance within which an arm that touches something touches an obstacle [m]: it has moved on since."""
 
 
 class _Parts(NamedTuple):
@@ -96,6 +101,7 @@ class Env:
         whole = jit if simulated and self.pictured else lambda function: function
         self._init, self._reset = whole(self._init_all), whole(self._reset_some)
         self._steps = functools.cache(lambda times: whole(functools.partial(self._repeat, times)))
+        self._clearances = jit(functools.partial(clearances, setup.robot))
         self._observe, self._view_samples = jit(f.observe), jit(f.view_samples)
 
     # --- episodes ---------------------------------------------------------------------------------
@@ -117,6 +123,10 @@ class Env:
         `instead [B, n]` is a number it is the joint command; without it the command stays where `Task.rests` says so.
         """
         return self._steps(times)(state, action, instead)
+
+    def rearrange(self, state: EnvState, obstacles: Obstacles) -> EnvState:
+        """State with the obstacles `[B, K, ...]` where these are, in a task that has some."""
+        return replace(state, arm=self.simulator.rearrange(state.arm, obstacles), obstacles=obstacles)
 
     def _init_all(self, keys: Array) -> EnvState:
         begin = self._parts.sample_episode(keys)
@@ -232,8 +242,21 @@ class Env:
             target = (np.asarray(rows)[index] for rows in (goal.position, goal.quaternion))
             tool = (np.asarray(rows)[index] for rows in (arm.tool_position, arm.tool_quaternion))
             axes = Axes(*target, size=TARGET_AXES), Axes(*tool, size=TOOL_AXES)
-        marks = Marks(self.setup.rules.success_distance, self.reached(state, index), path, trail, axes)
+        blocks = self.blocks(state, index)
+        marks = Marks(self.setup.rules.success_distance, self.reached(state, index), path, trail, axes, blocks)
         return self.simulator.render(arm, goal, index, marks)
+
+    def blocks(self, state: EnvState, index: int = 0) -> tuple[Block, ...]:
+        """The obstacles of one environment, as they are drawn; where contact is told, which of them it is with."""
+        if state.obstacles is None:
+            return ()
+        here: Obstacles = jax.tree.map(lambda rows: np.asarray(rows)[index], state.obstacles)
+        touched = np.zeros(len(here.radius), bool)
+        if state.arm.contact is not None and np.asarray(state.arm.contact)[index]:
+            q = np.asarray(state.arm.q)[index]
+            touched = np.asarray(self._clearances(q[None], here))[0] < TOUCHING
+        parts = (here.position, here.quaternion, here.half, here.radius.tolist(), here.present.tolist())
+        return tuple(Block(*one) for one in zip(*parts, touched.tolist(), strict=True))
 
     def reached(self, state: EnvState, index: int = 0) -> bool:
         """Whether a goal is reached now: the tool is near enough and, where the task asks for it, was held there."""

@@ -10,8 +10,9 @@ from typing import Any
 from reachlab.robots.loading import load_robot
 from reachlab.robots.robot import Robot
 from reachlab.settings.config import RunConfig
-from reachlab.settings.consistency import Facts, check_consistency
+from reachlab.settings.consistency import check_consistency
 from reachlab.settings.json_form import flatten, override, to_json
+from reachlab.settings.needs import Facts
 from reachlab.settings.presets import configure, in_simulator, preset
 from reachlab.settings.rules import Rules, TaskConfig
 from reachlab.settings.validation import InputError, choose
@@ -77,7 +78,10 @@ def check(config: RunConfig, base: RunConfig | None = None) -> None:
         turns=action.turns,
         needs_pose=observation.needs_pose,
         needs_velocity=observation.needs_velocity,
+        needs_obstacles=observation.needs_obstacles,
         moves=task.move is not None,
+        obstructed=task.sample_obstacles is not None,
+        contacts=SIMULATORS[config.sim].obstacles,
     )
     check_consistency(config, facts, base)
 

@@ -1,4 +1,4 @@
-"""What pictures show beside an arm: its target, how near is near enough, orientations, and where both have been."""
+"""What pictures show beside an arm: target, obstacles, how near is near enough, orientations, and where both were."""
 
 from __future__ import annotations
 
@@ -31,6 +31,9 @@ BALL_OPACITY = 0.16
 PATH_RADIUS, TRAIL_RADIUS, TRAIL_OPACITY = 0.002, 0.006, 0.35
 """Of drawn paths and trails [m]: a tool that stays with its target is seen inside the trail."""
 
+OBSTACLE, TOUCHED = (0.48, 0.61, 0.66), (0.85, 0.12, 0.15)
+"""Colours of obstacles, and of those that the arm touches."""
+
 NO_PATH = np.empty((0, 3))
 """Path of what has not moved."""
 
@@ -51,6 +54,37 @@ class Axes:
 
 
 @dataclass(frozen=True)
+class Block:
+    """An obstacle: a box, a capsule or a ball.
+
+    Attributes:
+        position: its middle `[3]` [m].
+        quaternion: its orientation `[4]`, wxyz.
+        half: half sizes of a box `[3]` [m]; of a capsule that of its axis in z alone, of a ball none.
+        radius: of a capsule or a ball [m].
+        present: it is there; a scene has room for more.
+        touched: the arm touches it.
+    """
+
+    position: np.ndarray
+    quaternion: np.ndarray
+    half: np.ndarray
+    radius: float
+    present: bool = True
+    touched: bool = False
+
+    @property
+    def is_box(self) -> bool:
+        """Whether it is a box."""
+        return bool(self.half[0] > 0)
+
+    @property
+    def colour(self) -> Colour:
+        """Of the obstacle."""
+        return TOUCHED if self.touched else OBSTACLE
+
+
+@dataclass(frozen=True)
 class Marks:
     """What is drawn beside an arm and its target.
 
@@ -60,6 +94,7 @@ class Marks:
         path: points `[k, 3]` [m] through which the tool came.
         trail: points `[k, 3]` [m] at which the target has been, if it moves.
         axes: orientations.
+        blocks: obstacles.
     """
 
     success_distance: float = TARGET_RADIUS
@@ -67,6 +102,7 @@ class Marks:
     path: np.ndarray = field(default_factory=NO_PATH.copy)
     trail: np.ndarray = field(default_factory=NO_PATH.copy)
     axes: tuple[Axes, ...] = ()
+    blocks: tuple[Block, ...] = ()
 
     @property
     def colour(self) -> Colour:

@@ -20,6 +20,7 @@ from reachlab.render.marks import (
     TRAIL_OPACITY,
     TRAIL_RADIUS,
     Axes,
+    Block,
     Marks,
 )
 from reachlab.render.scene import HEIGHT, WIDTH, distance_needed, front, in_front, scene_spec
@@ -84,6 +85,9 @@ class Camera:
         for geom in self._scene.geoms[: self._scene.ngeom]:
             if geom.objtype == EDGE or (geom.objtype == GEOM and geom.objid == self._near):
                 geom.category = DECORATION
+        for block in marks.blocks:
+            if block.present:
+                self._show_block(block)
         for axes in marks.axes:
             self._show_axes(axes)
         self._show_path(marks.path, PATH_RADIUS, (*PATH, 1.0))
@@ -101,6 +105,17 @@ class Camera:
         model.geom_size[self._near, 0] = marks.success_distance
         model.geom_rgba[self._target] = [*marks.colour, 1]
         model.geom_rgba[self._near] = [*marks.colour, BALL_OPACITY * (marks.success_distance > radius)]
+
+    def _show_block(self, block: Block) -> None:
+        kinds = mujoco.mjtGeom
+        long = kinds.mjGEOM_CAPSULE if block.half[2] else kinds.mjGEOM_SPHERE
+        size = block.half if block.is_box else np.array([block.radius, block.half[2], 0.0])
+        turn, colour = np.empty(9), np.array((*block.colour, 1.0), "f4")
+        mujoco.mju_quat2Mat(turn, np.asarray(block.quaternion, float))
+        shape = self._scene.geoms[self._scene.ngeom]
+        kind = kinds.mjGEOM_BOX if block.is_box else long
+        mujoco.mjv_initGeom(shape, kind, size.astype(float), block.position.astype(float), turn, colour)
+        self._scene.ngeom += 1
 
     def _show_axes(self, axes: Axes) -> None:
         length, radius = axes.size

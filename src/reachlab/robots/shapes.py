@@ -44,14 +44,14 @@ def _revolved(radii: np.ndarray, heights: np.ndarray) -> Mesh:
     return vertices, _split(quads.reshape(-1, 4))
 
 
-def _ball(radius: float, half: float = 0.0) -> Mesh:
-    """A ball, its halves moved apart by `half` each."""
+def ball(radius: float, half: float = 0.0) -> Mesh:
+    """A ball of a radius [m], its halves moved apart along z by `half` m each: a capsule."""
     angles = np.linspace(-np.pi / 2, np.pi / 2, SEGMENTS // 2 + 2)  # an even number: no point on the equator
     return _revolved(radius * np.cos(angles), radius * np.sin(angles) + half * np.sign(angles))
 
 
 def _ellipsoid(model: mujoco.MjModel, geom: int) -> Mesh:
-    vertices, faces = _ball(1.0)
+    vertices, faces = ball(1.0)
     return vertices * model.geom_size[geom], faces
 
 
@@ -60,13 +60,13 @@ def _cylinder(model: mujoco.MjModel, geom: int) -> Mesh:
     return _revolved(radius * np.array([0, 1, 1, 1, 1, 0]), half * np.array([-1, -1, -1, 1, 1, 1]))
 
 
-def _box(model: mujoco.MjModel, geom: int) -> Mesh:
-    """Six sides that share no vertex, so that the edges stay sharp."""
+def box(half: np.ndarray) -> Mesh:
+    """A box of half sizes `[3]` m: six sides that share no vertex, so that the edges stay sharp."""
     square = np.array([[-1, -1, 1], [1, -1, 1], [1, 1, 1], [-1, 1, 1]])
     turns = [np.roll(square, shift, axis=1) for shift in range(3)]
     # Mirrored at the centre a side would face inwards; in reverse order it faces outwards again.
     corners = np.concatenate([*turns, *(-turn[::-1] for turn in turns)])
-    return corners * model.geom_size[geom], _split(np.arange(len(corners)).reshape(-1, 4))
+    return corners * half, _split(np.arange(len(corners)).reshape(-1, 4))
 
 
 def _mesh(model: mujoco.MjModel, geom: int) -> Mesh:
@@ -79,11 +79,11 @@ def _mesh(model: mujoco.MjModel, geom: int) -> Mesh:
 
 
 SHAPES: dict[mujoco.mjtGeom, Callable[[mujoco.MjModel, int], Mesh]] = {
-    mujoco.mjtGeom.mjGEOM_SPHERE: lambda model, geom: _ball(model.geom_size[geom, 0]),
-    mujoco.mjtGeom.mjGEOM_CAPSULE: lambda model, geom: _ball(*model.geom_size[geom, :2]),
+    mujoco.mjtGeom.mjGEOM_SPHERE: lambda model, geom: ball(model.geom_size[geom, 0]),
+    mujoco.mjtGeom.mjGEOM_CAPSULE: lambda model, geom: ball(*model.geom_size[geom, :2]),
     mujoco.mjtGeom.mjGEOM_ELLIPSOID: _ellipsoid,
     mujoco.mjtGeom.mjGEOM_CYLINDER: _cylinder,
-    mujoco.mjtGeom.mjGEOM_BOX: _box,
+    mujoco.mjtGeom.mjGEOM_BOX: lambda model, geom: box(model.geom_size[geom]),
     mujoco.mjtGeom.mjGEOM_MESH: _mesh,
 }
 """Meshes of geoms by their type, in the geom's own frame."""

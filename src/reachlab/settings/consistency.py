@@ -7,12 +7,11 @@ Presets and defaults trouble nobody.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable
 
 from reachlab.settings.config import RunConfig
 from reachlab.settings.json_form import flatten, to_json
+from reachlab.settings.needs import NEEDS, Asked, Facts, asks_orientation
 from reachlab.settings.presets import preset_of
 from reachlab.settings.validation import InputError, choose
 
@@ -20,111 +19,6 @@ RANDOMISED = ("dynamics", "view")
 """What can vary from episode to episode; see `RunConfig.randomise`."""
 
 log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class Facts:
-    """What the rules have to know of the names in a configuration.
-
-    Attributes:
-        pictures: the observation holds the camera's picture.
-        dynamics: the simulator can vary the arm.
-        scale: the setting by which actions are multiplied, if there is one.
-        turns: an action can bring the tool into any orientation.
-        needs_pose: the observation needs a goal with an orientation.
-        needs_velocity: it needs one that moves.
-        moves: the task's goal moves.
-    """
-
-    pictures: bool
-    dynamics: bool
-    scale: str | None
-    turns: bool
-    needs_pose: bool
-    needs_velocity: bool
-    moves: bool
-
-
-@dataclass(frozen=True)
-class Asked:
-    """What a rule is asked about: every setting by name, those that were changed, and the facts."""
-
-    settings: Mapping[str, Any]
-    changed: set[str]
-    facts: Facts
-
-    def __getitem__(self, name: str) -> Any:
-        """Value of a setting."""
-        return self.settings[name]
-
-
-def asks_orientation(settings: Mapping[str, Any]) -> bool:
-    """As `TaskConfig.asks_orientation`."""
-    return settings["target_turn"] is not None or settings["targets"] == "any"
-
-
-@dataclass(frozen=True)
-class Need:
-    """What a setting needs to have an effect: in words, and as a question."""
-
-    words: str
-    met: Callable[[Asked], bool]
-    vital: bool = True
-    """Whether a training without that effect is not the one that was asked for: it is refused, else this is said."""
-
-
-MUJOCO = Need("sim mujoco", lambda s: s["sim"] == "mujoco")
-PYBULLET = Need("sim pybullet", lambda s: s["sim"] == "pybullet")
-TABLE = Need("targets table", lambda s: s["targets"] == "table")
-BOX = Need("targets box", lambda s: s["targets"] == "box")
-TURNED = Need("target_turn or targets any", lambda s: asks_orientation(s.settings))
-CLOSE = Need("reward precise or closeness", lambda s: s["reward"] in ("precise", "closeness"))
-MOVES = Need("a task whose goal moves, as track", lambda s: s.facts.moves)
-STOP_EARLY = Need("stop_early", lambda s: s["stop_early"], vital=False)
-
-NEEDS: dict[str, Need] = {
-    "tool_scale": Need("an action of the tool, as tool_delta", lambda s: s.facts.scale == "tool_scale"),
-    "joint_scale": Need("an action of the joints, as joint_delta", lambda s: s.facts.scale == "joint_scale"),
-    "target_height": TABLE,
-    "target_low": BOX,
-    "target_high": BOX,
-    "target_turn": Need("targets box or table", lambda s: s["targets"] != "any" or s["target_turn"] is None),
-    "success_angle": TURNED,
-    "angle_weight": TURNED,
-    "hold_speed": Need("hold_steps above 0 or reward precise", lambda s: s["hold_steps"] or s["reward"] == "precise"),
-    "approach_weight": Need("reward dense or precise", lambda s: s["reward"] in ("dense", "precise")),
-    "closeness_weight": CLOSE,
-    "closeness_scale": Need(
-        "reward precise or closeness, and closeness_weight above 0",
-        lambda s: s["reward"] in ("precise", "closeness") and s["closeness_weight"] > 0,
-    ),
-    "effort_weight": CLOSE,
-    "goal_paths": MOVES,
-    "goal_velocity": MOVES,
-    "settle_steps": MOVES,
-    "goal_jump": Need(
-        "a task whose goal moves, as track, and jumps among goal_paths",
-        lambda s: s.facts.moves and "jumps" in s["goal_paths"],
-    ),
-    "goal_speed": Need(
-        "a task whose goal moves, as track, and a path beside jumps", lambda s: s.facts.moves and _is_fast(s)
-    ),
-    "physics_steps": MUJOCO,
-    "collisions": MUJOCO,
-    "gravity_compensation": MUJOCO,
-    "gui": PYBULLET,
-    "slow": PYBULLET,
-    "stop_success": STOP_EARLY,
-    "stop_streak": STOP_EARLY,
-    "validation_episodes": STOP_EARLY,
-    "validation_interval": STOP_EARLY,
-}
-"""What settings need to have an effect; those that are not here always have one."""
-
-
-def _is_fast(s: Asked) -> bool:
-    """Whether a goal goes along some path, rather than jump from place to place."""
-    return any(name != "jumps" for name in s["goal_paths"])
 
 
 def _moves(s: Asked) -> str | None:
@@ -152,6 +46,26 @@ def _moves(s: Asked) -> str | None:
             "a goal that moves is followed to the end of the episode: set at_goal to 'continue', hold_steps to 0 and"
             " end_outside to false."
         )
+    return None
+
+
+def _obstructed(s: Asked) -> str | None:
+    if s.facts.needs_obstacles and not s.facts.obstructed:
+        return f"observation {s['observation']!r} needs obstacles, as those of task 'clutter'."
+    if not s.facts.obstructed:
+        return None
+    if not s.facts.contacts:
+        return f"task {s['task']!r} has obstacles, and simulator {s['sim']!r} has none: use --sim mujoco."
+    fewest, most = s["obstacles"]
+    if fewest > most:
+        return f"obstacles has a fewest number above the most, {fewest} against {most}: exchange them."
+    if s["chained_starts"]:
+        return (
+            f"with chained_starts {s['chained_starts']:g} episodes would start inside obstacles, which leave"
+            " only a start near home free: leave it out."
+        )
+    if s["targets"] != "box" or s["target_turn"] is not None:
+        return f"the goal of task {s['task']!r} is a point in a box: set targets to 'box', and leave target_turn out."
     return None
 
 
@@ -223,7 +137,17 @@ def _action_held_too_long(s: Asked) -> str | None:
 
 
 CONTRADICTIONS: tuple[Callable[[Asked], str | None], ...] = (
-    *(_moves, _at_goal, _orientation, _held_too_long, _crossed_box, _minibatches, _randomised, _action_held_too_long),
+    *(
+        _moves,
+        _obstructed,
+        _at_goal,
+        _orientation,
+        _held_too_long,
+        _crossed_box,
+        _minibatches,
+        _randomised,
+        _action_held_too_long,
+    ),
 )
 """What cannot be: each gives its sentence, or nothing."""
 

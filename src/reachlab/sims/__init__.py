@@ -99,6 +99,10 @@ class Simulator(Protocol):
         """
         ...
 
+    def rearrange(self, state: ArmState, obstacles: Obstacles) -> ArmState:
+        """State with the obstacles `[B, K, ...]` where these are; only asked for where there are some."""
+        ...
+
     def step(self, state: ArmState | Moved, target_q: BatchArray) -> Moved:
         """Where the arms are one control period later, with the joints commanded to `target_q [B, n]`."""
         ...

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import cast
 
 import mujoco
@@ -89,6 +90,13 @@ class MujocoSimulator(Drawn):
         moved = self._moved(self._touching(chosen, state))
         pose = self._pose(moved.q)
         return ArmState(moved.q, moved.qd, pose.position, pose.quaternion, moved.engine, moved.contact)
+
+    def rearrange(self, state: ArmState, obstacles: Obstacles) -> ArmState:
+        """See `Simulator.rearrange`."""
+        rows = np.array(state.engine).view(np.float64)
+        numbers = Scenes.numbers_of(obstacles)
+        rows[:, -numbers.shape[1] :] = numbers  # the scenes are the last of `_varied`
+        return replace(state, engine=cast("Array", rows.view(np.uint32)))
 
     def _touching(self, chosen: np.ndarray, state: ArmState | None) -> np.ndarray | None:
         """Which arms touch something `[B]`: those `chosen` now, the others as it was told in the state."""

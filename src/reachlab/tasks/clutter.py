@@ -26,27 +26,36 @@ DRAWS = 100
 """Goals drawn at most until one can be reached freely."""
 
 
+def joints_at(setup: TaskSetup, point: Array) -> tuple[Array, Array]:
+    """Joints `[n]` near home that have a point `[3]` m; and if any were found that touch neither table nor arm."""
+    chain = setup.robot.chain
+
+    def step(_: int, q: Array) -> Array:
+        way = point - forward_kinematics(chain, q).position
+        way *= jnp.minimum(LONGEST_STEP / (jnp.linalg.norm(way) + NEAR), 1.0)
+        return q + ik_point_step(chain, q, q, way)
+
+    q = jax.lax.fori_loop(0, ITERATIONS, step, jnp.array(setup.robot.home))
+    near = jnp.linalg.norm(forward_kinematics(chain, q).position - point) < NEAR
+    return q, near & free_of_contact(setup.robot, q)
+
+
 def _sample_goal(setup: TaskSetup, key: Array) -> Goal:
     """A point of the box, and joints near home that have it, in which the arm touches neither itself nor the table."""
-    chain, home = setup.robot.chain, jnp.array(setup.robot.home)
-
-    def solve(point: Array) -> Array:
-        def step(_: int, q: Array) -> Array:
-            way = point - forward_kinematics(chain, q).position
-            way *= jnp.minimum(LONGEST_STEP / (jnp.linalg.norm(way) + NEAR), 1.0)
-            return q + ik_point_step(chain, q, q, way)
-
-        return jax.lax.fori_loop(0, ITERATIONS, step, home)
 
     def again(drawn: tuple[Array, Goal, Array, Array]) -> tuple[Array, Goal, Array, Array]:
         key, _, _, draws = drawn
         key, now = jax.random.split(key)
         point = PRECISE.sample_goal(setup, now).position
-        q = solve(point)
-        near = jnp.linalg.norm(forward_kinematics(chain, q).position - point) < NEAR
-        return key, Goal(point, joints=q), near & free_of_contact(setup.robot, q), draws + 1
+        q, found = joints_at(setup, point)
+        return key, Goal(point, joints=q), found, draws + 1
 
-    nothing = (key, Goal(jnp.zeros(3), joints=home), jnp.zeros((), bool), jnp.zeros((), jnp.int32))
+    nothing = (
+        key,
+        Goal(jnp.zeros(3), joints=jnp.array(setup.robot.home)),
+        jnp.zeros((), bool),
+        jnp.zeros((), jnp.int32),
+    )
     return jax.lax.while_loop(lambda drawn: ~drawn[2] & (drawn[3] < DRAWS), again, nothing)[1]
 
 

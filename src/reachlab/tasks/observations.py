@@ -269,6 +269,7 @@ OBSERVATIONS: dict[str, Observation] = {
         "as state, how far the joints are from where they have the target, and how near obstacles are to each link and"
         " to points of a grid",
         CLUTTER,
+        needs_obstacles=True,
     ),
     "image": Observation("a camera's picture, 84 × 84 grey", (IMAGE,)),
     "goal": Observation(

@@ -89,7 +89,7 @@ def _drawn(setup: TaskSetup, key: Array, free: Array) -> Obstacles:
     shares = jax.random.uniform(for_share, (count * CANDIDATES, 1))
     way = forward_kinematics(setup.robot.chain, free[0] + shares * (free[1] - free[0])).position
     candidates = _shapes(setup, for_shapes, way)
-    clear = (_clearances(setup.robot, free, candidates) > CLEAR * setup.robot.scale).all(axis=0)
+    clear = (clearances(setup.robot, free, candidates) > CLEAR * setup.robot.scale).all(axis=0)
     clear = clear.reshape(count, CANDIDATES)
     chosen = jnp.arange(count) * CANDIDATES + clear.argmax(axis=1)
     found = jax.tree.map(lambda x: x[chosen], candidates)
@@ -120,7 +120,7 @@ def _shapes(setup: TaskSetup, key: Array, near: Array) -> Obstacles:
     )
 
 
-def _clearances(robot: Robot, q: Array, obstacles: Obstacles) -> Array:
+def clearances(robot: Robot, q: Array, obstacles: Obstacles) -> Array:
     """Distances `[m, K]` m of the arm at joints `[m, n]` from obstacles `[K]`."""
     count, others = len(q), len(obstacles.radius)
     start, end, radius = moving(robot.capsules, capsules_at(robot.chain, robot.capsules, q))
@@ -139,7 +139,7 @@ def _has_way(setup: TaskSetup, key: Array, obstacles: Obstacles, start: Array, g
     q = jnp.concatenate(parts)
     at = capsules_at(chain, robot.capsules, q)
     least = CLEAR * robot.scale / 2
-    free = (_clearances(robot, q, obstacles) > least).all(axis=1)
+    free = (clearances(robot, q, obstacles) > least).all(axis=1)
     free &= lowest_point(robot.capsules, at) > robot.workspace[0][2]
     if robot.capsules.pairs:
         free &= self_distance(robot.capsules, at) > 0

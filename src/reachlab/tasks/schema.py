@@ -151,12 +151,14 @@ class Observation:
         terms: what it is made of.
         needs_pose: they need a goal with an orientation.
         needs_velocity: they need a goal that moves.
+        needs_obstacles: they need a task with obstacles.
     """
 
     summary: str
     terms: tuple[Term, ...]
     needs_pose: bool = False
     needs_velocity: bool = False
+    needs_obstacles: bool = False
 
     @property
     def pictured(self) -> bool:

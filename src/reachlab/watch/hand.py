@@ -12,6 +12,7 @@ from jax import Array
 from reachlab.jax_setup import jit
 from reachlab.robots.kinematics import Pose, forward_kinematics
 from reachlab.sims import BatchArray
+from reachlab.tasks.clutter import joints_at
 from reachlab.tasks.targets import nearest_joints
 from reachlab.tasks.task import Goal, TaskSetup
 
@@ -27,6 +28,9 @@ def make_place(setup: TaskSetup) -> Place:
     """
 
     def place(goal: Goal, position: Array, quaternion: Array | None, near: Array) -> tuple[Goal, Array]:
+        if quaternion is None and goal.joints is not None:
+            q, found = joints_at(setup, position)
+            return replace(goal, position=position[None], joints=q[None]), found
         if quaternion is None or goal.joints is None:
             stays = None if goal.velocity is None else jnp.zeros_like(goal.velocity)
             path = None if goal.path is None else jnp.full_like(goal.path, jnp.nan)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -20,59 +20,15 @@ from reachlab.envs.random_streams import AGENT_STREAM, REPORT_STREAM, episode_ke
 from reachlab.jax_setup import jit
 from reachlab.tasks.task import TaskSetup
 from reachlab.watch.hand import make_place
+from reachlab.watch.moment import PATH_STEP, TRAIL_STEP, Moment, Trace
 
 Advance = Callable[[Policy | None, EnvState, Array, bool, np.ndarray], tuple[EnvState, Transition, Array]]
-
-PATH_POINTS, PATH_STEP, TRAIL_STEP = 300, 0.004, 0.01
-"""Points of a path at most, and their least distance [m]; and that of the points of a target's trail."""
 
 TRAINED = "trained"
 """The agent that takes a policy."""
 
-LEFT, LATE = "left the workspace", "did not arrive in time"
+LEFT, LATE, TOUCHED = "left the workspace", "did not arrive in time", "touched something"
 """Why an arm does not follow its target."""
-
-
-@dataclass(frozen=True)
-class Moment:
-    """What there is to see.
-
-    Attributes:
-        q: joints `[n]` [rad or m].
-        tool, orientation: of the tool, `[3]` [m] and `[4]` wxyz.
-        target, target_orientation: `[3]` [m] and `[4]` wxyz, None where any will do.
-        distance, angle: from tool to target [m] and [rad], None likewise.
-        error: root mean square of the distance so far [m]; None where it does not count, or not yet.
-        reached: the tool is near enough now and, where the task asks for it, was held.
-        path: points `[k, 3]` [m] through which the tool came.
-        trail: points `[k, 3]` [m] at which a target that moves by itself has been.
-    """
-
-    q: np.ndarray
-    tool: np.ndarray
-    orientation: np.ndarray
-    target: np.ndarray
-    target_orientation: np.ndarray | None
-    distance: float
-    angle: float | None
-    error: float | None
-    reached: bool
-    path: np.ndarray
-    trail: np.ndarray
-
-
-@dataclass
-class Trace:
-    """Where something has been: its newest `PATH_POINTS` points `[k, 3]` [m], `step` [m] or more apart."""
-
-    step: float
-    points: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))
-
-    def add(self, point: np.ndarray) -> np.ndarray:
-        """The points, this one `[3]` among them if it is far enough from the last; the same array where it is not."""
-        if not len(self.points) or np.linalg.norm(self.points[-1] - point) >= self.step:
-            self.points = np.concatenate([self.points[1 - PATH_POINTS :], point[None]])
-        return self.points
 
 
 class Player:
@@ -89,7 +45,7 @@ class Player:
         clock: control steps since the episode began or the target was moved.
         over: the episode has ended; `proceed` begins what comes next.
         success: the last step was one, by the task's rules.
-        failed: `LEFT` or `LATE`, where the arm does not follow a target that was moved; else empty.
+        failed: `LEFT`, `LATE` or `TOUCHED`, where the arm does not follow a target that was moved; else empty.
         steps: control steps taken.
         episodes, successes: those that ended, and in success. One whose target was followed or moved does not count.
     """
@@ -163,19 +119,23 @@ class Player:
         away = np.linalg.norm(self.moment.tool - np.clip(self.moment.tool, low, high))
         if rules.ends_outside and away > rules.success_distance:
             return LEFT
+        if rules.end_on_contact and self.state.arm.contact is not None and np.asarray(self.state.arm.contact)[0]:
+            return TOUCHED
         late = self.clock >= rules.max_steps and not self.on_path and not self._near()
         return LATE if late else ""
 
     def proceed(self) -> None:
-        """Begin the next episode; after a failure to follow, begin anew from home with the target as it is.
+        """Begin the next episode; after a failure to follow, begin anew from home with all else as it is.
 
         A target that nobody holds any more is tried from home only once.
         """
         if not self.failed or (self._at_home and not self._following):
             self.begin(self.number + 1)
             return
-        moment, moves = self.moment, self.on_path
+        moment, moves, obstacles = self.moment, self.on_path, self.state.obstacles
         self.begin(self.number)
+        if obstacles is not None:
+            self.state = self._env.rearrange(self.state, obstacles)
         if not moves:
             self.move_target(moment.target, moment.target_orientation)
         self._at_home = True
@@ -221,6 +181,17 @@ class Player:
         self._look()
         return True
 
+    def move_obstacle(self, number: int, position: np.ndarray) -> None:
+        """Put an obstacle at `[3]` m, inside the workspace; the arm has all the time of an episode again."""
+        obstacles = self.state.obstacles
+        assert obstacles is not None, "only what is shown can be moved"  # noqa: S101
+        positions = np.array(obstacles.position)
+        positions[0, number] = np.clip(position, *self._env.setup.robot.workspace)
+        self.state = self._env.rearrange(self.state, replace(obstacles, position=jnp.asarray(positions)))
+        self._renew()
+        self._touched, self._at_home, self.over = True, False, bool(self.failed)
+        self._look()
+
     def _near(self) -> bool:
         return bool(np.asarray(self.state.progress.near(self._env.setup.rules))[0])
 
@@ -247,6 +218,7 @@ class Player:
             reached=self._env.reached(self.state),
             path=self._path.add(tool),
             trail=self._trail.add(target) if goal.path is not None else self._trail.points,
+            blocks=self._env.blocks(self.state),
         )
 
 

@@ -10,12 +10,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from reachlab.render import view_randomisation as views
-from reachlab.render.marks import PATH, TARGET_AXES, TOOL_AXES, TRAIL, Colour, Marks
+from reachlab.render.marks import PATH, TARGET_AXES, TOOL_AXES, TRAIL, Block, Colour, Marks
 from reachlab.render.scene import TABLE_CENTRE, TABLE_SIZE, distance_needed, in_front, scene_spec
 from reachlab.robots.robot import Robot
 from reachlab.watch.captions import angle_text
-from reachlab.watch.player import Moment
-from reachlab.watch.solids import Solid, solids
+from reachlab.watch.moment import Moment
+from reachlab.watch.solids import Solid, block_mesh, solids
 
 if TYPE_CHECKING:
     import viser
@@ -71,6 +71,7 @@ class Stage:
         label: the text below the target.
         balls: the target, and around it the ball in which the tool is near enough.
         camera: the observation camera with its picture, once there is one.
+        obstacles: as many as a scene has room for, once a moment was shown.
     """
 
     def __init__(self, server: viser.ViserServer, robot: Robot, success_distance: float) -> None:
@@ -83,6 +84,8 @@ class Stage:
         self.trail: viser.LineSegmentsHandle | None = None
         self._drawn: dict[str, np.ndarray] = {}
         self.camera: viser.CameraFrustumHandle | None = None
+        self.obstacles: list[viser.MeshHandle] = []
+        self._blocks: tuple[Block, ...] = ()
         self._set_view(server)
         self._frames = [self._scene.add_frame(self._name(body), show_axes=False) for body in range(self._model.nbody)]
         parts = [(solid.body, self._add(number, solid)) for number, solid in enumerate(solids(self._model))]
@@ -123,6 +126,7 @@ class Stage:
             ball.color = _bytes(Marks(reached=moment.reached).colour)
         self.path = self._show_path("/path", self.path, moment.path, PATH, PATH_WIDTH)
         self.trail = self._show_path("/trail", self.trail, moment.trail, TRAIL, TRAIL_WIDTH)
+        self._show_blocks(moment.blocks)
         if observation is not None:
             self._show_observation(observation)
 
@@ -199,6 +203,18 @@ class Stage:
             )
         else:
             self.camera.image = picture
+
+    def _show_blocks(self, blocks: tuple[Block, ...]) -> None:
+        before, self._blocks = self._blocks, blocks
+        for number, block in enumerate(blocks):
+            if number == len(self.obstacles):
+                name, colour = f"/obstacle/{number}", _bytes(block.colour)
+                self.obstacles.append(self._scene.add_mesh_simple(name, *block_mesh(block), color=colour))
+            elif not np.array_equal((*block.half, block.radius), (*before[number].half, before[number].radius)):
+                self.obstacles[number].vertices, self.obstacles[number].faces = block_mesh(block)
+            shape = self.obstacles[number]
+            shape.position, shape.wxyz, shape.visible = block.position, block.quaternion, block.present
+            shape.color = _bytes(block.colour)
 
     def _add_axes(self, name: str, size: tuple[float, float]) -> viser.FrameHandle:
         length, radius = self._robot.scale * np.array(size)

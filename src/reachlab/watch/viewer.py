@@ -1,9 +1,10 @@
-"""The viewer: an agent at work in the browser, with a target that a person moves and turns."""
+"""The viewer: an agent at work in the browser, with a target that a person moves and turns, and obstacles."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from queue import SimpleQueue
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
@@ -29,6 +30,9 @@ MOST_BEHIND = 0.5
 
 UNREACHABLE = "The arm has no such pose: the target stays at the last one that it has."
 """Said where a target is dragged or turned to where the arm cannot be."""
+
+MOVABLE = "Obstacles are moved by dragging them."
+"""Said where there are some."""
 
 Load = Callable[[int], Policy]
 """Policy of the checkpoint after so many steps."""
@@ -75,6 +79,7 @@ class Viewer:
         )
         self.panel.on_shadows(self.stage.cast_shadows)
         self._pace = Pace()
+        self._pulled: SimpleQueue[tuple[int, np.ndarray]] = SimpleQueue()
         self._dragged = self.paused = self._told_reached = False
         self._reachable = True
         self._owed = self._rest = 0.0
@@ -104,6 +109,17 @@ class Viewer:
         self._put_handle()
         self._policy()
         self._play(1)
+        for number, obstacle in enumerate(self.stage.obstacles):
+            self._let_drag(number, obstacle)
+
+    def _let_drag(self, number: int, obstacle: viser.MeshHandle) -> None:
+        grabbed = np.zeros(3)
+
+        @obstacle.on_drag
+        async def pull(event: viser.SceneNodeDragEvent[viser.MeshHandle]) -> None:
+            if event.phase == "start":
+                grabbed[:] = np.subtract(event.start_position, obstacle.position)
+            self._pulled.put((number, np.subtract(event.end_position, grabbed)))
 
     def run(self, ended: Callable[[], bool]) -> None:
         """Play until it has ended."""
@@ -119,6 +135,9 @@ class Viewer:
         while not self.panel.pressed.empty():
             COMMANDS[self.panel.pressed.get()](self)
         self._follow_hand()
+        while not self._pulled.empty():
+            self.player.move_obstacle(*self._pulled.get())
+            self._show()
         if self.paused or not self._server.get_clients():
             return
         self.player.follow(self._dragged or self.panel.endless)
@@ -247,8 +266,8 @@ class Viewer:
             self.panel.say(
                 f"**{errors}** to the target{mean}{after}\n\n"
                 f"{player.successes} of {player.episodes} episodes reached · {rate}"
-                + f"\n\n{UNREACHABLE}"
-                * (not self._reachable)
+                + f"\n\n{UNREACHABLE}" * (not self._reachable)
+                + f"\n\n{MOVABLE}" * any(block.present for block in moment.blocks)
             )
 
 
