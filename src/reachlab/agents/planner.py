@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -39,8 +39,11 @@ TOGETHER = 32
 ROUNDING = 1e-4
 """Distance by which the same point may seem nearer when it is computed again [m]."""
 
-SETTLE = 3.0
-"""Times its servos' lag that the arm is given to arrive, before inverse kinematics hold it there."""
+GAIN = 0.5
+"""Share of what an arm lags more than its servos do that its command is corrected by in a time of their lag."""
+
+TINY = 1e-6
+"""Divides in place of a smaller time [s]."""
 
 
 def make_clearances(setup: TaskSetup) -> Clearances:
@@ -67,14 +70,15 @@ def plan(
         setup: the task on the arm.
         clearances: of `make_clearances`.
         obstacles: of the scene `[1, K]`.
-        start: joints that the arm is at.
-        goal: joints that are asked for.
+        start: joints that the arm is at, float32.
+        goal: joints that are asked for, float32.
     """
     base, geometric, util = _ompl()
     # Their generators are made anew for each plan: its numbers do not depend on those before.
     util.setLogLevel(util.LogLevel.LOG_NONE)
     util.RNG.setSeed(1)
-    ends = np.asarray(clearances(np.stack([start, goal]).astype(np.float32), obstacles))
+    # As many as there will be in every call, which is compiled now: the limit is not spent on that.
+    ends = np.asarray(clearances(np.resize(np.stack([start, goal]), (TOGETHER, len(start))), obstacles))[:, :2]
     if (ends[:, 1] < np.minimum(ends[:, 0], 0.0)).any():
         return None
     least = np.minimum(CLEAR * setup.robot.scale / 2, ends.min(axis=1) - ROUNDING)[:, None]
@@ -134,13 +138,26 @@ def _state(space: Any, q: np.ndarray) -> Any:
     return state
 
 
-def commands_along(setup: TaskSetup, path: np.ndarray) -> np.ndarray:
-    """Joint commands `[T, n]`, one a control period, along a path `[k, n]`: one joint is always at its full speed."""
+class Motion(NamedTuple):
+    """How a path is followed: joint displacements commanded in `T` steps, and the joints expected before each `[T, n]`.
+
+    One joint is always at its full speed, and each follows its command as a first-order lag.
+    """
+
+    steps: np.ndarray
+    expected: np.ndarray
+
+
+def motion_along(setup: TaskSetup, path: np.ndarray) -> Motion:
+    """Motion along a path `[k, n]`."""
     times = np.abs(np.diff(path, axis=0)) / np.array(setup.robot.speed)
     clock = np.concatenate([[0.0], np.cumsum(times.max(axis=1))])
-    settle = SETTLE * max(setup.lag)
-    moments = np.arange(setup.period, clock[-1] + settle + setup.period, setup.period)
-    return np.stack([np.interp(moments, clock, joint) for joint in path.T], axis=1)
+    moments = np.arange(0.0, clock[-1] + setup.period, setup.period)
+    commands = np.stack([np.interp(moments, clock, joint) for joint in path.T], axis=1)
+    keeps, expected = np.exp(-setup.period / np.maximum(setup.lag, TINY)), [path[0]]
+    for command in commands[1:-1]:
+        expected.append(command + keeps * (expected[-1] - command))
+    return Motion(np.diff(commands, axis=0), np.stack(expected))
 
 
 class _Plans:
@@ -150,24 +167,31 @@ class _Plans:
         self._setup, self._clearances = env.setup, make_clearances(env.setup)
         self._episodes: list[bytes] = [b""] * env.num_envs
         self._begun = np.zeros(env.num_envs, int)
-        self._commands: list[np.ndarray | None] = [None] * env.num_envs
+        self._motions: list[Motion | None] = [None] * env.num_envs
+        self._gain = GAIN * env.setup.period / np.maximum(env.setup.lag, TINY)
+        self._most = np.array(env.setup.robot.speed) * env.setup.period
+        self._situation = jit(env.situation)
 
     def commands(self, state: EnvState, mask: np.ndarray) -> np.ndarray:
         """Next joint commands `[B, n]` in the environments of `mask [B]`; not a number where a path is at its end."""
         assert state.goal.joints is not None and state.obstacles is not None, "asked before"  # noqa: S101, PT018
         keys, joints = np.asarray(jax.random.key_data(state.key)), np.asarray(state.goal.joints)
-        clock, given = np.asarray(state.clock), np.array(state.target_q)
+        clock, q, given = np.asarray(state.clock), np.asarray(self._situation(state).q), np.array(state.target_q)
         for row in np.flatnonzero(mask):
             episode = keys[row].tobytes() + joints[row].tobytes()
             if episode != self._episodes[row]:
                 self._episodes[row], self._begun[row] = episode, clock[row]
                 scene = jax.tree.map(lambda x, row=row: x[row : row + 1], state.obstacles)
                 path = plan(self._setup, self._clearances, scene, given[row], joints[row])
-                self._commands[row] = None if path is None else commands_along(self._setup, path)
-            if (commands := self._commands[row]) is not None:
+                self._motions[row] = None if path is None else motion_along(self._setup, path)
+            if (motion := self._motions[row]) is not None:
                 step = clock[row] - self._begun[row]
-                given[row] = commands[step] if step < len(commands) else np.nan
+                given[row] += self._step(motion, step, q[row]) if step < len(motion.steps) else np.nan
         return given
+
+    def _step(self, motion: Motion, step: int, q: np.ndarray) -> np.ndarray:
+        missing = motion.expected[step] - q
+        return np.clip(motion.steps[step] + self._gain * missing, -self._most, self._most)
 
 
 def planner(env: Env) -> Act:
