@@ -24,8 +24,8 @@ from reachlab.tasks.scenes import CLEAR
 from reachlab.tasks.task import TaskSetup
 
 Clearances = Callable[[np.ndarray, Obstacles], Array]
-"""Distances `[2, B]` m of an arm at joints `[B, n]` among one scene's obstacles `[1, K]`: from them and the table, and of
-its links from each other."""
+"""Distances `[2, B]` m of an arm at joints `[B, n]` among one scene's obstacles `[1, K]`: from them and the table, and
+of its links from each other."""
 
 LIMIT = 1.0
 """Time in which a path has to be found [s]; it is made shorter in as much at most."""
