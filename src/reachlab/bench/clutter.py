@@ -36,7 +36,7 @@ QUANTILES = {"median": 0.5, "p95": 0.95, "max": 1.0}
 
 
 def clutter() -> Iterator[Row]:
-    """The rows of suite `clutter`: measurement/robot agent, over all seeds, of policies with the lowest seed beside it."""
+    """The rows of suite `clutter`: measurement/robot agent, over all seeds, with the lowest seed of policies."""
     for robot in ROBOTS:
         config = configure("clutter", robot=robot)
         with tempfile.TemporaryDirectory() as folder:
