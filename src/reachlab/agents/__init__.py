@@ -13,9 +13,11 @@ class AgentEntry(Lazy):
 
     Attributes:
         trained: it needs a policy, and is given the observation's picture.
+        remembers: it knows more of an episode than its state: a function that gives an `acting.Act` for an environment.
     """
 
     trained: bool = False
+    remembers: bool = False
 
 
 AGENTS: dict[str, AgentEntry] = {
@@ -29,6 +31,11 @@ AGENTS: dict[str, AgentEntry] = {
     "ik_open": AgentEntry(
         "inverse kinematics without feedback: to the target from where the tool was commanded, whatever is measured",
         "reachlab.agents.baselines:ik_open",
+    ),
+    "planner": AgentEntry(
+        "a path among obstacles, planned by random sampling and followed; needs the extra 'planner'",
+        "reachlab.agents.planner:planner",
+        remembers=True,
     ),
 }
 """Agents by name: the trained policy, and what it has to beat. Adding one takes its function and its line here."""

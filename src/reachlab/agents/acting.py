@@ -48,11 +48,13 @@ def make_act(env: Env, agent: str | Function) -> Act:
     """The step of an agent of `AGENTS`, or of a function.
 
     Raises:
-        InputError: there is none of that name.
+        InputError: there is none of that name, or it cannot act there.
     """
     if not isinstance(agent, str):
         return _act_by(agent, env)
     entry = AGENTS[choose("agent", agent, AGENTS)]
+    if entry.remembers:
+        return entry.load()(env)
     decide: Agent = entry.load()
     decided = env.compile_part(lambda policy, state, key, picture: decide(env, policy, state, key, picture))
     draws = env.pictured and entry.trained

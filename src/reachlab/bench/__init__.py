@@ -41,6 +41,10 @@ SUITES: dict[str, Lazy] = {
         "Goals that move beside inverse kinematics that know their velocity, on two arms: an hour.",
         "reachlab.bench.track:track",
     ),
+    "clutter": Lazy(
+        "Points held among obstacles beside inverse kinematics and a sampling planner, on two arms: two hours.",
+        "reachlab.bench.clutter:clutter",
+    ),
     "arms": Lazy(
         "The tutorial's task on every robot of the catalogue, in three simulators.", "reachlab.bench.arms:arms"
     ),

@@ -39,6 +39,11 @@ def training_rows(name: str, trained: list[TrainResult]) -> Iterator[Row]:
 
 def reports(config: RunConfig, agent: str, policies: Sequence[Policy | None]) -> tuple[Report, list[Report]]:
     """Report of an agent on the targets of all seeds together, and the reports of the seeds."""
+    return examined(config, agent, policies)[:2]
+
+
+def examined(config: RunConfig, agent: str, policies: Sequence[Policy | None]) -> tuple[Report, list[Report], Episodes]:
+    """Those reports, and the episodes that the first sums up."""
     env = Env(config, BATCH)
     runner = make_runner(env, agent)
     results = [
@@ -48,7 +53,7 @@ def reports(config: RunConfig, agent: str, policies: Sequence[Policy | None]) ->
     env.close()
     together: Episodes = jax.tree.map(lambda *x: np.concatenate(x), *(episodes for _, episodes in results))
     wall = sum(report.wall_s for report, _ in results)
-    return summarise(env, agent, together, FRESH_SEED, wall), [report for report, _ in results]
+    return summarise(env, agent, together, FRESH_SEED, wall), [report for report, _ in results], together
 
 
 def motion_rows(column: str, report: Report) -> Iterator[Row]:
