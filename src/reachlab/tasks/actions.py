@@ -82,7 +82,8 @@ def _move_joints(setup: TaskSetup, now: Situation, action: Array) -> Array:
     """Joint command displaced by the action, as far as obstacles allow."""
     chain, step = setup.robot.chain, action * joint_scale(setup)
     if now.obstacles is not None:
-        step = keep_clear(setup, now, step)
+        # Limits that contradict each other, as where an obstacle is moved into the arm, may ask for anything.
+        step = jnp.clip(keep_clear(setup, now, step), -joint_scale(setup), joint_scale(setup))
     return jnp.clip(now.target_q + step, jnp.array(chain.lower), jnp.array(chain.upper))
 
 
