@@ -71,7 +71,7 @@ def _within_reach(setup: TaskSetup, random: np.random.Generator) -> np.ndarray:
     points = _nearest(setup.robot, np.clip(targets, low, high) if bounded else targets)
     inside = ((points >= low - ROUNDING) & (points <= high + ROUNDING)).all(axis=-1)
     near = np.linalg.norm(points - targets, axis=-1) < setup.rules.success_distance
-    return near if not bounded else near & inside
+    return np.asarray(near & inside if bounded else near)
 
 
 def _solved(setup: TaskSetup) -> bool:

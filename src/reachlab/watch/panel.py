@@ -48,7 +48,10 @@ class Panel:
         self._picture = (
             gui.add_image(NO_PICTURE, label="Observation", format="png", visible=False) if pictured else None
         )
-        self._agent = gui.add_dropdown("Agent", tuple(AGENTS), initial_value=agent)
+        able = tuple(
+            name for name, entry in AGENTS.items() if not entry.remembers
+        )  # what is moved by hand is not foreseen
+        self._agent = gui.add_dropdown("Agent", able, initial_value=agent)
         self._checkpoint = gui.add_dropdown("Checkpoint", tuple(self._steps), initial_value=[*self._steps][-1])
         self._speed = gui.add_slider("Speed", SLOWEST, FASTEST, SPEED_STEP, 1.0, hint="Multiples of real time")
         group = gui.add_button_group("Control", buttons)
