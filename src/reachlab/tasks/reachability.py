@@ -70,8 +70,8 @@ def _within_reach(setup: TaskSetup, random: np.random.Generator) -> np.ndarray:
     targets = random.uniform(*setup.task.goal_box(setup), (SAMPLES, 3))
     points = _nearest(setup.robot, np.clip(targets, low, high) if bounded else targets)
     inside = ((points >= low - ROUNDING) & (points <= high + ROUNDING)).all(axis=-1)
-    near = np.linalg.norm(points - targets, axis=-1) < setup.rules.success_distance
-    return np.asarray(near & inside if bounded else near)
+    near = np.asarray(np.linalg.norm(points - targets, axis=-1) < setup.rules.success_distance)
+    return near & inside if bounded else near
 
 
 def _solved(setup: TaskSetup) -> bool:

@@ -23,6 +23,10 @@ NO_PICTURE = np.zeros((1, 1, 3), np.uint8)
 """Stands for the picture until there is one."""
 
 
+PLAYABLE = tuple(name for name, entry in AGENTS.items() if not entry.remembers)
+"""Agents of the viewer: what is moved by hand is not foreseen by one that has planned."""
+
+
 class Panel:
     """The controls beside the scene. What is chosen is read from it; buttons leave their name in `pressed`."""
 
@@ -36,7 +40,7 @@ class Panel:
         pictured: bool,
         axes: bool = False,
     ) -> None:
-        """Panel for the agents of `AGENTS`, the run's checkpoints, oldest first, and buttons of these names.
+        """Panel for the agents of `PLAYABLE`, the run's checkpoints, oldest first, and buttons of these names.
 
         Where the policy observes a picture (`pictured`) there is a place for it. The tool's `axes` are shown, or not.
         """
@@ -48,10 +52,7 @@ class Panel:
         self._picture = (
             gui.add_image(NO_PICTURE, label="Observation", format="png", visible=False) if pictured else None
         )
-        able = tuple(
-            name for name, entry in AGENTS.items() if not entry.remembers
-        )  # what is moved by hand is not foreseen
-        self._agent = gui.add_dropdown("Agent", able, initial_value=agent)
+        self._agent = gui.add_dropdown("Agent", PLAYABLE, initial_value=agent)
         self._checkpoint = gui.add_dropdown("Checkpoint", tuple(self._steps), initial_value=[*self._steps][-1])
         self._speed = gui.add_slider("Speed", SLOWEST, FASTEST, SPEED_STEP, 1.0, hint="Multiples of real time")
         group = gui.add_button_group("Control", buttons)

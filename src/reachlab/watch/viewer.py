@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-from reachlab.agents import AGENTS
 from reachlab.agents.policy import Policy
 from reachlab.envs.core import Env
 from reachlab.settings.validation import InputError, choose
-from reachlab.watch.panel import Panel
+from reachlab.watch.panel import PLAYABLE, Panel
 from reachlab.watch.player import TRAINED, Player, target_box
 from reachlab.watch.server import start_server
 from reachlab.watch.stage import FRAME_RATE, PAUSE, Stage, errors_text
@@ -60,14 +59,14 @@ class Viewer:
             env: one environment (`num_envs` 1).
             checkpoints: steps of the run's checkpoints, oldest first.
             load: policy of one of them.
-            agent: the first one to play, of `AGENTS`.
+            agent: the first one to play, of `PLAYABLE`.
             host: address to listen on.
             port: port to listen on; the next free one where it is taken.
 
         Raises:
             InputError: viser is not installed, there is no such agent, or the address is not this machine's.
         """
-        choose("agent", agent, AGENTS)
+        choose("agent", agent, PLAYABLE)
         self._env, self._load = env, load
         self._policies: dict[int, Policy] = {}
         self._playing: int | None = None
