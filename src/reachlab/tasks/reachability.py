@@ -84,7 +84,7 @@ def _drawn_within(setup: TaskSetup) -> np.ndarray:
     low, high = setup.task.goal_box(setup)
     keys = jax.random.split(jax.random.key(0), SAMPLES)
     drawn = np.asarray(jit(jax.vmap(lambda key: setup.task.sample_goal(setup, key).position))(keys))
-    return ((drawn >= low - ROUNDING) & (drawn <= high + ROUNDING)).all(axis=-1)
+    return np.asarray(((drawn >= low - ROUNDING) & (drawn <= high + ROUNDING)).all(axis=-1))
 
 
 def _tool(robot: Robot, q: np.ndarray) -> np.ndarray:
