@@ -7,10 +7,13 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
+import jax
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
 
 from contacts import contacts, link_of
 from foreign_arms import FILES
@@ -24,7 +27,7 @@ from reachlab.robots.clearance import (
     Segments,
     capsules_at,
     lowest_point,
-    obstacle_distances,
+    moving,
     pair_distances,
     segment_distance,
     self_distance,
@@ -33,6 +36,7 @@ from reachlab.robots.loading import load_robot
 from reachlab.robots.model_file import read_model_file
 from reachlab.robots.robot import Robot
 from reachlab.settings.presets import configure
+from reachlab.tasks.obstacles import Obstacles, beside
 
 ARMS = [*ROBOTS, str(FILES["xarm6"])]
 ROUNDING = 3e-6
@@ -143,12 +147,19 @@ def test_poses_and_distances_are_mujocos(name: str) -> None:
     data, q = mujoco.MjData(model), joints(robot, count)
     at = jit(lambda q: capsules_at(robot.chain, capsules, q))(q)
     distances = np.asarray(pair_distances(capsules, at, capsules.pairs))
-    rods = np.array([[0.4, 0.1, 0.3], [0.3, -0.4, 0.1]]), np.array([[0.4, 0.1, 0.3], [0.3, -0.2, 0.6]])
-    obstacles = Segments(*(end.T[..., None] for end in rods))
-    beside = np.asarray(obstacle_distances(capsules, at, obstacles, np.array([[0.07], [0.05]])))
+    turn, _ = Rotation.align_vectors([[0.0, 0.2, 0.5]], [[0.0, 0.0, 1.0]])
+    obstacles = Obstacles(
+        position=jnp.array([[0.4, 0.1, 0.3], [0.3, -0.3, 0.35]]),
+        quaternion=jnp.array([[1.0, 0.0, 0.0, 0.0], turn.as_quat(scalar_first=True)]),
+        half=jnp.array([[0.0, 0.0, 0.0], [0.0, 0.0, np.hypot(0.2, 0.5) / 2]]),
+        radius=jnp.array([0.07, 0.05]),
+    )
+    start, end, radius = moving(capsules, at)
+    each = [jax.tree.map(lambda x, k=k: x[k], obstacles) for k in range(2)]
+    near = [np.asarray((beside(start, end, one).distance - radius).min(axis=0)) for one in each]
     lowest, nearest = np.asarray(lowest_point(capsules, at)), np.asarray(self_distance(capsules, at))
     starts, ends = (np.asarray(end).T for end in at)
-    moving = [geom for geom, link in zip(geoms, capsules.links, strict=True) if link]
+    moved = [geom for geom, link in zip(geoms, capsules.links, strict=True) if link]
     for i in range(count):
         data.qpos[:] = q[i]
         mujoco.mj_forward(model, data)
@@ -164,8 +175,8 @@ def test_poses_and_distances_are_mujocos(name: str) -> None:
         assert nearest[i] == pytest.approx(min(theirs), abs=2e-5)
         for row, obstacle in enumerate(("ball", "rod")):
             number = model.geom(obstacle).id
-            assert beside[row, i] == pytest.approx(min(distance(geom, number) for geom in moving), abs=2e-5)
-        heights = data.geom_xpos[moving, 2] - np.abs(half[-len(moving) :, 2]) - model.geom_size[moving, 0]
+            assert near[row][i] == pytest.approx(min(distance(geom, number) for geom in moved), abs=5e-4)
+        heights = data.geom_xpos[moved, 2] - np.abs(half[-len(moved) :, 2]) - model.geom_size[moved, 0]
         assert lowest[i] == pytest.approx(heights.min(), abs=ROUNDING)
 
 

@@ -69,21 +69,6 @@ def pair_distances(capsules: Capsules, at: Segments, pairs: Sequence[tuple[int, 
     return segment_distance(_picked(at, one), _picked(at, other)) - radii[one] - radii[other]
 
 
-def obstacle_distances(capsules: Capsules, at: Segments, obstacles: Segments, radii: Numbers) -> Array:
-    """Smallest distances `[O, B]` m of an arm's moving capsules from obstacles, which are capsules or balls.
-
-    Args:
-        capsules: the arm's.
-        at: how they lie.
-        obstacles: axes `[3, O, 1]`, or `[3, O, B]` where they differ.
-        radii: `[O, 1]` or `[O, B]` [m].
-    """
-    *sides, own = moving(capsules, at)
-    arm = Segments(*sides)
-    beside = segment_distance(arm, _picked(obstacles, np.s_[:, None]))
-    return (beside - own).min(axis=1) - radii
-
-
 def lowest_point(capsules: Capsules, at: Segments) -> Array:
     """Height `[B]` m of the lowest point of an arm's moving capsules."""
     start, end, own = moving(capsules, at)

@@ -146,28 +146,31 @@ def _towards_point(setup: TaskSetup, believed: Situation) -> Array:
     caught_up = believed.q + far * jnp.array(lag) * believed.qd
     way = believed.goal.position - forward_kinematics(chain, caught_up).position
     share = jnp.minimum((NEAR_GAIN + far * (FAR_GAIN - NEAR_GAIN)) * period / max(lag.max(), TINY), 1.0)
-    wanted = share * way
-    wanted *= jnp.minimum(TOOL_SPEED * period / (jnp.linalg.norm(wanted, axis=-1, keepdims=True) + TINY), 1.0)
-    step = ik_point_step(chain, caught_up, believed.target_q, wanted) / joint_scale(setup)
-    return jnp.clip(step, *_joint_box(setup))
+    return _point_step(setup, believed, caught_up, share * way)
 
 
 LEAD = 0.9
+"""Control periods by which the command is ahead of that, because it is followed from the next one on."""
 
 
 def _with_point(setup: TaskSetup, believed: Situation) -> Array:
     """Joint displacement that keeps the tool at a point that moves, whose velocity is fed forward.
 
-    The command moves as the point does and, by a share of what is missing, to where the point will be once the arm has
-    caught up with its command.
+    The command goes to where the point will be once the arm has caught up with its command. With less than all of that
+    in a step the arm would lag where the velocity changes.
     """
     assert believed.goal.velocity is not None, "asked before"  # noqa: S101
     chain, lag, period = setup.robot.chain, np.array(setup.lag), setup.period
     caught_up = believed.q + jnp.array(lag) * believed.qd
     ahead = believed.goal.position + (lag.max() + LEAD * period) * believed.goal.velocity
-    wanted = ahead - forward_kinematics(chain, caught_up).position
-    wanted *= jnp.minimum(TOOL_SPEED * period / (jnp.linalg.norm(wanted, axis=-1, keepdims=True) + TINY), 1.0)
-    return jnp.clip(ik_point_step(chain, caught_up, believed.target_q, wanted) / joint_scale(setup), *_joint_box(setup))
+    return _point_step(setup, believed, caught_up, ahead - forward_kinematics(chain, caught_up).position)
+
+
+def _point_step(setup: TaskSetup, believed: Situation, caught_up: Array, wanted: Array) -> Array:
+    """Action that displaces the tool as is `wanted [B, 3]` m, up to `TOOL_SPEED`, from joints `caught_up [B, n]`."""
+    most = TOOL_SPEED * setup.period / (jnp.linalg.norm(wanted, axis=-1, keepdims=True) + TINY)
+    step = ik_point_step(setup.robot.chain, caught_up, believed.target_q, wanted * jnp.minimum(most, 1.0))
+    return jnp.clip(step / joint_scale(setup), *_joint_box(setup))
 
 
 CORRECTION, CORRECTION_FADE = 2.0, 0.02
