@@ -147,7 +147,7 @@ def test_poses_and_distances_are_mujocos(name: str) -> None:
     data, q = mujoco.MjData(model), joints(robot, count)
     at = jit(lambda q: capsules_at(robot.chain, capsules, q))(q)
     distances = np.asarray(pair_distances(capsules, at, capsules.pairs))
-    turn, _ = Rotation.align_vectors([[0.0, 0.2, 0.5]], [[0.0, 0.0, 1.0]])
+    turn = Rotation.align_vectors([[0.0, 0.2, 0.5]], [[0.0, 0.0, 1.0]])[0]
     obstacles = Obstacles(
         position=jnp.array([[0.4, 0.1, 0.3], [0.3, -0.3, 0.35]]),
         quaternion=jnp.array([[1.0, 0.0, 0.0, 0.0], turn.as_quat(scalar_first=True)]),
