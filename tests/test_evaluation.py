@@ -56,6 +56,7 @@ REPORT_FIELDS = [
     "time_to_reach_s",
     "max_joint_speed",
     "jerk",
+    "contact",
     "self_contact",
     "wall_s",
     "versions",
