@@ -24,6 +24,7 @@ from reachlab.robots.robot import TUTORIAL_WORKSPACE
 from reachlab.runs.directory import RunDirectory
 from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError
+from reachlab.tasks import TASKS
 from test_cli import TINY, Said, Shell
 
 AXES = ("0 0 1", "0 1 0", "0 1 0", "0 1 0", "0 0 1")
@@ -217,7 +218,9 @@ def test_the_catalogues_tool_is_the_one_of_the_task(reachlab: Shell) -> None:
     told = as_json(reachlab("robot", "iiwa14", "--json"))
     assert (told["tool"], told["tool_found"]) == ("link_7", "catalogue")
     assert told["catalogue_tools"] == dict(ROBOTS["iiwa14"].tools)
-    assert {name: task["tool"] for name, task in told["tasks"].items()} == {"tutorial": "link_7", "precise": "flange"}
+    assert {name: task["tool"] for name, task in told["tasks"].items()} == {
+        name: "link_7" if name == "tutorial" else "flange" for name in TASKS
+    }
     told = as_json(reachlab("robot", "iiwa14", "--task", "precise", "--json"))
     assert (told["tool"], set(told["tasks"])) == ("flange", {"precise"})
     assert told["next"] == "reachlab train --robot iiwa14 --task precise"
