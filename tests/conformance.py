@@ -151,7 +151,7 @@ def no_number_of_an_observation_is_constant_but_those_of_which_the_schema_says_s
     declared = np.concatenate([field.constant for field in fields])
     judged = np.concatenate([np.full(len(field.constant), field.name not in OF_OBSTACLES) for field in fields])
     assert np.array_equal(still[judged], declared[judged])
-    assert judged.all() or not still[~judged].all()
+    assert still[~judged].sum() <= (~judged).sum() / 2
 
 
 def rewards_are_finite_and_bounded(subject: Subject) -> None:

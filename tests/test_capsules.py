@@ -26,11 +26,11 @@ from reachlab.robots.catalogue import ROBOTS
 from reachlab.robots.clearance import (
     Segments,
     capsules_at,
-    lowest_point,
     moving,
     pair_distances,
     segment_distance,
     self_distance,
+    table_distance,
 )
 from reachlab.robots.loading import load_robot
 from reachlab.robots.model_file import read_model_file
@@ -157,7 +157,7 @@ def test_poses_and_distances_are_mujocos(name: str) -> None:
     start, end, radius = moving(capsules, at)
     each = [jax.tree.map(lambda x, k=k: x[k], obstacles) for k in range(2)]
     near = [np.asarray((beside(start, end, one).distance - radius).min(axis=0)) for one in each]
-    lowest, nearest = np.asarray(lowest_point(capsules, at)), np.asarray(self_distance(capsules, at))
+    above, nearest = np.asarray(table_distance(robot, at)), np.asarray(self_distance(capsules, at))
     starts, ends = (np.asarray(end).T for end in at)
     moved = [geom for geom, link in zip(geoms, capsules.links, strict=True) if link]
     for i in range(count):
@@ -176,8 +176,8 @@ def test_poses_and_distances_are_mujocos(name: str) -> None:
         for row, obstacle in enumerate(("ball", "rod")):
             number = model.geom(obstacle).id
             assert near[row][i] == pytest.approx(min(distance(geom, number) for geom in moved), abs=5e-4)
-        heights = data.geom_xpos[moved, 2] - np.abs(half[-len(moved) :, 2]) - model.geom_size[moved, 0]
-        assert lowest[i] == pytest.approx(heights.min(), abs=ROUNDING)
+        heights = data.geom_xpos[moved, 2] - np.abs(half[-len(moved) :, 2]) - model.geom_size[moved, 0] - robot.floors
+        assert above[i] == pytest.approx(heights.min(), abs=ROUNDING)
 
 
 def test_segments_that_are_parallel_cross_or_are_points() -> None:

@@ -159,7 +159,7 @@ def sampled(start: np.ndarray, end: np.ndarray, obstacles: Obstacles, floor: flo
 
 def around(setup: TaskSetup, q: np.ndarray, obstacles: Obstacles) -> Nearest:
     robot = setup.robot
-    find = jit(lambda q, obs: nearest(robot.capsules, capsules_at(robot.chain, robot.capsules, q), obs, floor(setup)))
+    find = jit(lambda q, obs: nearest(robot, capsules_at(robot.chain, robot.capsules, q), obs))
     return find(jnp.asarray(q, jnp.float32), obstacles)
 
 

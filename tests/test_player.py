@@ -249,6 +249,15 @@ def test_a_target_that_is_moved_and_turned_by_hand_is_reached(poses: Player) -> 
         )
 
 
+def test_a_target_at_which_the_arm_would_touch_the_table_stays_where_it_is(poses: Player) -> None:
+    poses.begin(0)
+    assert poses.moment.target_orientation is not None
+    held, before = turned(poses.moment.target_orientation, 0, 0, 0), poses.moment.target
+    assert not poses.move_target(np.array([0.45, 0.0, -0.02]), np.array(poses._env.setup.robot.held_quaternion))
+    np.testing.assert_array_equal(poses.moment.target, before)
+    assert poses.move_target(np.array([0.45, 0.0, 0.4]), held)
+
+
 def test_the_arm_stays_near_its_joints_when_the_target_is_turned_a_little(poses: Player) -> None:
     poses.begin(0)
     play(poses)

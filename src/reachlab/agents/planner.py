@@ -52,7 +52,7 @@ def make_clearances(setup: TaskSetup) -> Clearances:
 
     def clearances(q: Array, obstacles: Obstacles) -> Array:
         at = capsules_at(robot.chain, robot.capsules, q)
-        outside = nearest(robot.capsules, at, obstacles, robot.workspace[0][2]).distance.min(axis=0)
+        outside = nearest(robot, at, obstacles).distance.min(axis=0)
         return jnp.stack([outside, self_distance(robot.capsules, at) if robot.capsules.pairs else outside])
 
     return jit(clearances)

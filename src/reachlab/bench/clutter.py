@@ -16,7 +16,7 @@ from reachlab.agents.planner import make_clearances, plan
 from reachlab.agents.policy import Policy
 from reachlab.bench.table import Row, row
 from reachlab.bench.timing import shortest_time
-from reachlab.bench.trained import PERTURBED, examined, motion_rows, train_seeds, training_rows
+from reachlab.bench.trained import PERTURBED, motion_rows, reports, train_seeds, training_rows
 from reachlab.envs.core import Env
 from reachlab.envs.random_streams import REPORT_STREAM, episode_keys
 from reachlab.evaluation.report import FRESH_SEED, Report
@@ -88,12 +88,9 @@ def _keys(count: int) -> jax.Array:
 
 
 def _accuracy(column: str, config: RunConfig, agent: str, policies: Sequence[Policy | None]) -> Iterator[Row]:
-    together, seeds, episodes = examined(config, agent, policies)
+    together, seeds = reports(config, agent, policies)
     lowest = {"lowest_seed": min(map(_held, seeds))} if agent == "trained" else {}
     yield row(f"held within 10 mm/{column}", _held(together), "rate", episodes=together.episodes, **lowest)
-    if config.rules.end_on_contact:
-        early = float((episodes.steps < config.rules.max_steps).mean())
-        yield row(f"episodes ended early, by contact/{column}", early, "rate", episodes=together.episodes)
     if together.time_to_reach_s is not None:
         yield row(f"time to reach 10 mm for good/{column}", together.time_to_reach_s, "s")
     yield from motion_rows(column, together)

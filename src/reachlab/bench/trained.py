@@ -39,11 +39,6 @@ def training_rows(name: str, trained: list[TrainResult]) -> Iterator[Row]:
 
 def reports(config: RunConfig, agent: str, policies: Sequence[Policy | None]) -> tuple[Report, list[Report]]:
     """Report of an agent on the targets of all seeds together, and the reports of the seeds."""
-    return examined(config, agent, policies)[:2]
-
-
-def examined(config: RunConfig, agent: str, policies: Sequence[Policy | None]) -> tuple[Report, list[Report], Episodes]:
-    """Those reports, and the episodes that the first sums up."""
     env = Env(config, BATCH)
     runner = make_runner(env, agent)
     results = [
@@ -53,13 +48,15 @@ def examined(config: RunConfig, agent: str, policies: Sequence[Policy | None]) -
     env.close()
     together: Episodes = jax.tree.map(lambda *x: np.concatenate(x), *(episodes for _, episodes in results))
     wall = sum(report.wall_s for report, _ in results)
-    return summarise(env, agent, together, FRESH_SEED, wall), [report for report, _ in results], together
+    return summarise(env, agent, together, FRESH_SEED, wall), [report for report, _ in results]
 
 
 def motion_rows(column: str, report: Report) -> Iterator[Row]:
-    """How fast the joints were, how they jerked, and whether links met."""
+    """How fast the joints were, how they jerked, and whether links met or anything was touched."""
     share = float((np.array(report.max_joint_speed) / np.array(load_robot(report.robot).speed)).max())
     yield row(f"peak joint speed, share of its limit/{column}", share, "rate", joints=report.max_joint_speed)
     yield row(f"mean squared joint jerk/{column}", report.jerk, "rad²/s⁶")
     if report.self_contact is not None:
         yield row(f"episodes in which links met/{column}", report.self_contact, "rate", episodes=report.episodes)
+    if report.contact is not None:
+        yield row(f"episodes that ended by contact/{column}", report.contact, "rate", episodes=report.episodes)

@@ -76,6 +76,7 @@ def check(config: RunConfig, base: RunConfig | None = None) -> None:
         dynamics=SIMULATORS[config.sim].dynamics,
         scale=action.scale,
         turns=action.turns,
+        asks_orientation=config.rules.asks_orientation,
         needs_pose=observation.needs_pose,
         needs_velocity=observation.needs_velocity,
         needs_obstacles=observation.needs_obstacles,

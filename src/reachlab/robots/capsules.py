@@ -64,6 +64,16 @@ def find_capsules(robot: Robot) -> Capsules:
     return kept("capsules", asked, lambda: _found(robot), Capsules, vars)
 
 
+def find_floors(robot: Robot) -> tuple[float, ...]:
+    """How high each moving capsule has to stay [m]: over the workspace's floor, or anywhere if it is in it at home."""
+    frames, capsules, floor = robot.chain.links_at(robot.home), robot.capsules, robot.workspace[0][2]
+    floors = []
+    for link, start, end, radius in zip(capsules.links, capsules.starts, capsules.ends, capsules.radii, strict=True):
+        bottom = min((frames[link] @ (*point, 1.0))[2] for point in (start, end)) - radius
+        floors += [floor if bottom > floor else -np.inf] if link else []
+    return tuple(floors)
+
+
 def _found(robot: Robot) -> Capsules:
     fitted = [(link, one) for link, shape in enumerate(link_shapes(robot)) if len(shape) for one in fit_capsules(shape)]
     found = Capsules(

@@ -15,6 +15,7 @@ from reachlab.robots.scalar_algebra import Scalar, Vec, once
 
 if TYPE_CHECKING:
     from reachlab.robots.capsules import Capsules
+    from reachlab.robots.robot import Robot
 
 Numbers = Any
 """An array, in JAX or NumPy."""
@@ -69,10 +70,19 @@ def pair_distances(capsules: Capsules, at: Segments, pairs: Sequence[tuple[int, 
     return segment_distance(_picked(at, one), _picked(at, other)) - radii[one] - radii[other]
 
 
-def lowest_point(capsules: Capsules, at: Segments) -> Array:
-    """Height `[B]` m of the lowest point of an arm's moving capsules."""
-    start, end, own = moving(capsules, at)
-    return (jnp.minimum(start[2], end[2]) - own).min(axis=0)
+def table_distance(robot: Robot, at: Segments) -> Array:
+    """Smallest distance `[B]` m of an arm's moving capsules from the table, see `Robot.floors`."""
+    start, end, own = moving(robot.capsules, at)
+    return (jnp.minimum(start[2], end[2]) - own - np.array(robot.floors, np.float32)[:, None]).min(axis=0)
+
+
+def free_of_contact(robot: Robot, q: Array) -> Array:
+    """Whether an arm at joints `q [B, n]` is above the table, and its links do not meet `[B]`, by its capsules."""
+    if not any(robot.capsules.links):
+        return jnp.ones(len(q), bool)
+    at = capsules_at(robot.chain, robot.capsules, q)
+    above = table_distance(robot, at) > 0
+    return above & (self_distance(robot.capsules, at) > 0) if robot.capsules.pairs else above
 
 
 def moving(capsules: Capsules, at: Segments) -> tuple[tuple[Array, ...], tuple[Array, ...], np.ndarray]:

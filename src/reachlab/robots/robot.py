@@ -104,6 +104,16 @@ class Robot:
 
         return find_capsules(self)
 
+    @functools.cached_property
+    def floors(self) -> tuple[float, ...]:
+        """Height above which each capsule that its joints move has to stay [m]; minus infinity if it may be anywhere.
+
+        The latter is so of those that are in the table at home already.
+        """
+        from reachlab.robots.capsules import find_floors
+
+        return find_floors(self)
+
     @property
     def scale(self) -> float:
         """Size of the workspace in those of the tutorial's, by their diagonals; 1 for the tutorial's arm."""

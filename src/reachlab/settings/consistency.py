@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 from reachlab.settings.config import RunConfig
 from reachlab.settings.json_form import flatten, to_json
-from reachlab.settings.needs import NEEDS, Asked, Facts, asks_orientation
+from reachlab.settings.needs import NEEDS, Asked, Facts
 from reachlab.settings.presets import preset_of
 from reachlab.settings.validation import InputError, choose
 
@@ -70,7 +70,7 @@ def _obstructed(s: Asked) -> str | None:
 
 
 def _orientation(s: Asked) -> str | None:
-    turned = asks_orientation(s.settings)
+    turned = s.facts.asks_orientation
     if not turned and s.facts.needs_pose:
         return (
             f"observation {s['observation']!r} needs a goal with an orientation: set target_turn, or targets to 'any'."

@@ -16,6 +16,7 @@ class Facts:
         dynamics: the simulator can vary the arm.
         scale: the setting by which actions are multiplied, if there is one.
         turns: an action can bring the tool into any orientation.
+        asks_orientation: the goal has an orientation.
         needs_pose: the observation needs a goal with an orientation.
         needs_velocity: it needs one that moves.
         needs_obstacles: it needs a task with obstacles.
@@ -28,6 +29,7 @@ class Facts:
     dynamics: bool
     scale: str | None
     turns: bool
+    asks_orientation: bool
     needs_pose: bool
     needs_velocity: bool
     needs_obstacles: bool
@@ -49,11 +51,6 @@ class Asked:
         return self.settings[name]
 
 
-def asks_orientation(settings: Mapping[str, Any]) -> bool:
-    """As `TaskConfig.asks_orientation`."""
-    return settings["target_turn"] is not None or settings["targets"] == "any"
-
-
 @dataclass(frozen=True)
 class Need:
     """What a setting needs to have an effect: in words, and as a question."""
@@ -68,7 +65,7 @@ MUJOCO = Need("sim mujoco", lambda s: s["sim"] == "mujoco")
 PYBULLET = Need("sim pybullet", lambda s: s["sim"] == "pybullet")
 TABLE = Need("targets table", lambda s: s["targets"] == "table")
 BOX = Need("targets box", lambda s: s["targets"] == "box")
-TURNED = Need("target_turn or targets any", lambda s: asks_orientation(s.settings))
+TURNED = Need("target_turn or targets any", lambda s: s.facts.asks_orientation)
 CLOSE = Need("reward precise or closeness", lambda s: s["reward"] in ("precise", "closeness"))
 MOVES = Need("a task whose goal moves, as track", lambda s: s.facts.moves)
 OBSTRUCTED = Need("a task with obstacles, as clutter", lambda s: s.facts.obstructed)

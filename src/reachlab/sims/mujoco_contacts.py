@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Iterator
 
 import mujoco
@@ -26,8 +25,6 @@ ABSENT = (*FAR, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 LEAST_BOUND = 1e-6
 """Radius of the sphere around a ball without size [m]: of 0 MuJoCo takes it for a plane."""
 
-log = logging.getLogger(__name__)
-
 _Bit, _Geom = mujoco.mjtDisableBit, mujoco.mjtGeom
 
 
@@ -36,7 +33,7 @@ def add_contacts(spec: mujoco.MjSpec, robot: Robot, count: int) -> None:
 
     These are capsules of moving links and obstacles, those capsules and the table, and `Capsules.pairs`. Nothing else
     collides: the file's own shapes are taken out where no inertia follows from them. The table is the plane of its top,
-    without an edge. Capsules that reach into it at home may do so anywhere.
+    without an edge. What `Robot.floors` allows to be anywhere does not touch it.
 
     Contacts have no friction, and the Jacobian is dense: 4.0.0 solves sparse ones wrongly.
     """
@@ -75,28 +72,13 @@ def _add_capsules(spec: mujoco.MjSpec, robot: Robot) -> None:
             geom.type, geom.fromto = _Geom.mjGEOM_CAPSULE, np.concatenate([start, end])
 
 
-def over_table(robot: Robot) -> tuple[int, ...]:
-    """Numbers of the moving capsules that are above the table at home: the others may be in it anywhere."""
-    frames, capsules = robot.chain.links_at(robot.home), robot.capsules
-    moving = [number for number, link in enumerate(capsules.links) if link]
-
-    def bottom(number: int) -> float:
-        ends = (capsules.starts[number], capsules.ends[number])
-        return min((frames[capsules.links[number]] @ (*end, 1.0))[2] for end in ends) - capsules.radii[number]
-
-    return tuple(number for number in moving if bottom(number) > table_top(robot))
-
-
 def _pairs(robot: Robot, count: int) -> Iterator[tuple[str, str]]:
     """Names of the geoms, two by two, that may not meet."""
-    capsules, over = robot.capsules, over_table(robot)
-    moving = [number for number, link in enumerate(capsules.links) if link]
-    if ignored := sorted({capsules.links[number] for number in moving if number not in over}):
-        links = ", ".join(map(str, ignored))
-        log.warning("reachlab: at home the table is touched already by links %s: that they touch it is ignored.", links)
-    for number in moving:
+    capsules = robot.capsules
+    for number, floor in zip(np.flatnonzero(capsules.links), robot.floors, strict=True):
         yield from ((f"{CAPSULE}{number}", f"{OBSTACLE}{other}") for other in range(count))
-    yield from ((f"{CAPSULE}{number}", TABLE) for number in over)
+        if np.isfinite(floor):
+            yield f"{CAPSULE}{number}", TABLE
     yield from ((f"{CAPSULE}{one}", f"{CAPSULE}{other}") for one, other in capsules.pairs)
 
 

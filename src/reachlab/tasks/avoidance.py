@@ -30,7 +30,7 @@ def surroundings(setup: TaskSetup, q: Array, now: Situation) -> Nearest:
     """What is nearest to the arm's capsules at joints `q [B, n]`."""
     robot = setup.robot
     assert now.obstacles is not None, "asked before"  # noqa: S101
-    return nearest(robot.capsules, capsules_at(robot.chain, robot.capsules, q), now.obstacles, robot.workspace[0][2])
+    return nearest(robot, capsules_at(robot.chain, robot.capsules, q), now.obstacles)
 
 
 def keep_clear(setup: TaskSetup, now: Situation, step: Array) -> Array:

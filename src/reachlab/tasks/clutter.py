@@ -13,7 +13,7 @@ from reachlab.robots.kinematics import forward_kinematics
 from reachlab.settings.rules import Rules
 from reachlab.tasks.reach import PRECISE
 from reachlab.tasks.scenes import sample_scene
-from reachlab.tasks.targets import free_of_contact
+from reachlab.tasks.targets import Drawn, first_reached
 from reachlab.tasks.task import Goal, TaskSetup
 
 ITERATIONS, LONGEST_STEP = 40, 0.1
@@ -22,12 +22,9 @@ ITERATIONS, LONGEST_STEP = 40, 0.1
 NEAR = 1e-4
 """Distance of the tool from a point at which joints count as having it [m]."""
 
-DRAWS = 100
-"""Goals drawn at most until one can be reached freely."""
-
 
 def joints_at(setup: TaskSetup, point: Array) -> tuple[Array, Array]:
-    """Joints `[n]` near home that have a point `[3]` m; and if any were found that touch neither table nor arm."""
+    """Joints `[n]` near home that have a point `[3]` m; and if any were found."""
     chain = setup.robot.chain
 
     def step(_: int, q: Array) -> Array:
@@ -36,27 +33,18 @@ def joints_at(setup: TaskSetup, point: Array) -> tuple[Array, Array]:
         return q + ik_point_step(chain, q, q, way)
 
     q = jax.lax.fori_loop(0, ITERATIONS, step, jnp.array(setup.robot.home))
-    near = jnp.linalg.norm(forward_kinematics(chain, q).position - point) < NEAR
-    return q, near & free_of_contact(setup.robot, q)
+    return q, jnp.linalg.norm(forward_kinematics(chain, q).position - point) < NEAR
 
 
 def _sample_goal(setup: TaskSetup, key: Array) -> Goal:
     """A point of the box, and joints near home that have it, in which the arm touches neither itself nor the table."""
 
-    def again(drawn: tuple[Array, Goal, Array, Array]) -> tuple[Array, Goal, Array, Array]:
-        key, _, _, draws = drawn
+    def draw(key: Array) -> Drawn:
         key, now = jax.random.split(key)
-        point = PRECISE.sample_goal(setup, now).position
-        q, found = joints_at(setup, point)
-        return key, Goal(point, joints=q), found, draws + 1
+        return Drawn(key, *joints_at(setup, PRECISE.sample_goal(setup, now).position), jnp.zeros((), jnp.int32))
 
-    nothing = (
-        key,
-        Goal(jnp.zeros(3), joints=jnp.array(setup.robot.home)),
-        jnp.zeros((), bool),
-        jnp.zeros((), jnp.int32),
-    )
-    return jax.lax.while_loop(lambda drawn: ~drawn[2] & (drawn[3] < DRAWS), again, nothing)[1]
+    found = first_reached(draw, setup, key)
+    return Goal(found.position, joints=found.joints)
 
 
 def _asks(rules: Rules, period: float) -> str:

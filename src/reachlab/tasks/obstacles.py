@@ -10,9 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from reachlab.robots.capsules import Capsules
 from reachlab.robots.clearance import Segments, moving
 from reachlab.robots.kinematics import components
+from reachlab.robots.robot import Robot
 from reachlab.robots.scalar_algebra import Rotation, Vec, rotation_from_quaternion
 
 FAR = (0.0, 0.0, -10.0)
@@ -65,20 +65,19 @@ TINY = 1e-9
 """Added to a length that divides [m]."""
 
 
-def nearest(capsules: Capsules, at: Segments, obstacles: Obstacles, floor: float) -> Nearest:
+def nearest(robot: Robot, at: Segments, obstacles: Obstacles) -> Nearest:
     """What is nearest to each of an arm's moving capsules, which lie as `clearance.capsules_at` says.
 
     Args:
-        capsules: the arm's.
+        robot: the arm.
         at: how they lie.
         obstacles: of each environment `[B, K]`.
-        floor: height of the table [m].
     """
-    start, end, radius = moving(capsules, at)
+    start, end, radius = moving(robot.capsules, at)
     lower = start[2] < end[2]
     point = tuple(jnp.where(lower, a, b) for a, b in zip(start, end, strict=True))
     zero = jnp.zeros_like(point[2])
-    table = Nearest(point[2] - floor, (zero, zero, zero + 1.0), point)
+    table = Nearest(point[2] - np.array(robot.floors, np.float32)[:, None], (zero, zero, zero + 1.0), point)
     # Obstacles in front, the capsules next and the batch last.
     each = jax.tree.map(lambda x: jnp.moveaxis(x, 1, 0)[:, None], obstacles)
     others = beside(start, end, each)

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from reachlab.robots.clearance import capsules_at, lowest_point, self_distance
+from reachlab.robots.clearance import capsules_at, free_of_contact
 from reachlab.robots.kinematics import forward_kinematics
 from reachlab.robots.robot import Robot
 from reachlab.tasks.obstacles import FAR, Obstacles, beside, moving
@@ -137,10 +137,6 @@ def _has_way(setup: TaskSetup, key: Array, obstacles: Obstacles, start: Array, g
     shares = jnp.arange(1, STEPS + 1)[:, None] / STEPS
     parts = [one + shares * (other - one) for via in vias for one, other in ((start, via), (via, goal))]
     q = jnp.concatenate(parts)
-    at = capsules_at(chain, robot.capsules, q)
     least = CLEAR * robot.scale / 2
-    free = (clearances(robot, q, obstacles) > least).all(axis=1)
-    free &= lowest_point(robot.capsules, at) > robot.workspace[0][2]
-    if robot.capsules.pairs:
-        free &= self_distance(robot.capsules, at) > 0
+    free = (clearances(robot, q, obstacles) > least).all(axis=1) & free_of_contact(robot, q)
     return free.reshape(VIAS, -1).all(axis=1).any()

@@ -12,10 +12,9 @@ import numpy as np
 from jax import Array
 from jax.scipy.spatial.transform import Rotation
 
-from reachlab.robots.clearance import capsules_at, lowest_point, self_distance
+from reachlab.robots.clearance import free_of_contact
 from reachlab.robots.inverse_kinematics import inverse_kinematics
 from reachlab.robots.kinematics import Pose, forward_kinematics
-from reachlab.robots.robot import Robot
 from reachlab.tasks.task import Bounds, Goal, TaskSetup
 
 WXYZ, XYZW = (3, 0, 1, 2), (1, 2, 3, 0)
@@ -29,9 +28,6 @@ ITERATIONS = 30
 
 POSITION_TOLERANCE, ANGLE_TOLERANCE = 1e-4, 5e-4
 """Errors with which a pose counts as solved [m, rad]. The goal becomes the solution's own pose, so they do not stay."""
-
-ROUNDING = 1e-4
-"""An arm may be so far below where it is lowest at home [m]."""
 
 DRAWS = 100
 """Poses drawn at most until one can be reached; where none can, none of the arm's goals could be."""
@@ -89,14 +85,14 @@ def _sample_in_box(setup: TaskSetup, key: Array) -> Goal:
     """A point or, where an orientation is asked for, a pose that can be reached."""
     if setup.rules.target_turn is None:
         return Goal(_point(setup, key))
-    return _first_reached(lambda key: _turned_pose(setup, key), setup, key)
+    return first_reached(lambda key: _turned_pose(setup, key), setup, key)
 
 
 # --- poses ----------------------------------------------------------------------------------------
 
 
 class Drawn(NamedTuple):
-    """A pose that was drawn, the joints `[n]` at which the tool comes nearest to it, and whether it is there."""
+    """A goal that was drawn, the joints `[n]` at which the tool comes nearest to it, and whether it is there."""
 
     key: Array
     q: Array
@@ -104,13 +100,14 @@ class Drawn(NamedTuple):
     draws: Array
 
 
-def _first_reached(draw: Callable[[Array], Drawn], setup: TaskSetup, key: Array) -> Goal:
-    """The first pose drawn that the arm can reach and be in freely; exactly that of the joints that were found."""
+def first_reached(draw: Callable[[Array], Drawn], setup: TaskSetup, key: Array) -> Goal:
+    """The first goal drawn that the arm can reach and be at freely; exactly the pose of the joints that were found."""
     nothing = Drawn(key, jnp.array(setup.robot.home), jnp.zeros((), bool), jnp.zeros((), jnp.int32))
 
     def again(before: Drawn) -> Drawn:
         drawn = draw(before.key)
-        return drawn._replace(reached=drawn.reached & free_of_contact(setup.robot, drawn.q), draws=before.draws + 1)
+        free = free_of_contact(setup.robot, drawn.q[None])[0]
+        return drawn._replace(reached=drawn.reached & free, draws=before.draws + 1)
 
     found = jax.lax.while_loop(lambda drawn: ~drawn.reached & (drawn.draws < DRAWS), again, nothing)
     return Goal(*forward_kinematics(setup.robot.chain, found.q), joints=found.q)
@@ -133,17 +130,6 @@ def _any_pose(setup: TaskSetup, key: Array) -> Drawn:
     q = jax.random.uniform(for_joints, (chain.n,), minval=jnp.array(chain.lower), maxval=jnp.array(chain.upper))
     nearest, reached = nearest_joints(setup, forward_kinematics(chain, q), home, q, for_starts)
     return Drawn(key, nearest, reached, jnp.zeros((), jnp.int32))
-
-
-def free_of_contact(robot: Robot, q: Array) -> Array:
-    """Whether an arm at joints `[n]` is above the table, and its links do not meet, judged by its capsules."""
-    if not robot.capsules.links:
-        return jnp.ones((), bool)
-    at, home = (capsules_at(robot.chain, robot.capsules, joints[None]) for joints in (q, jnp.array(robot.home)))
-    # The capsule of a link just above the table may reach below it at all times; at home nothing is in the way.
-    floor = jnp.minimum(robot.workspace[0][2], lowest_point(robot.capsules, home)[0] - ROUNDING)
-    above = lowest_point(robot.capsules, at)[0] > floor
-    return above & (self_distance(robot.capsules, at)[0] > 0) if robot.capsules.pairs else above
 
 
 def nearest_joints(setup: TaskSetup, pose: Pose, near: Array, start: Array, key: Array) -> tuple[Array, Array]:
@@ -180,7 +166,7 @@ TARGETS: dict[str, Targets] = {
     "any": Targets(
         "wherever random joints bring the tool",
         _reach_corners,
-        lambda setup, key: _first_reached(lambda key: _any_pose(setup, key), setup, key),
+        lambda setup, key: first_reached(lambda key: _any_pose(setup, key), setup, key),
     ),
 }
 """Goals by name."""

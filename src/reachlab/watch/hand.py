@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from reachlab.jax_setup import jit
+from reachlab.robots.clearance import free_of_contact
 from reachlab.robots.kinematics import Pose, forward_kinematics
 from reachlab.sims import BatchArray
 from reachlab.tasks.clutter import joints_at
@@ -20,7 +21,7 @@ Place = Callable[[Goal, BatchArray, BatchArray | None, BatchArray], tuple[Goal, 
 
 
 def make_place(setup: TaskSetup) -> Place:
-    """Function that puts a goal somewhere, and tells whether the arm can be there `[]`.
+    """Function that puts a goal somewhere, and tells whether the arm can be there freely `[]`.
 
     Of a batch with a single goal, a position `[3]` m, an orientation `[4]` wxyz, None where any will do, and the arm's
     joints `[n]`. The joints of a pose are the nearest to these; the goal becomes exactly their pose. One that moves is
@@ -28,16 +29,17 @@ def make_place(setup: TaskSetup) -> Place:
     """
 
     def place(goal: Goal, position: Array, quaternion: Array | None, near: Array) -> tuple[Goal, Array]:
-        if quaternion is None and goal.joints is not None:
-            q, found = joints_at(setup, position)
-            return replace(goal, position=position[None], joints=q[None]), found
-        if quaternion is None or goal.joints is None:
+        if goal.joints is None:
             stays = None if goal.velocity is None else jnp.zeros_like(goal.velocity)
             path = None if goal.path is None else jnp.full_like(goal.path, jnp.nan)
             return replace(goal, position=position[None], velocity=stays, path=path), jnp.ones((), bool)
-        pose = Pose(position, quaternion / jnp.linalg.norm(quaternion))
-        q, found = nearest_joints(setup, pose, near, goal.joints[0], jax.random.key(0))
-        reached = forward_kinematics(setup.robot.chain, q)
-        return Goal(reached.position[None], reached.quaternion[None], q[None]), found
+        if quaternion is None:
+            q, found = joints_at(setup, position)
+        else:
+            pose = Pose(position, quaternion / jnp.linalg.norm(quaternion))
+            q, found = nearest_joints(setup, pose, near, goal.joints[0], jax.random.key(0))
+        reached, joints = forward_kinematics(setup.robot.chain, q[None]), q[None]
+        turned = None if quaternion is None else reached.quaternion
+        return Goal(reached.position, turned, joints), found & free_of_contact(setup.robot, joints)[0]
 
     return jit(place)
