@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from reachlab.agents.encoder import FEATURES, Layers, encode, make_encoder
+from reachlab.robots.kinematics import added
 from reachlab.tasks.schema import SIZE, Observed, Schema
 from reachlab.tasks.task import Bounds
 
@@ -81,13 +82,17 @@ class Gaussian(NamedTuple):
 
     def sample(self, key: Array) -> Array:
         """A sample `[..., a]`."""
-        return self.mean + jnp.exp(self.log_std) * jax.random.normal(key, self.mean.shape)
+        return self.moved(jax.random.normal(key, self.mean.shape))
+
+    def moved(self, noise: Array) -> Array:
+        """The mean and so many standard deviations `[..., a]`."""
+        return self.mean + jnp.exp(self.log_std) * noise
 
     def log_prob(self, value: Array) -> Array:
         """Log density `[...]` of `value [..., a]`."""
         scaled = (value - self.mean) * jnp.exp(-self.log_std)
         terms = -0.5 * scaled**2 - self.log_std - 0.5 * math.log(2 * math.pi)
-        return terms.sum(-1)
+        return added(terms)
 
     def entropy(self) -> Array:
         """Differential entropy `[]`."""

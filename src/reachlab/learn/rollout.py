@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -10,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.stages import Wrapped
 
 from reachlab.agents.policy import Policy, distribution
 from reachlab.envs.core import Env, merge
@@ -68,7 +70,7 @@ def collect(env: Env, policy: Policy, state: EnvState, key: Array, config: LoopC
     """State after `rollout_steps` actions of every environment, and the experience; episodes that end begin anew."""
 
     def step(state: EnvState, key: Array) -> tuple[EnvState, Rollout]:
-        choice = sample_action(policy, env.observe(state), key)
+        choice = sample_action(policy, env.observe(state), jax.random.normal(key, (env.num_envs, *policy.half.shape)))
         state, transition = env.step(state, choice.action, config.action_repeat)
         row = _row(choice, state, transition, transition.observation)
         return env.reset(state, transition.done, config.chained_starts or None), row
@@ -76,14 +78,23 @@ def collect(env: Env, policy: Policy, state: EnvState, key: Array, config: LoopC
     return jax.lax.scan(step, state, jax.random.split(key, config.rollout_steps))
 
 
-def host_collector() -> Collect:
-    """As `collect`, for a simulator that JAX cannot trace: compiled parts around its steps."""
+def host_collector(part: Part | None = None) -> Collect:
+    """As `collect`, for a simulator that JAX cannot trace: compiled parts around its steps.
+
+    Of a `part` of the environments it gives the rows that all of them together would have, by default of all.
+    """
     choose = jit(sample_action)
+
+    @functools.cache
+    def draw(*shape: int) -> Wrapped:
+        return jit(jax.vmap(lambda key: jax.random.normal(key, shape)))
 
     def collect(env: Env, policy: Policy, state: EnvState, key: Array, config: LoopConfig) -> tuple[EnvState, Rollout]:
         rows, observation = [], env.observe_now(state)
-        for step_key in jax.random.split(key, config.rollout_steps):
-            choice = choose(policy, observation, step_key)
+        first, of = part or Part(0, env.num_envs)
+        noise = np.asarray(draw(of, *policy.half.shape)(jax.random.split(key, config.rollout_steps)))
+        for now in noise[:, first : first + env.num_envs]:
+            choice = choose(policy, observation, now)
             try:
                 state, transition = env.step(state, choice.action, config.action_repeat)
             except FloatingPointError as error:
@@ -102,6 +113,13 @@ def _stacked(rows: Sequence[Rollout]) -> Rollout:
     return jax.tree.map(lambda *x: np.stack(x), *rows)
 
 
+class Part(NamedTuple):
+    """Some environments of a batch: those from the `first` on, of so many in all."""
+
+    first: int
+    of: int
+
+
 class Choice(NamedTuple):
     """What a policy observed and sampled: `observation [B, k]`, `output`, `action [B, a]`, `log_prob [B]`."""
 
@@ -111,10 +129,10 @@ class Choice(NamedTuple):
     log_prob: Array
 
 
-def sample_action(policy: Policy, observation: Observed, key: Array) -> Choice:
-    """A sample of the policy's distribution."""
+def sample_action(policy: Policy, observation: Observed, noise: Array) -> Choice:
+    """A sample of the policy's distribution, by standard normal `noise [B, a]`."""
     head = distribution(policy.parameters, policy.inputs(observation))
-    output = head.sample(key)
+    output = head.moved(noise)
     return Choice(observation, output, policy.action(output), head.log_prob(output))
 
 

@@ -24,6 +24,7 @@ from reachlab.robots.scalar_algebra import (
     once,
     quaternion_from_rotation,
     rotation_from_quaternion,
+    total,
 )
 
 
@@ -65,7 +66,7 @@ def approach_axis(chain: Chain, quaternion: Array) -> Array:
 def tilt(chain: Chain, quaternion: Array) -> Array:
     """Angle `[...]` rad of the axis along which the tool points from straight down."""
     axis = approach_axis(chain, quaternion)
-    return jnp.arctan2(jnp.linalg.norm(axis[..., :2], axis=-1), -axis[..., 2])
+    return jnp.arctan2(norm(axis[..., :2]), -axis[..., 2])
 
 
 def turned(chain: Chain, quaternion: Array, held: Array) -> Array:
@@ -81,7 +82,7 @@ def angle_between(quaternion: Any, other: Any) -> Any:
     By the arc sine of half the chord between the quaternions: the arc cosine of their product is blind near zero.
     """
     module: Any = np if isinstance(quaternion, np.ndarray) else jnp
-    chords = [module.linalg.norm(other + sign * quaternion, axis=-1) for sign in (-1.0, 1.0)]
+    chords = [norm(other + sign * quaternion) for sign in (-1.0, 1.0)]
     return 4 * module.arcsin(module.minimum(module.minimum(*chords) / 2, 1.0))
 
 
@@ -130,6 +131,19 @@ def jacobian_columns(chain: Chain, frames: Frames) -> list[tuple[Scalar, ...]]:
 def components(array: Array) -> list[Array]:
     """Components `[...]` of vectors `[..., k]`."""
     return [array[..., i] for i in range(array.shape[-1])]
+
+
+def norm(vectors: Any) -> Any:
+    """Length `[...]` of vectors `[..., k]`, in arrays of NumPy or of JAX; see `added`."""
+    return added(vectors * vectors) ** 0.5
+
+
+def added(vectors: Any) -> Any:
+    """Sum `[...]` of the components of vectors `[..., k]`, one after the other.
+
+    How XLA rounds a sum over an axis depends on the batch, and a part of the environments has to be as in all of them.
+    """
+    return total(components(vectors))
 
 
 def stack(parts: Sequence[Scalar], like: Array) -> Array:

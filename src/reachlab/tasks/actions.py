@@ -10,7 +10,7 @@ import numpy as np
 from jax import Array
 
 from reachlab.robots.inverse_kinematics import ik_displace, ik_point_step
-from reachlab.robots.kinematics import forward_kinematics
+from reachlab.robots.kinematics import forward_kinematics, norm
 from reachlab.tasks.avoidance import keep_clear
 from reachlab.tasks.task import Bounds, Situation, TaskSetup, gap
 
@@ -142,7 +142,7 @@ def _towards_point(setup: TaskSetup, believed: Situation) -> Array:
     """
     chain, lag, period = setup.robot.chain, np.array(setup.lag), setup.period
     way = believed.goal.position - believed.tool_position
-    far = jnp.minimum(jnp.linalg.norm(way, axis=-1, keepdims=True) / APPROACH, 1.0)
+    far = jnp.minimum(norm(way)[..., None] / APPROACH, 1.0)
     caught_up = believed.q + far * jnp.array(lag) * believed.qd
     way = believed.goal.position - forward_kinematics(chain, caught_up).position
     share = jnp.minimum((NEAR_GAIN + far * (FAR_GAIN - NEAR_GAIN)) * period / max(lag.max(), TINY), 1.0)
@@ -168,7 +168,7 @@ def _with_point(setup: TaskSetup, believed: Situation) -> Array:
 
 def _point_step(setup: TaskSetup, believed: Situation, caught_up: Array, wanted: Array) -> Array:
     """Action that displaces the tool as is `wanted [B, 3]` m, up to `TOOL_SPEED`, from joints `caught_up [B, n]`."""
-    most = TOOL_SPEED * setup.period / (jnp.linalg.norm(wanted, axis=-1, keepdims=True) + TINY)
+    most = TOOL_SPEED * setup.period / (norm(wanted)[..., None] + TINY)
     step = ik_point_step(setup.robot.chain, caught_up, believed.target_q, wanted * jnp.minimum(most, 1.0))
     return jnp.clip(step / joint_scale(setup), *_joint_box(setup))
 

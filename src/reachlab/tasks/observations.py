@@ -9,7 +9,7 @@ import numpy as np
 from jax import Array
 
 from reachlab.robots.inverse_kinematics import MAX_JOINT_STEP, rotation_error
-from reachlab.robots.kinematics import Pose, components, stack
+from reachlab.robots.kinematics import Pose, components, norm, stack
 from reachlab.robots.scalar_algebra import rotation_from_quaternion
 from reachlab.tasks.actions import ACTIONS
 from reachlab.tasks.avoidance import basis_points, clearance_terms, moving_capsules
@@ -95,7 +95,7 @@ def _way(setup: TaskSetup, now: Situation) -> Array:
 
 def _way_near(setup: TaskSetup, now: Situation) -> Array:
     way = _way(setup, now)
-    return way / (jnp.linalg.norm(way, axis=-1, keepdims=True) + NEAR)
+    return way / (norm(way)[..., None] + NEAR)
 
 
 def _picture(setup: TaskSetup, now: Situation) -> Array:
@@ -157,7 +157,7 @@ def _turn(setup: TaskSetup, now: Situation) -> Array:
 
 def _turn_near(setup: TaskSetup, now: Situation) -> Array:
     turn = _turn(setup, now)
-    return turn / (jnp.linalg.norm(turn, axis=-1, keepdims=True) + NEAR / setup.rules.angle_weight)
+    return turn / (norm(turn)[..., None] + NEAR / setup.rules.angle_weight)
 
 
 def _goal_velocity(setup: TaskSetup, now: Situation) -> Array:

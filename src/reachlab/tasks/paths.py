@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from reachlab.robots.kinematics import added
 from reachlab.tasks.task import TaskSetup
 
 LENGTH = 1 / 3
@@ -141,7 +142,8 @@ def _on_smooth(setup: TaskSetup, numbers: Array, time: Array) -> Place:
     amplitudes, phases = numbers[4 : 4 + WAVES].reshape(shape), numbers[4 + WAVES :].reshape(shape)
     rates = numbers[0] * jnp.array(HARMONICS)
     turns = rates * time + phases
-    return Place(numbers[1:4] + (amplitudes * jnp.sin(turns)).sum(-1), (rates * amplitudes * jnp.cos(turns)).sum(-1))
+    places, velocities = amplitudes * jnp.sin(turns), rates * amplitudes * jnp.cos(turns)
+    return Place(numbers[1:4] + added(places), added(velocities))
 
 
 # --- jumps ----------------------------------------------------------------------------------------

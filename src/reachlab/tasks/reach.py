@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from reachlab.robots.kinematics import Pose
+from reachlab.robots.kinematics import Pose, added
 from reachlab.settings.rules import Rules
 from reachlab.settings.validation import InputError
 from reachlab.tasks.targets import TARGETS
@@ -92,7 +92,8 @@ def outcome(setup: TaskSetup, before: Progress, after: Progress, now: Situation,
         timeout, terminated = timeout & ~success, outside | success
     else:
         gained = gained - before.solved(rules)
-    speed, effort = jnp.abs(now.qd).max(axis=-1), jnp.square(now.last_action).mean(axis=-1)
+    speed = jnp.abs(now.qd).max(axis=-1)
+    effort = added(jnp.square(now.last_action)) / now.last_action.shape[-1]
     return Outcome(
         gap_before=gap(rules, before.distance, before.angle),
         gap=gap(rules, after.distance, after.angle),

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from reachlab.robots.kinematics import Pose, angle_between
+from reachlab.robots.kinematics import Pose, angle_between, norm
 from reachlab.robots.robot import Robot
 from reachlab.settings.rules import Rules
 from reachlab.tasks.obstacles import Obstacles
@@ -64,7 +64,7 @@ class Goal:
 
     def distance(self, tool_position: Array) -> Array:
         """Distance `[...]` m from the tool at `[..., 3]` m to the goal."""
-        return jnp.linalg.norm(tool_position - self.position, axis=-1)
+        return norm(tool_position - self.position)
 
     def moves(self) -> Array:
         """Whether it moves by itself `[...]`."""
