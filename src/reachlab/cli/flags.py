@@ -11,16 +11,38 @@ import tyro
 from reachlab.agents import AGENTS
 from reachlab.bench import SUITES
 from reachlab.runs.sinks import SINKS
+from reachlab.scale import ENGINES
 from reachlab.settings.config import DaggerConfig, RunConfig
 from reachlab.settings.presets import DISTILLATION
 from reachlab.settings.rules import TaskConfig
-from reachlab.settings.validation import Checked, Count, NonNegative, Positive, Range, Seed, Steps, hints
+from reachlab.settings.validation import (
+    Checked,
+    Count,
+    NonNegative,
+    NonNegativeInt,
+    Positive,
+    Range,
+    Seed,
+    Steps,
+    hints,
+)
 
 Optional = tyro.conf.arg(metavar="PATH", help_behavior_hint="")
 """A path that may be left out."""
 
 Agent = Annotated[str, tyro.conf.arg(help=f"Agent: {', '.join(AGENTS)}.")]
 Agents = Annotated[tuple[str, ...], tyro.conf.arg(help=f"Agents: {', '.join(AGENTS)}.")]
+
+
+Engine = Annotated[str, tyro.conf.arg(help=f"What carries the workers: {', '.join(ENGINES)}.")]
+Address = Annotated[
+    str | None,
+    tyro.conf.arg(
+        help="Address of a Ray cluster that runs; by default Ray is started here.",
+        metavar="HOST:PORT",
+        help_behavior_hint="",
+    ),
+]
 
 
 def _sink_flags() -> type:
@@ -48,7 +70,43 @@ class Train(Checked):
     """Run directory to make; by default a new one below runs/."""
     resume: Annotated[Path | None, Optional] = None
     """Run directory to resume: training continues from its newest checkpoint, with its own settings."""
+    config: Annotated[Path | None, Optional] = None
+    """File with all settings, as the config.json of a run or the best.json of a sweep; flags change them."""
+    workers: NonNegativeInt = 0
+    """Processes that collect experience, of one thread each; with 0 this one does. The weights are the same."""
+    engine: Engine = "ray"
+    address: Address = None
     sinks: Sinks = field(default_factory=_no_sinks)
+    json: bool = False
+    """Print the result as one JSON object on standard output."""
+
+
+@dataclass(frozen=True)
+class Sweep(Checked):
+    """Search settings: train with many, and find those with the best result."""
+
+    space: Annotated[Path | None, tyro.conf.Positional] = None
+    """TOML file with the settings that vary, see docs/scale.md."""
+    # Without a name, its own settings are in the first group of flags, and its parts are groups under their own names.
+    run: Annotated[RunConfig, tyro.conf.arg(name="")] = field(default_factory=RunConfig)
+    trials: Count = 20
+    """Settings that are tried."""
+    workers: Count = 2
+    """Trainings at a time, of one thread each."""
+    goal: str = "success_rate"
+    """Figure of the report that is sought, as final_error_mm.median; `reachlab list` shows them all."""
+    seeds: Count = 1
+    """Trainings of each setting; it counts as the poorer end of the interval of their mean."""
+    validations: NonNegativeInt = 7
+    """Validations of each training on the way, by which poor settings are given up; with 0 none is."""
+    engine: Engine = "local"
+    address: Address = None
+    out: Annotated[Path | None, Optional] = None
+    """Directory to make; by default a new one below runs/."""
+    resume: Annotated[Path | None, Optional] = None
+    """Directory of a sweep to resume, with its own settings; --trials may be more than before."""
+    config: Annotated[Path | None, Optional] = None
+    """File with all settings, as the config.json of a run; flags change them."""
     json: bool = False
     """Print the result as one JSON object on standard output."""
 

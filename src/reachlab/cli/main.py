@@ -15,10 +15,10 @@ from typing import Any
 
 import tyro
 
-from reachlab.cli.flags import LESSON, Distil, Train
+from reachlab.cli.flags import LESSON, Distil, Sweep, Train
 from reachlab.cli.verbs import VERBS
 from reachlab.settings.config import DistilRunConfig, RunConfig
-from reachlab.settings.json_form import flatten, to_json
+from reachlab.settings.json_form import flatten, from_json, to_json
 from reachlab.settings.presets import CHOICES, preset
 from reachlab.settings.validation import InputError, choose
 
@@ -99,8 +99,8 @@ def _parse(verb: str, flags: type, words: list[str]) -> Any:
         InputError: a flag or value that is not allowed, in one sentence.
     """
     default: Any = tyro.MISSING_NONPROP
-    if flags is Train:
-        default = Train(run=_defaults(_chosen(words)))
+    if flags in (Train, Sweep):
+        default = flags(run=_defaults(_chosen(words)))
     elif flags is Distil and isinstance(config := _resumed(_chosen(words)), DistilRunConfig):
         settings = flatten(to_json(config))
         default = Distil(**{name: settings[name] for name in LESSON}, settings=config.dagger)
@@ -124,7 +124,7 @@ def _parse(verb: str, flags: type, words: list[str]) -> Any:
 
 def _defaults(chosen: argparse.Namespace) -> RunConfig:
     """Settings that the flags of a training change: those of the run that is resumed, or a preset."""
-    if config := _resumed(chosen):
+    if config := _resumed(chosen) or _given(chosen):
         return config
     return preset(chosen.task or "tutorial", **{name: vars(chosen)[name] for name in CHOICES if vars(chosen)[name]})
 
@@ -138,10 +138,26 @@ def _resumed(chosen: argparse.Namespace) -> RunConfig | None:
     return RunDirectory(Path(chosen.resume)).read_config()
 
 
+def _given(chosen: argparse.Namespace) -> RunConfig | None:
+    """Settings of the file that is named, if one is.
+
+    Raises:
+        InputError: it cannot be used, or a preset is named beside it.
+    """
+    if not chosen.config:
+        return None
+    from reachlab.runs.files import read_json
+
+    config = from_json(read_json(Path(chosen.config)))
+    if chosen.task not in (None, config.task):
+        raise InputError(f"'{chosen.config}' holds settings of task {config.task!r}: leave --task out.")
+    return config
+
+
 def _chosen(words: Sequence[str]) -> argparse.Namespace:
     """The flags on which the defaults of others depend; None where one is not given or has no value."""
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
-    for name in ("resume", "task", *CHOICES):
+    for name in ("resume", "config", "task", *CHOICES):
         parser.add_argument(f"--{name}", nargs="?")
     return parser.parse_known_args(words)[0]
 

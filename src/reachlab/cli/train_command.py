@@ -5,14 +5,17 @@ from __future__ import annotations
 import json as jsonlib
 import sys
 import time
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
+from typing import Any
 
 from reachlab.cli.flags import LESSON, Distil, Train
 from reachlab.cli.preparation import prepare
+from reachlab.scale import ENGINES
 from reachlab.settings.config import DistilRunConfig, RunConfig
 from reachlab.settings.json_form import override
 from reachlab.settings.presets import distillation, in_simulator
-from reachlab.settings.validation import InputError
+from reachlab.settings.validation import InputError, choose
 
 
 def train(arguments: Train) -> None:
@@ -62,13 +65,14 @@ def _learn(arguments: Train | Distil, config: RunConfig, verb: str) -> None:
 
     out = arguments.resume or arguments.out or Path("runs") / f"{time.strftime('%Y%m%d-%H%M%S')}-{config.task}"
     sinks = tuple(name for name, wanted in vars(arguments.sinks).items() if wanted)
-    with TrainDisplay(config) as display:
-        result = run_training(config, out, display, resume=arguments.resume is not None, sinks=sinks)
+    resume = arguments.resume is not None
+    with TrainDisplay(config) as display, _collector(arguments, config) as collect:
+        result = run_training(config, out, display, resume=resume, sinks=sinks, collect=collect)
     draw([out], out / "curve.png")
     if arguments.json:
         print(jsonlib.dumps(result.to_json()))
     else:
-        print_training(result, config, display, resumed=arguments.resume is not None)
+        print_training(result, config, display, resumed=resume)
         say(f"Written: {out}: report.json, curve.png, checkpoints. With the report: {result.total_wall_s:.1f} s.")
     if result.validated is False:
         note(
@@ -76,6 +80,19 @@ def _learn(arguments: Train | Distil, config: RunConfig, verb: str) -> None:
             f" success within {config.loop.total_steps:,} steps."
         )
     note(f"Next: reachlab eval {out} --agent trained random ik")
+
+
+def _collector(arguments: Train | Distil, config: RunConfig) -> AbstractContextManager[Any]:
+    """What collects the experience while the context is open; None is this process."""
+    if not isinstance(arguments, Train) or not arguments.workers:
+        if isinstance(arguments, Train) and arguments.address:
+            raise InputError("address is that of a cluster whose workers collect: say how many with --workers.")
+        return nullcontext()
+    if choose("engine", arguments.engine, ENGINES) != "ray":
+        raise InputError(f"engine {arguments.engine!r} carries the trainings of a sweep: use --engine ray here.")
+    from reachlab.scale.rollouts import RayRollouts
+
+    return RayRollouts(config, arguments.workers, arguments.address)
 
 
 def _is_finished(arguments: Train | Distil, config: RunConfig, folder: Path) -> bool:

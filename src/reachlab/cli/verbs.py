@@ -9,9 +9,10 @@ from typing import Any
 
 from reachlab.bench import SUITES, run_suite
 from reachlab.cli.eval_command import evaluate
-from reachlab.cli.flags import Bench, Distil, Eval, List, Plot, ShowRobot, Train, Video, View
+from reachlab.cli.flags import Bench, Distil, Eval, List, Plot, ShowRobot, Sweep, Train, Video, View
 from reachlab.cli.preparation import prepare
 from reachlab.cli.robot_command import robot
+from reachlab.cli.sweep_command import sweep
 from reachlab.cli.train_command import distil, train
 from reachlab.cli.watch_commands import plot, video, view
 
@@ -38,6 +39,8 @@ def list_names(arguments: List) -> None:
     from reachlab.agents import AGENTS
     from reachlab.cli.console import asked, print_table
     from reachlab.robots.catalogue import ROBOTS
+    from reachlab.scale import ENGINES
+    from reachlab.scale.goals import GOALS
     from reachlab.settings.presets import preset
     from reachlab.sims import SIMULATORS
     from reachlab.tasks import TASKS
@@ -64,6 +67,8 @@ def list_names(arguments: List) -> None:
         "targets": {name: targets.summary for name, targets in TARGETS.items()},
         "goal paths": {name: path.summary for name, path in PATHS.items()},
         "at goal": dict(AT_GOAL),
+        "engines": {name: engine.summary for name, engine in ENGINES.items()},
+        "goals of a sweep": {name: "most" if goal.maximise else "least" for name, goal in GOALS.items()},
         "agents": {name: agent.summary for name, agent in AGENTS.items()},
         "suites": {name: suite.summary for name, suite in SUITES.items()},
     }
@@ -91,6 +96,7 @@ VERBS: dict[str, Verb] = {
     "robot": Verb(ShowRobot, robot),
     "train": Verb(Train, train),
     "distil": Verb(Distil, distil),
+    "sweep": Verb(Sweep, sweep),
     "eval": Verb(Eval, evaluate),
     "video": Verb(Video, video),
     "view": Verb(View, view),

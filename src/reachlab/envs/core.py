@@ -70,8 +70,10 @@ class Env:
         simulator: who moves the arms.
     """
 
-    def __init__(self, config: RunConfig, num_envs: int) -> None:
+    def __init__(self, config: RunConfig, num_envs: int, threads: int = 0) -> None:
         """Environment of `num_envs` episodes at a time, which differ in what `config.randomise` names.
+
+        A simulator outside JAX steps them on so many threads, 0 for one a core.
 
         Raises:
             InputError: a name in the configuration that does not exist, or a setting that does not fit the arm.
@@ -83,7 +85,7 @@ class Env:
         self.config, self.num_envs = settled(config, setup), num_envs
         obstacles = places(setup) if setup.task.sample_obstacles is not None else 0
         self.simulator = make_simulator(
-            config.sim, setup.robot, config.physics, num_envs, randomise_dynamics=dynamics, obstacles=obstacles
+            config.sim, setup.robot, config.physics, num_envs, threads, randomise_dynamics=dynamics, obstacles=obstacles
         )
         self.setup = replace(setup, lag=self.simulator.lag)
         self.schema = OBSERVATIONS[config.rules.observation].schema(self.setup)

@@ -241,5 +241,7 @@ def _load_teacher(config: RunConfig, resume: bool) -> Policy | None:
         env.close()
 
 
-DAGGER = Method(_load_teacher, _initial_state, lambda env, config, _: _Lessons(env, check_distillation(config)).iterate)
+DAGGER = Method(
+    _load_teacher, _initial_state, lambda env, config, *_: _Lessons(env, check_distillation(config)).iterate
+)
 """Dataset aggregation."""

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, NoReturn
 
 import jax
@@ -16,11 +17,12 @@ from reachlab.agents.policy import Policy
 from reachlab.envs.core import Env
 from reachlab.envs.random_streams import VALIDATION_STREAM, episode_keys
 from reachlab.evaluation.episodes import Runner, make_runner, run_episodes
+from reachlab.evaluation.report import Report, evaluate
 from reachlab.jax_setup import jit
 from reachlab.learn.checkpointing import Checkpoints, reason, unwritable
 from reachlab.learn.interrupts import Interrupted, Interrupts
 from reachlab.learn.method import Method
-from reachlab.learn.rollout import EngineError
+from reachlab.learn.rollout import Collect, EngineError
 from reachlab.runs import arrays
 from reachlab.runs.checkpoint import Counters
 from reachlab.runs.directory import RunDirectory
@@ -42,12 +44,17 @@ class NotFiniteError(FloatingPointError):
 
 @dataclass(frozen=True)
 class Progress:
-    """Where training stands: `steps` of `total_steps`, the metrics of the last iteration, and all time so far [s]."""
+    """Where training stands: `steps` of `total_steps`, the metrics of the last iteration, and all time so far [s].
+
+    And a function that evaluates the policy as it is now on so many of the report's targets, in the environment that it
+    is trained in.
+    """
 
     steps: int
     total_steps: int
     metrics: dict[str, float]
     elapsed_s: float
+    evaluate: Callable[[int], Report]
 
 
 class Loop:
@@ -67,9 +74,10 @@ class Loop:
         start: float,
         method: Method,
         given: Any,
+        collect: Collect | None = None,
     ) -> None:
         """Loop that has taken no step yet; `start` is when training began [s], `given` what the method loaded."""
-        self.method, self.given = method, given
+        self.method, self.given, self.collect = method, given, collect
         self.config, self.env, self.run, self.watch, self.start = config, env, run, watch, start
         self.now = Counters(0)
         self.checkpoints = Checkpoints(run, config)
@@ -96,7 +104,7 @@ class Loop:
         resume = resume and self.run.newest_manifest() is not None
         if not env.traced:
             state = self.method.initial_state(env, config, config.seed, self.given)
-            self._step = self.method.compile_iteration(env, config, state)
+            self._step = self.method.compile_iteration(env, config, state, self.collect)
             return self._saved_state(state) if resume else state
         shape = jax.eval_shape(lambda: self.method.initial_state(env, config, config.seed, self.given))
         saved = self._saved_state(shape) if resume else None
@@ -104,7 +112,7 @@ class Loop:
             begin = jit(lambda seed: self.method.initial_state(env, config, seed, self.given))
             begun = pool.submit(begin, np.uint32(config.seed))
             runner = pool.submit(self._compiled_runner, shape.learner.policy)
-            self._step = self.method.compile_iteration(env, config, shape)
+            self._step = self.method.compile_iteration(env, config, shape, None)
             self.runner = runner.result()
             return saved or begun.result()
 
@@ -159,7 +167,8 @@ class Loop:
         self.now = replace(self.now, loop_s=time.perf_counter() - self._loop_start)
         row |= {"steps": self.now.steps, "wall_s": self.now.loop_s, "steps_per_second": self.steps_per_second}
         metrics.write(row)
-        self.watch(Progress(self.now.steps, settings.total_steps, row, time.perf_counter() - self.start))
+        elapsed = time.perf_counter() - self.start
+        self.watch(Progress(self.now.steps, settings.total_steps, row, elapsed, partial(self._examine, state)))
         return state
 
     def _count(self, row: dict[str, float]) -> None:
@@ -194,6 +203,10 @@ class Loop:
         streak = self.now.streak + 1 if self._can_reach(failures) else 0
         self.now = replace(self.now, streak=streak, success=success, validated=True)
         return success
+
+    def _examine(self, state: Any, episodes: int) -> Report:
+        policy, seed = state.learner.policy, self.config.seed
+        return evaluate(self.env, "trained", policy, seed=seed, episodes=episodes, runner=self.runner)
 
     def _can_reach(self, failures: int) -> bool:
         """Whether a validation reaches `stop_success` if it has no more than these failures."""

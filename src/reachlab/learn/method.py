@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from reachlab.envs.core import Env
+from reachlab.learn.rollout import Collect
 from reachlab.settings.config import RunConfig
 
 
@@ -59,13 +60,15 @@ class Method(NamedTuple):
         initial_state: a pytree with a `Learner` as `learner` and an `EnvState` as `env`, of the environment, the
             configuration, the seed and what was loaded.
         compile_iteration: the function that gives the next state and what it is judged by, of the environment, the
-            configuration and a state, or its shapes. If a number is not finite the state is the one before. It may use
-            up the state that it is given.
+            configuration, a state, or its shapes, and how experience is collected, by default in this process. If a
+            number is not finite the state is the one before. It may use up the state that it is given.
+        shares: whether its experience can be collected elsewhere, by a `rollout.Collect`.
     """
 
     load: Callable[[RunConfig, bool], Any]
     initial_state: Callable[[Env, RunConfig, int | Array, Any], Any]
-    compile_iteration: Callable[[Env, RunConfig, Any], Callable[[Any], tuple[Any, Watched]]]
+    compile_iteration: Callable[[Env, RunConfig, Any, Collect | None], Callable[[Any], tuple[Any, Watched]]]
+    shares: bool = False
 
 
 def all_finite(tree: object) -> Array:

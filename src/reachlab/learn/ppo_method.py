@@ -51,7 +51,7 @@ def initial_state(env: Env, config: RunConfig, seed: int | Array, given: Any = N
     return TrainState(env.compile_part(begin)(for_policy), env.init(episodes), key)
 
 
-def compile_iteration(env: Env, config: RunConfig, shape: TrainState) -> Iteration:
+def compile_iteration(env: Env, config: RunConfig, shape: TrainState, elsewhere: Collect | None = None) -> Iteration:
     """See `Method.compile_iteration`.
 
     Where everything is traced it is one program; else the environment steps on the host, between compiled parts.
@@ -70,7 +70,8 @@ def compile_iteration(env: Env, config: RunConfig, shape: TrainState) -> Iterati
 
     if env.traced:
         return jit(partial(iterate, collect, learn, _select), donate=(0,)).lower(shape).compile()
-    return partial(iterate, host_collector(), jit(learn, donate=(0,)), lambda sound, new, old: new if sound else old)
+    gather = elsewhere or host_collector()
+    return partial(iterate, gather, jit(learn, donate=(0,)), lambda sound, new, old: new if sound else old)
 
 
 def _finite(rollout: Rollout, state: EnvState, metrics: dict[str, Array], learner: Learner) -> Finite:
@@ -89,5 +90,5 @@ def _select(sound: Array, new: Tree, old: Tree) -> Tree:
     return jax.tree.map(lambda a, b: jnp.where(sound, a, b), new, old)
 
 
-PPO = Method(lambda _config, _resume: None, initial_state, compile_iteration)
+PPO = Method(lambda _config, _resume: None, initial_state, compile_iteration, shares=True)
 """Proximal policy optimisation."""

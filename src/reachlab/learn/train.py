@@ -18,6 +18,7 @@ from reachlab.learn.checkpointing import unwritable
 from reachlab.learn.interrupts import Interrupts
 from reachlab.learn.loop import Loop, Progress
 from reachlab.learn.method import Method
+from reachlab.learn.rollout import Collect
 from reachlab.runs.directory import RunDirectory
 from reachlab.runs.files import write_json
 from reachlab.runs.lock import locked
@@ -63,6 +64,8 @@ def train(
     *,
     resume: bool = False,
     sinks: Sequence[str] = (),
+    threads: int | None = None,
+    collect: Collect | None = None,
 ) -> TrainResult:
     """Result of training, whose files are in the directory `out`.
 
@@ -74,6 +77,8 @@ def train(
         watch: called after every iteration.
         resume: continue from the newest checkpoint of `out`, bit for bit as if training had never stopped.
         sinks: where the numbers of `metrics.jsonl` go too: names of `SINKS`, for example `("tensorboard", "wandb")`.
+        threads: threads to compute with, by default one a core; a run that is resumed has those that it began with.
+        collect: what collects the experience, by default this process; see `reachlab.scale.rollouts`.
 
     Raises:
         InputError: a setting that does not exist or fit, a directory that does, one that cannot be resumed, or
@@ -91,18 +96,23 @@ def train(
     else:
         run.refuse_existing()
     wanted = make_sinks(sinks)
-    _choose_threads(run, config)
+    _choose_threads(run, config, threads)
     method: Method = METHODS[config.method].load()
     given = method.load(config, resume)
     if not resume:
         check_reach(asked)
-    env = Env(config, config.loop.num_envs)
+    env = Env(config, config.loop.num_envs, threads=threads or 0)
     try:
+        if collect and (env.traced or not method.shares):
+            raise InputError(
+                f"simulator {config.sim!r} is compiled with what learns from it, and shared with no worker: leave"
+                " --workers out, or use --sim mujoco or pybullet."
+            )
         env.check_rendering()
         if not resume:
             run.create(config)
         with locked(run.path):
-            loop = Loop(config, env, run, watch, start, method, given)
+            loop = Loop(config, env, run, watch, start, method, given, collect)
             return _train(loop, wanted, resume=resume)
     finally:
         env.close()
@@ -130,11 +140,12 @@ def _check_unfinished(run: RunDirectory, config: RunConfig) -> None:
         raise InputError(f"run '{run.path}' is finished: its report is '{run.report_file}'.")
 
 
-def _choose_threads(run: RunDirectory, config: RunConfig) -> None:
-    """Compute with as many threads as the run has so far; a new one chooses only to be deterministic."""
-    saved = run.newest_manifest()
-    if saved or config.loop.deterministic:
-        set_threads(saved.threads if saved else 1)
+def _choose_threads(run: RunDirectory, config: RunConfig, wanted: int | None) -> None:
+    """Compute with as many threads as the run has so far; a new one chooses if told to, or to be deterministic."""
+    if saved := run.newest_manifest():
+        set_threads(saved.threads)
+    elif wanted or config.loop.deterministic:
+        set_threads(wanted or 1)
 
 
 def _train(loop: Loop, sinks: dict[str, Sink], *, resume: bool) -> TrainResult:

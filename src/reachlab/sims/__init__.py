@@ -168,11 +168,14 @@ def make_simulator(
     robot: Robot,
     config: SimConfig,
     num_envs: int,
+    threads: int = 0,
     *,
     randomise_dynamics: bool = False,
     obstacles: int = 0,
 ) -> Simulator:
     """Simulator of that name with `num_envs` arms, which differ where their dynamics vary.
+
+    One that is outside JAX steps them on so many threads if it can, 0 for one a core.
 
     With at most so many `obstacles` around each arm it tells contacts, see `ArmState.contact`; with 0 there are none.
 
@@ -184,4 +187,4 @@ def make_simulator(
         able = " or ".join(f"--sim {other}" for other, one in SIMULATORS.items() if one.obstacles)
         raise InputError(f"simulator {name!r} has no obstacles: use {able}.")
     varied = randomise_dynamics and entry.dynamics
-    return entry.load()(robot, config, num_envs, randomise_dynamics=varied, obstacles=obstacles)
+    return entry.load()(robot, config, num_envs, threads=threads, randomise_dynamics=varied, obstacles=obstacles)

@@ -24,12 +24,13 @@ class KinematicSimulator(Drawn):
         config: SimConfig,
         num_envs: int,
         *,
+        threads: int = 0,
         randomise_dynamics: bool = False,
         obstacles: int = 0,
     ) -> None:
         """Simulator of `num_envs` arms; its functions take any batch."""
         super().__init__(robot, config, num_envs)
-        del randomise_dynamics, obstacles
+        del threads, randomise_dynamics, obstacles
         self._robot = robot
         self._period = config.control_period
         self.lag = (0.0,) * robot.chain.n

@@ -42,6 +42,7 @@ class PybulletSimulator:
         config: SimConfig,
         num_envs: int,
         *,
+        threads: int = 0,
         randomise_dynamics: bool = False,
         obstacles: int = 0,
     ) -> None:
@@ -50,7 +51,7 @@ class PybulletSimulator:
         Raises:
             InputError: PyBullet is not installed or has no display, or there are too many environments.
         """
-        del randomise_dynamics, obstacles
+        del threads, randomise_dynamics, obstacles
         most = SIMULATORS["pybullet"].most_envs or num_envs  # each is a client of its own, of about 29 MB
         if num_envs > most:
             raise InputError(f"simulator 'pybullet' holds at most {most} environments, got {num_envs}: use --num-envs.")

@@ -1,0 +1,117 @@
+"""The verb `sweep`."""
+
+from __future__ import annotations
+
+import json as jsonlib
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from reachlab.cli.console import note, print_table, say
+from reachlab.cli.flags import Sweep
+from reachlab.cli.preparation import prepare
+from reachlab.cli.progress import Bar
+from reachlab.settings.validation import InputError
+
+if TYPE_CHECKING:
+    from reachlab.scale.study import Trial
+    from reachlab.scale.sweep import SweepProgress, SweepResult
+    from reachlab.scale.trials import SweepConfig
+
+SHOWN = 10
+"""Trials of the table at the end: the best ones."""
+
+
+def sweep(arguments: Sweep) -> None:
+    """Run `reachlab sweep`."""
+    from reachlab.learn.interrupts import raise_on_termination
+
+    raise_on_termination()
+    prepare()
+    from reachlab.scale.sweep import SweepDirectory
+    from reachlab.scale.sweep import sweep as run_sweep
+
+    if arguments.resume and (arguments.out or arguments.space):
+        raise InputError("--resume names the sweep's directory, which holds its space: leave --out and the space out.")
+    out = arguments.resume or arguments.out or Path("runs") / f"{time.strftime('%Y%m%d-%H%M%S')}-sweep"
+    settings = SweepDirectory(out).read() if arguments.resume else _settings(arguments)
+    with SweepDisplay(settings.goal) as display:
+        result = run_sweep(
+            arguments.run,
+            settings,
+            out,
+            display,
+            trials=arguments.trials,
+            workers=arguments.workers,
+            engine=arguments.engine,
+            address=arguments.address,
+            resume=arguments.resume is not None,
+        )
+    if arguments.json:
+        print(jsonlib.dumps(result.to_json()))
+    else:
+        _print(result, settings.goal)
+        pictures = ", ".join(picture.name for picture in result.pictures)
+        say(f"Written: {out}: trials.csv, best.json{', ' + pictures if pictures else ''}, and a run for each trial.")
+    if result.config is None:
+        note("Warning: no trial was completed: see trials.csv for why.")
+    else:
+        note(f"Next: reachlab train --config {out / 'best.json'}")
+
+
+def _settings(arguments: Sweep) -> SweepConfig:
+    from reachlab.scale.space import read_space
+    from reachlab.scale.trials import SweepConfig
+
+    if arguments.space is None:
+        raise InputError("sweep needs a space: name a TOML file with the settings to vary, see docs/scale.md.")
+    space = read_space(arguments.space, arguments.run)
+    return SweepConfig(space, arguments.goal, arguments.seeds, arguments.validations)
+
+
+class SweepDisplay(Bar):
+    """Shows a sweep: a bar on a terminal with what runs, and a line for each trial that has ended."""
+
+    def __init__(self, goal: str) -> None:
+        """Display of a sweep for a goal; it shows nothing before its first progress."""
+        super().__init__("trials")
+        self._goal, self._told = goal, set[int]()
+
+    def __call__(self, progress: SweepProgress) -> None:
+        """Show where the sweep stands."""
+        ended = [trial for trial in progress.trials if trial.state != "running"]
+        for trial in ended:
+            if trial.number not in self._told:
+                self._told.add(trial.number)
+                note(self._line(trial, progress))
+        running = "  ".join(f"{name} {100 * share:.0f} %" for name, share in progress.running.items())
+        self._bar.update(self._task, completed=len(ended), total=progress.total, status=running)
+
+    def _line(self, trial: Trial, progress: SweepProgress) -> str:
+        came_to = f"{self._goal} {trial.value:.5g}" if trial.value is not None else WORDS[trial.state]
+        best = progress.best
+        if trial.why:
+            came_to += f" ({trial.why})"
+        elif best:
+            came_to += "  (the best so far)" if best.number == trial.number else f"  (best: {best.value:.5g})"
+        return f"trial {trial.number} of {progress.total}: {_varied(trial)}  {came_to}"
+
+
+def _print(result: SweepResult, goal: str) -> None:
+    """Print the best trials, and how many of each kind there were."""
+    rows = [(str(one.number), f"{one.value:.5g}", _varied(one)) for one in result.ranked[:SHOWN]]
+    print_table("best trials", ("trial", goal, "settings"), rows)
+    states = [trial.state for trial in result.trials]
+    say(", ".join(f"{states.count(state)} {words}" for state, words in WORDS.items() if state in states) + ".")
+
+
+WORDS = {"complete": "complete", "pruned": "pruned", "fail": "failed", "running": "not ended"}
+"""States of a trial in words."""
+
+
+def _varied(trial: Trial) -> str:
+    return "  ".join(f"{name} {_short(value)}" for name, value in trial.settings.items())
+
+
+def _short(value: object) -> str:
+    return f"{value:.3g}" if isinstance(value, float) else str(value)

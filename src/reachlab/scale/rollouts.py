@@ -1,0 +1,245 @@
+"""Rollouts by Ray: the environments are divided among workers, and their rows are those of one process, bit for bit."""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import TracebackType
+from typing import Any, NamedTuple, Self, TypeVar
+
+import jax
+import numpy as np
+from jax import Array
+
+from reachlab.agents.policy import Policy
+from reachlab.envs.core import Env
+from reachlab.envs.functions import EnvState
+from reachlab.jax_setup import set_threads, use_compilation_cache
+from reachlab.learn.loop import Progress
+from reachlab.learn.rollout import EngineError, Part, Rollout, host_collector
+from reachlab.learn.train import TrainResult, train
+from reachlab.scale.cluster import join
+from reachlab.settings.config import LoopConfig, RunConfig
+from reachlab.settings.validation import InputError
+
+ALIGNED = 16
+"""A worker has a multiple of so many environments, the last one the rest too: compiled loops take no more rows at once,
+so that a row is computed by the same instructions in a part as in the whole."""
+
+LOSSES = 20
+"""Workers that may be lost in a row, without one that collects, until training ends."""
+
+Tree = TypeVar("Tree")
+
+
+class Share(NamedTuple):
+    """Environments of a worker: those from the `first` to before the `end`."""
+
+    first: int
+    end: int
+
+
+def divide(num_envs: int, workers: int) -> list[Share]:
+    """Shares of the workers, as equal as blocks of `ALIGNED` environments allow.
+
+    Raises:
+        InputError: there are more workers than blocks.
+    """
+    blocks = -(-num_envs // ALIGNED)
+    if not 1 <= workers <= blocks:
+        raise InputError(
+            f"workers must be at least 1 and at most {blocks}, one for {ALIGNED} of num_envs {num_envs}, got {workers}."
+        )
+    ends = [min(ALIGNED * (blocks * (i + 1) // workers), num_envs) for i in range(workers)]
+    return [Share(first, end) for first, end in itertools.pairwise([0, *ends])]
+
+
+@dataclass
+class Gathered:
+    """What a worker has collected: the state of its environments, their rows, and how long it took [s].
+
+    Where its engine failed, `failure` says why, and there may be no rows.
+    """
+
+    state: Any
+    rollout: Any
+    busy_s: float
+    failure: str = ""
+
+
+class Worker:
+    """Some of the environments in a process of their own; what they are comes with every call."""
+
+    def __init__(self, config: RunConfig, share: Share) -> None:
+        """Worker of a share of the environments, which computes on one thread."""
+        set_threads(1)
+        use_compilation_cache()
+        self._env = Env(config, share.end - share.first, threads=1)
+        self._gather = host_collector(Part(share.first, config.loop.num_envs))
+
+    def collect(self, policy: Policy, state: EnvState, key: Array, config: LoopConfig) -> Gathered:
+        """What its environments, in a state, collect with a policy; keys are given and returned as their data."""
+        begun = time.perf_counter()
+        state = replace(state, key=jax.random.wrap_key_data(state.key))
+        try:
+            after, rollout = self._gather(self._env, policy, state, jax.random.wrap_key_data(key), config)
+        except EngineError as error:
+            return Gathered(None, error.rollout, time.perf_counter() - begun, str(error))
+        return Gathered(_sent(after), _on_host(rollout), time.perf_counter() - begun)
+
+
+@dataclass
+class Effort:
+    """Where the time of the rollouts went: calls, their time and that of the workers [s], and bytes sent and received.
+
+    `busy_s` is the time of the worker that took longest, added up over the calls.
+    """
+
+    calls: int = 0
+    wall_s: float = 0.0
+    busy_s: float = 0.0
+    sent_bytes: int = 0
+    received_bytes: int = 0
+    lost: int = 0
+
+
+class RayRollouts:
+    """Collects by Ray actors; a `rollout.Collect`.
+
+    Workers keep nothing that is needed: the learner has the state of all environments, so that a worker that dies is
+    replaced by another, which collects the same rows.
+
+    Attributes:
+        effort: where the time went so far.
+    """
+
+    def __init__(self, config: RunConfig, workers: int, address: str | None = None) -> None:
+        """Begin to start the workers, on the cluster at an address or on a Ray that is started here.
+
+        Raises:
+            InputError: too many workers, Ray is not installed, or nothing answers at the address.
+        """
+        self._config, self._shares = config, divide(config.loop.num_envs, workers)
+        self._ray = join(address, workers)
+        self._workers = [self._start(share, cpus=1) for share in self._shares]
+        self.effort = Effort()
+
+    def _start(self, share: Share, cpus: int) -> Any:
+        actor = self._ray.remote(num_cpus=cpus, scheduling_strategy="SPREAD")(Worker)
+        return actor.remote(self._config, share)
+
+    def __call__(
+        self, env: Env, policy: Policy, state: EnvState, key: Array, config: LoopConfig
+    ) -> tuple[EnvState, Rollout]:
+        """See `rollout.Collect`.
+
+        Raises:
+            EngineError: an engine failed.
+            InputError: workers are lost again and again.
+        """
+        del env
+        begun = time.perf_counter()
+        state, given = _sent(state), _on_host(policy)
+        shared, key_data = self._ray.put(given), np.asarray(jax.random.key_data(key))
+        parts = [jax.tree.map(lambda x, s=share: x[s.first : s.end], state) for share in self._shares]
+        gathered = self._gather(lambda worker, i: worker.collect.remote(shared, parts[i], key_data, config))
+        self._count(begun, gathered, _size(given) * len(parts) + _size(state))
+        if failure := next((one.failure for one in gathered if one.failure), ""):
+            rows = [one.rollout for one in gathered if one.failure and one.rollout is not None]
+            raise EngineError(failure, rows[0] if rows else None)
+        after = _joined([one.state for one in gathered], axis=0)
+        return (
+            replace(after, key=jax.random.wrap_key_data(after.key)),
+            _joined([one.rollout for one in gathered], axis=1),
+        )
+
+    def _gather(self, submit: Callable[[Any, int], Any]) -> list[Gathered]:
+        """What the workers give, in their order; those that die are replaced."""
+        pending, results, losses = {}, {}, 0
+        for index, worker in enumerate(self._workers):
+            pending[submit(worker, index)] = index
+        while pending:
+            ready = self._ray.wait(list(pending), num_returns=1)[0][0]
+            index = pending.pop(ready)
+            try:
+                results[index] = self._ray.get(ready)
+                losses = 0
+            except self._ray.exceptions.RayTaskError:
+                raise
+            except self._ray.exceptions.RayError as error:
+                losses, self.effort.lost = losses + 1, self.effort.lost + 1
+                if losses >= LOSSES:
+                    reason = str(error).partition("\n")[0]
+                    raise InputError(f"{losses} workers died one after the other ({reason}).") from None
+                # Without a CPU of its own it starts also where what is left of the cluster has none free.
+                self._workers[index] = self._start(self._shares[index], cpus=0)
+                pending[submit(self._workers[index], index)] = index
+        return [results[index] for index in range(len(self._workers))]
+
+    def _count(self, begun: float, gathered: Sequence[Gathered], sent: int) -> None:
+        effort = self.effort
+        effort.calls += 1
+        effort.wall_s += time.perf_counter() - begun
+        effort.busy_s += max(one.busy_s for one in gathered)
+        effort.sent_bytes += sent
+        effort.received_bytes += sum(_size((one.state, one.rollout)) for one in gathered)
+
+    def __enter__(self) -> Self:
+        """Itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """End the workers."""
+        for worker in self._workers:
+            self._ray.kill(worker)
+
+
+def train_with_workers(
+    config: RunConfig,
+    out: str | Path,
+    watch: Callable[[Progress], None] = lambda _: None,
+    *,
+    workers: int,
+    address: str | None = None,
+    resume: bool = False,
+    sinks: Sequence[str] = (),
+) -> TrainResult:
+    """As `train`, with rollouts by so many Ray actors; the weights are the same, bit for bit.
+
+    Args:
+        config: every setting; the simulator must be one that runs outside JAX.
+        out: see `train`.
+        watch: see `train`.
+        workers: processes, of one thread each.
+        address: of a Ray cluster that runs; without it Ray is started here and ends with this process.
+        resume: see `train`.
+        sinks: see `train`.
+
+    Raises:
+        InputError: see `train` and `RayRollouts`.
+    """
+    with RayRollouts(config, workers, address) as collect:
+        return train(config, out, watch, resume=resume, sinks=sinks, collect=collect)
+
+
+def _sent(state: EnvState) -> EnvState:
+    """A state of arrays on the host, with the data of its keys."""
+    return _on_host(replace(state, key=jax.random.key_data(state.key)))
+
+
+def _on_host(tree: Tree) -> Tree:
+    return jax.tree.map(np.asarray, tree)
+
+
+def _joined(trees: Sequence[Any], axis: int) -> Any:
+    return jax.tree.map(lambda *parts: np.concatenate(parts, axis=axis), *trees)
+
+
+def _size(tree: object) -> int:
+    """Bytes of a tree's arrays."""
+    return sum(leaf.nbytes for leaf in jax.tree.leaves(tree))

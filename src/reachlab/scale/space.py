@@ -1,0 +1,97 @@
+"""The settings that a sweep varies, read from a TOML file."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from reachlab.settings.config import RunConfig
+from reachlab.settings.json_form import flatten, override, to_json
+from reachlab.settings.validation import InputError
+
+TABLE = "space"
+"""Table of the file that holds the settings."""
+
+EXAMPLE = "learning_rate = { low = 1e-5, high = 3e-3, log = true }"
+"""What an entry looks like."""
+
+
+class Dimension(NamedTuple):
+    """A setting that varies: within limits, or among choices if there are any."""
+
+    name: str
+    low: float = 0.0
+    high: float = 0.0
+    log: bool = False
+    whole: bool = False
+    choices: tuple[Any, ...] = ()
+
+
+def read_space(path: Path, config: RunConfig) -> dict[str, Any]:
+    """What a file says of the settings that vary, in plain form; see `dimensions`.
+
+    Raises:
+        InputError: it cannot be read, or says nothing of any.
+    """
+    try:
+        data = tomllib.loads(path.read_text())
+    except OSError as error:
+        raise InputError(f"space '{path}' cannot be read: {error.strerror}.") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"space '{path}' is no TOML file: {error}.") from None
+    space = data.get(TABLE)
+    if not isinstance(space, dict) or not space or len(data) > 1:
+        raise InputError(f"space '{path}' must hold the table [{TABLE}] alone, with an entry a setting, as {EXAMPLE}")
+    dimensions(space, config)
+    return space
+
+
+def dimensions(space: Mapping[str, Any], config: RunConfig) -> list[Dimension]:
+    """The settings that vary; limits and choices are checked like flags.
+
+    Raises:
+        InputError: a name that is no setting, or values that are not allowed.
+    """
+    return [_dimension(name, entry, config) for name, entry in space.items()]
+
+
+def _dimension(name: str, entry: Any, config: RunConfig) -> Dimension:
+    if name == "seed":
+        raise InputError("space varies seed, which is no setting to choose: take several seeds of each with --seeds.")
+    if isinstance(entry, list):
+        choices = tuple(tuple(choice) if isinstance(choice, list) else choice for choice in entry)
+        if len(set(choices)) < 2:
+            raise InputError(f"space has fewer than two choices for {name}: leave it out, and set it by its flag.")
+        for choice in choices:
+            override(config, **{name: choice})
+        return Dimension(name, choices=choices)
+    if not isinstance(entry, dict) or not {"low", "high"} <= set(entry) <= {"low", "high", "log"}:
+        raise InputError(f"space must give {name} limits or a list of choices, as {EXAMPLE}")
+    low, high, log = entry["low"], entry["high"], entry.get("log", False)
+    for limit in (low, high):
+        override(config, **{name: limit})
+    numbers = all(isinstance(limit, int | float) and not isinstance(limit, bool) for limit in (low, high))
+    if not numbers or not isinstance(log, bool):
+        raise InputError(
+            f"space must give {name} a list of choices, as its values are no numbers, or log true or false."
+        )
+    if not low < high or (log and low <= 0):
+        above = " above 0" if log else ""
+        raise InputError(f"space must give {name} a low{above} below its high, got {low} and {high}.")
+    now = flatten(to_json(config)).get(name)
+    whole = isinstance(now, int) and isinstance(low, int) and isinstance(high, int)
+    return Dimension(name, low, high, log, whole)
+
+
+def label(choice: Any) -> str:
+    """A choice as the study writes it down."""
+    return json.dumps(choice)
+
+
+def settings_of(drawn: Mapping[str, Any], space: list[Dimension]) -> dict[str, Any]:
+    """Settings, of the values that the study has drawn."""
+    named = {one.name: {label(choice): choice for choice in one.choices} for one in space}
+    return {name: named[name].get(value, value) for name, value in drawn.items()}

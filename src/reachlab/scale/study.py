@@ -1,0 +1,211 @@
+"""The study of a sweep: Optuna suggests settings and judges trials; all it knows is in the sweep's folder."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from reachlab.scale.goals import Goal
+from reachlab.scale.space import Dimension, label, settings_of
+from reachlab.settings.config import RunConfig
+from reachlab.settings.json_form import flatten, to_json
+from reachlab.settings.validation import InputError
+
+NAME = "sweep"
+"""The study's name in its journal."""
+
+UNPRUNED = 5
+"""Trials that are not pruned, for those after them to be compared with."""
+
+WHY = "why"
+"""Attribute of a failed trial: a sentence."""
+
+PLOTS = {
+    "history": "plot_optimization_history",
+    "importances": "plot_param_importances",
+    "parallel": "plot_parallel_coordinate",
+    "validations": "plot_intermediate_values",
+}
+"""Pictures, by the name of their file, and Optuna's function that draws each."""
+
+SIZE, DPI = (8.0, 5.0), 120
+"""Of a picture [inches], and its points an inch."""
+
+
+class Trial(NamedTuple):
+    """A setting that was or is tried.
+
+    Attributes:
+        number: in order, from 0.
+        settings: those that vary.
+        state: "complete", "pruned", "fail" or "running".
+        value: of the goal; None before it is complete.
+        why: what failed.
+    """
+
+    number: int
+    settings: dict[str, Any]
+    state: str
+    value: float | None
+    why: str
+
+
+class Study:
+    """Suggestions and values, written to a journal at once."""
+
+    def __init__(self, journal: Path, space: list[Dimension], goal: Goal, config: RunConfig) -> None:
+        """Study of a journal, or a new one, whose first trial is `config` itself where the space holds it.
+
+        Raises:
+            InputError: Optuna is not installed, or the journal cannot be used.
+        """
+        self._optuna = _load_optuna()
+        self._space, self._seed = space, config.seed
+        new = not journal.exists()
+        if not new:
+            _mend(journal)
+        backend = self._optuna.storages.journal.JournalFileBackend(str(journal))
+        try:
+            self._study = self._optuna.create_study(
+                storage=self._optuna.storages.JournalStorage(backend),
+                study_name=NAME,
+                direction="maximize" if goal.maximise else "minimize",
+                pruner=self._optuna.pruners.MedianPruner(n_startup_trials=UNPRUNED),
+                load_if_exists=True,
+            )
+        except (OSError, ValueError, KeyError) as error:
+            raise InputError(f"study '{journal}' cannot be used ({error}): begin a new sweep.") from None
+        self._asked: dict[int, Any] = {}
+        if new and (own := self._within(config)):
+            self._study.enqueue_trial(own)
+
+    def _suggest(self, trial: Any) -> tuple[int, dict[str, Any]]:
+        for one in self._space:
+            if one.choices:
+                trial.suggest_categorical(one.name, [label(choice) for choice in one.choices])
+            elif one.whole:
+                trial.suggest_int(one.name, int(one.low), int(one.high), log=one.log)
+            else:
+                trial.suggest_float(one.name, float(one.low), float(one.high), log=one.log)
+        self._asked[trial.number] = trial
+        return trial.number, settings_of(trial.params, self._space)
+
+    def _within(self, config: RunConfig) -> dict[str, Any] | None:
+        """The configuration's own settings as the study writes them down; None if one is not in the space."""
+        now, own = flatten(to_json(config)), {}
+        for one in self._space:
+            value = now[one.name]
+            if one.choices and value in one.choices:
+                own[one.name] = label(value)
+            elif not one.choices and value is not None and one.low <= value <= one.high:
+                own[one.name] = value
+            else:
+                return None
+        return own
+
+    # --- trials -----------------------------------------------------------------------------------
+
+    def ask(self) -> tuple[int, dict[str, Any]]:
+        """Number and settings of a new trial.
+
+        What is suggested depends on the sweep's seed, the number, and what is known of the trials before.
+        """
+        self._seed_sampler(len(self._study.get_trials(deepcopy=False)))
+        return self._suggest(self._study.ask())
+
+    def begun(self) -> list[tuple[int, dict[str, Any]]]:
+        """Number and settings of the trials that an earlier process began and did not end."""
+        running = self._optuna.trial.TrialState.RUNNING
+        found = []
+        for frozen in self._study.get_trials(deepcopy=False, states=(running,)):
+            self._seed_sampler(frozen.number)
+            # What is suggested already stays; its process may have died before all was.
+            found.append(self._suggest(self._optuna.trial.Trial(self._study, frozen._trial_id)))
+        return found
+
+    def _seed_sampler(self, number: int) -> None:
+        self._study.sampler = self._optuna.samplers.TPESampler(seed=self._seed * 1_000_003 + number)
+
+    def report(self, number: int, steps: int, value: float) -> bool:
+        """Write down a validation; whether the trial is worse than half of the others were then."""
+        trial = self._asked[number]
+        if steps not in self._study.get_trials(deepcopy=False)[number].intermediate_values:
+            trial.report(value, steps)
+        return bool(trial.should_prune())
+
+    def complete(self, number: int, value: float) -> None:
+        """End a trial with its value."""
+        self._study.tell(self._asked.pop(number), value)
+
+    def prune(self, number: int) -> None:
+        """End a trial that is not worth more time."""
+        self._study.tell(self._asked.pop(number), state=self._optuna.trial.TrialState.PRUNED)
+
+    def fail(self, number: int, why: str) -> None:
+        """End a trial that has no value."""
+        trial = self._asked.pop(number)
+        trial.set_user_attr(WHY, why)
+        self._study.tell(trial, state=self._optuna.trial.TrialState.FAIL)
+
+    # --- what came of it --------------------------------------------------------------------------
+
+    @property
+    def trials(self) -> list[Trial]:
+        """All trials so far, without those that wait to be suggested."""
+        waiting = self._optuna.trial.TrialState.WAITING
+        return [
+            Trial(
+                number=one.number,
+                settings=settings_of(one.params, self._space),
+                state=one.state.name.lower(),
+                value=one.value if one.state.name == "COMPLETE" else None,
+                why=one.user_attrs.get(WHY, ""),
+            )
+            for one in self._study.get_trials(deepcopy=False)
+            if one.state != waiting
+        ]
+
+    @property
+    def ranked(self) -> list[Trial]:
+        """The complete trials, the best one first; of those that are equal, the first."""
+        sign = -1 if self._study.direction.name == "MAXIMIZE" else 1
+        complete = [(sign * one.value, one.number, one) for one in self.trials if one.value is not None]
+        return [one for *_, one in sorted(complete, key=lambda one: one[:2])]
+
+    def draw(self, folder: Path) -> list[Path]:
+        """Draw Optuna's pictures of the study; those that it has too few trials for are left out."""
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from optuna.visualization import matplotlib as drawn
+
+        files = []
+        for name, function in PLOTS.items():
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # that these are experimental
+                try:
+                    axes = vars(drawn)[function](self._study)
+                except (ValueError, RuntimeError):
+                    continue
+            figure = next(iter(getattr(axes, "flat", [axes]))).figure
+            figure.set_size_inches(*SIZE)
+            FigureCanvasAgg(figure)
+            files.append(folder / f"{name}.png")
+            figure.savefig(files[-1], dpi=DPI, bbox_inches="tight")
+        return files
+
+
+def _load_optuna() -> Any:
+    try:
+        import optuna
+    except ModuleNotFoundError:
+        raise InputError("sweep needs Optuna: pip install 'reachlab[sweep]'.") from None
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    return optuna
+
+
+def _mend(journal: Path) -> None:
+    """Cut off a last line that was not written to its end."""
+    said = journal.read_bytes()
+    if not said.endswith(b"\n"):
+        with journal.open("r+b") as file:
+            file.truncate(said.rfind(b"\n") + 1)

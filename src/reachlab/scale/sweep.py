@@ -1,0 +1,165 @@
+"""A sweep: trials of settings that Optuna suggests, each an ordinary run, carried by an engine."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from reachlab.envs.setup import check
+from reachlab.learn.interrupts import Interrupted, Interrupts
+from reachlab.runs.directory import RunDirectory
+from reachlab.runs.files import read_json, write_json
+from reachlab.runs.lock import locked
+from reachlab.scale import ENGINES
+from reachlab.scale.engine import Engine
+from reachlab.scale.goals import check_goal
+from reachlab.scale.space import dimensions
+from reachlab.scale.study import Study, Trial
+from reachlab.scale.trials import SweepConfig, Trials
+from reachlab.settings.config import RunConfig
+from reachlab.settings.json_form import override, to_json
+from reachlab.settings.validation import InputError, choose
+
+LOOK = 0.5
+"""Time between two looks at the trainings [s]."""
+
+
+@dataclass(frozen=True)
+class SweepProgress:
+    """Where a sweep stands: its trials, how many there will be, and the share done of each training under way."""
+
+    trials: list[Trial]
+    total: int
+    running: dict[str, float]
+    best: Trial | None
+
+
+@dataclass(frozen=True)
+class SweepResult:
+    """What a sweep came to.
+
+    Attributes:
+        ranked: the complete trials, the best one first.
+        config: the settings of the best one, as `train` takes them; None if none is complete.
+        trials: all of them.
+        pictures: files that were drawn.
+    """
+
+    ranked: list[Trial]
+    config: RunConfig | None
+    trials: list[Trial]
+    pictures: list[Path]
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain form, for `json.dump`."""
+        return {
+            "best": self.ranked[0]._asdict() if self.ranked else None,
+            "trials": [trial._asdict() for trial in self.trials],
+            "pictures": [str(picture) for picture in self.pictures],
+        }
+
+
+class SweepDirectory:
+    """Paths of a sweep; that its settings are in `config.json`, as those of a run."""
+
+    def __init__(self, path: Path) -> None:
+        """Sweep at `path`, which need not exist."""
+        self.path = path
+        self.sweep_file, self.journal = path / "sweep.json", path / "study.journal"
+        self.trials = path / "trials"
+        self.table_file, self.best_file = path / "trials.csv", path / "best.json"
+
+    def read(self) -> SweepConfig:
+        """What decides the sweep.
+
+        Raises:
+            InputError: there is none here.
+        """
+        if not self.sweep_file.is_file():
+            raise InputError(f"'{self.path}' is no sweep: begin one with `reachlab sweep SPACE --out {self.path}`.")
+        try:
+            return SweepConfig(**read_json(self.sweep_file))
+        except TypeError:
+            raise InputError(f"'{self.sweep_file}' is not usable: it is of another version.") from None
+
+
+def sweep(
+    config: RunConfig,
+    settings: SweepConfig,
+    out: str | Path,
+    watch: Callable[[SweepProgress], None] = lambda _: None,
+    *,
+    trials: int,
+    workers: int = 1,
+    engine: str = "local",
+    address: str | None = None,
+    resume: bool = False,
+) -> SweepResult:
+    """Result of a sweep, whose files are in the directory `out`.
+
+    SIGINT and SIGTERM end it, with every training under way saved; nothing of it is lost if it is killed.
+
+    Args:
+        config: the settings of the trainings, but for those that vary.
+        settings: what varies, and what is sought.
+        out: directory, made here; with `resume` one that is there.
+        watch: called now and then.
+        trials: how many in all.
+        workers: trainings at a time, of one thread each.
+        engine: name of `ENGINES`.
+        address: of a Ray cluster that runs.
+        resume: continue the sweep in `out`.
+
+    Raises:
+        InputError: a setting, space, goal or engine that cannot be used, or a directory that is there.
+        Interrupted: a signal asked for it.
+    """
+    check(config)
+    space, goal = dimensions(settings.space, config), check_goal(settings.goal, config)
+    kind = ENGINES[choose("engine", engine, ENGINES)]
+    if address and engine != "ray":
+        raise InputError(f"address is that of a Ray cluster: leave it out with engine {engine!r}, or use --engine ray.")
+    folder, run = SweepDirectory(Path(out)), RunDirectory(Path(out))
+    if resume:
+        folder.read()
+        run.read_unfinished(config)
+    else:
+        run.refuse_existing()
+    carrier: Engine = kind.load()(workers, address)
+    try:
+        if not resume:
+            run.create(config)
+            write_json(folder.sweep_file, vars(settings))
+        folder.trials.mkdir(exist_ok=True)
+        with locked(folder.path):
+            study = Study(folder.journal, space, goal, config)
+            under_way = Trials(settings, config, folder.trials, study, carrier)
+            with Interrupts() as interrupts:
+                while under_way.fill(trials, workers):
+                    under_way.look(LOOK)
+                    best = next(iter(study.ranked), None)
+                    watch(SweepProgress(study.trials, trials, under_way.shares(), best))
+                    if interrupts.received is not None:
+                        carrier.close()
+                        how = f"`reachlab sweep --resume {folder.path}` continues from there"
+                        raise Interrupted(interrupts.received, f"interrupted; every trial is saved: {how}.")
+            return _result(config, folder, study, settings)
+    finally:
+        carrier.close()
+
+
+def _result(config: RunConfig, folder: SweepDirectory, study: Study, settings: SweepConfig) -> SweepResult:
+    """What a sweep came to, also written to its folder."""
+    ranked, trials, varied = study.ranked, study.trials, list(settings.space)
+    chosen = override(config, **ranked[0].settings) if ranked else None
+    if chosen:
+        write_json(folder.best_file, to_json(chosen))
+    with folder.table_file.open("w", newline="") as file:
+        table = csv.writer(file)
+        table.writerow(["trial", "state", settings.goal, *varied, "why"])
+        for one in trials:
+            table.writerow([one.number, one.state, one.value, *(one.settings.get(name) for name in varied), one.why])
+    return SweepResult(ranked, chosen, trials, study.draw(folder.path))
