@@ -16,6 +16,7 @@ import numpy as np
 
 from faults.hostile import hostile_files
 from faults.saves import Trial, corruptions, cut_saves, failing_saves
+from faults.sweeps import killed_sweeps, killed_workers
 from faults.trainings import killed_runs, not_finite
 from reachlab.bench.table import Row, row
 from reachlab.cli.console import print_table
@@ -29,6 +30,12 @@ from reachlab.settings.presets import configure, in_simulator
 KILLS, CORRUPTIONS, FAILING_SAVES = 50, 10_000, 20
 """How often each fault is tried."""
 
+MINUTES, INTERVAL, WORKER_TRIALS, WORKER_STEPS = 5, 5.0, 12, 1_000_000
+"""Minutes in which a training of a sweep is killed, and the time between two kills [s]; trials, and steps of each."""
+
+SWEEP_KILLS, SWEEP_TRIALS = 20, 8
+"""How often a sweep itself is killed, and its trials."""
+
 SAVES = 20
 """Saves that are timed; the median counts."""
 
@@ -39,6 +46,9 @@ TRIALS: dict[str, Callable[[], Trial]] = {
     "failing_saves": lambda: failing_saves(FAILING_SAVES),
     "not_finite": not_finite,
     "hostile_files": hostile_files,
+    "killed_workers_local": lambda: killed_workers("local", MINUTES * 60, INTERVAL, WORKER_TRIALS, WORKER_STEPS),
+    "killed_workers_ray": lambda: killed_workers("ray", MINUTES * 60, INTERVAL, WORKER_TRIALS, WORKER_STEPS),
+    "killed_sweeps": lambda: killed_sweeps(SWEEP_KILLS, SWEEP_TRIALS, WORKER_STEPS),
 }
 
 

@@ -52,6 +52,10 @@ SUITES: dict[str, Lazy] = {
         "The precise task on every robot of the catalogue, beside inverse kinematics: two hours.",
         "reachlab.bench.arms:arms_precise",
     ),
+    "scale": Lazy(
+        "Rollouts by Ray workers and trials of sweeps, and what more workers would come to.",
+        "reachlab.bench.scale:scale",
+    ),
     "soak": Lazy(
         "Bad actions, environments that take turns, and simulators made and closed many times.",
         "reachlab.bench.soak:soak",

@@ -18,7 +18,7 @@ import tyro
 from reachlab.cli.flags import LESSON, Distil, Sweep, Train
 from reachlab.cli.verbs import VERBS
 from reachlab.settings.config import DistilRunConfig, RunConfig
-from reachlab.settings.json_form import flatten, from_json, to_json
+from reachlab.settings.json_form import flatten, to_json
 from reachlab.settings.presets import CHOICES, preset
 from reachlab.settings.validation import InputError, choose
 
@@ -146,9 +146,9 @@ def _given(chosen: argparse.Namespace) -> RunConfig | None:
     """
     if not chosen.config:
         return None
-    from reachlab.runs.files import read_json
+    from reachlab.runs.directory import read_config
 
-    config = from_json(read_json(Path(chosen.config)))
+    config = read_config(Path(chosen.config))
     if chosen.task not in (None, config.task):
         raise InputError(f"'{chosen.config}' holds settings of task {config.task!r}: leave --task out.")
     return config

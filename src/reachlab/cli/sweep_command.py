@@ -28,6 +28,7 @@ def sweep(arguments: Sweep) -> None:
 
     raise_on_termination()
     prepare()
+    from reachlab.runs.directory import read_config
     from reachlab.scale.sweep import SweepDirectory
     from reachlab.scale.sweep import sweep as run_sweep
 
@@ -46,6 +47,7 @@ def sweep(arguments: Sweep) -> None:
             engine=arguments.engine,
             address=arguments.address,
             resume=arguments.resume is not None,
+            base=read_config(arguments.config) if arguments.config else None,
         )
     if arguments.json:
         print(jsonlib.dumps(result.to_json()))

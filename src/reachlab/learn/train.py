@@ -63,6 +63,7 @@ def train(
     watch: Callable[[Progress], None] = lambda _: None,
     *,
     resume: bool = False,
+    base: RunConfig | None = None,
     sinks: Sequence[str] = (),
     threads: int | None = None,
     collect: Collect | None = None,
@@ -76,6 +77,7 @@ def train(
         out: run directory, made here; with `resume` one that is there.
         watch: called after every iteration.
         resume: continue from the newest checkpoint of `out`, bit for bit as if training had never stopped.
+        base: settings from which `config` was changed, by default its preset: changes without effect are refused.
         sinks: where the numbers of `metrics.jsonl` go too: names of `SINKS`, for example `("tensorboard", "wandb")`.
         threads: threads to compute with, by default one a core; a run that is resumed has those that it began with.
         collect: what collects the experience, by default this process; see `reachlab.scale.rollouts`.
@@ -88,7 +90,7 @@ def train(
     """
     start = time.perf_counter()
     inherited = resume or isinstance(config, DistilRunConfig)
-    check(config, config if inherited else None)
+    check(config, config if inherited else base)
     asked, config = config, settled(config, make_setup(config))
     run = RunDirectory(Path(out))
     if resume:

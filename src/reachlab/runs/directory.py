@@ -30,6 +30,19 @@ Tree = TypeVar("Tree")
 log = logging.getLogger(__name__)
 
 
+def read_config(file: Path) -> RunConfig:
+    """The configuration in a file.
+
+    Raises:
+        InputError: there is none, or it cannot be used.
+    """
+    data = read_json(file)
+    try:
+        return from_json(data)
+    except InputError as error:
+        raise InputError(f"'{file}' is not usable: {error} A run of another version has to be trained again.") from None
+
+
 class RunDirectory:
     """Paths of one run, and what is written to them and read from them."""
 
@@ -89,13 +102,7 @@ class RunDirectory:
             raise InputError(
                 f"run directory '{self.path}' does not exist: train one with `reachlab train --out {self.path}`."
             )
-        data = read_json(self.config_file)
-        try:
-            return from_json(data)
-        except InputError as error:
-            raise InputError(
-                f"'{self.config_file}' is not usable: {error} A run of another version has to be trained again."
-            ) from None
+        return read_config(self.config_file)
 
     def read_settings(self) -> dict[str, Any]:
         """The configuration as its file has it, of whatever version; empty where there is no file.

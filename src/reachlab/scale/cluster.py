@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import warnings
 from typing import Any
 
 from reachlab.settings.validation import InputError
@@ -45,18 +46,16 @@ def join(address: str | None, cpus: int) -> Any:
     ray = load_ray()
     if ray.is_initialized():
         return ray
+    begin: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.ERROR}
+    if address:
+        begin |= {"address": address}
+    else:
+        begin |= {"address": "local", "num_cpus": cpus, "include_dashboard": False, "_node_ip_address": LOCAL}
     try:
-        if address:
-            ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
-        else:
-            ray.init(
-                address="local",
-                num_cpus=cpus,
-                include_dashboard=False,
-                _node_ip_address=LOCAL,
-                log_to_driver=False,
-                logging_level=logging.ERROR,
-            )
+        with warnings.catch_warnings():
+            # Ray forks, and what was forked becomes another program at once: JAX's threads are not missed.
+            warnings.filterwarnings("ignore", "os.fork", RuntimeWarning)
+            ray.init(**begin)
     except (ConnectionError, ValueError, RuntimeError) as error:
         reason = str(error).partition("\n")[0].rstrip(".")
         where = f"at address {address!r}" if address else "here"

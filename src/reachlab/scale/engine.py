@@ -130,7 +130,7 @@ def run_job(plain: Mapping[str, Any]) -> None:
     try:
         _wait_until_free(job.path)
         # A folder without its configuration is not there: it is made in one piece.
-        train(job.config, job.path, _Validations(job), resume=job.path.exists(), threads=1)
+        train(job.config, job.path, _Validations(job), resume=job.path.exists(), base=job.config, threads=1)
     except Interrupted:
         return
     except (InputError, FloatingPointError) as error:

@@ -71,8 +71,6 @@ def _dimension(name: str, entry: Any, config: RunConfig) -> Dimension:
     if not isinstance(entry, dict) or not {"low", "high"} <= set(entry) <= {"low", "high", "log"}:
         raise InputError(f"space must give {name} limits or a list of choices, as {EXAMPLE}")
     low, high, log = entry["low"], entry["high"], entry.get("log", False)
-    for limit in (low, high):
-        override(config, **{name: limit})
     numbers = all(isinstance(limit, int | float) and not isinstance(limit, bool) for limit in (low, high))
     if not numbers or not isinstance(log, bool):
         raise InputError(
@@ -81,6 +79,8 @@ def _dimension(name: str, entry: Any, config: RunConfig) -> Dimension:
     if not low < high or (log and low <= 0):
         above = " above 0" if log else ""
         raise InputError(f"space must give {name} a low{above} below its high, got {low} and {high}.")
+    for limit in (low, high):
+        override(config, **{name: limit})
     now = flatten(to_json(config)).get(name)
     whole = isinstance(now, int) and isinstance(low, int) and isinstance(high, int)
     return Dimension(name, low, high, log, whole)

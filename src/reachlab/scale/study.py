@@ -60,7 +60,7 @@ class Study:
         Raises:
             InputError: Optuna is not installed, or the journal cannot be used.
         """
-        self._optuna = _load_optuna()
+        self._optuna = load_optuna()
         self._space, self._seed = space, config.seed
         new = not journal.exists()
         if not new:
@@ -194,7 +194,12 @@ class Study:
         return files
 
 
-def _load_optuna() -> Any:
+def load_optuna() -> Any:
+    """The module `optuna`.
+
+    Raises:
+        InputError: it is not installed.
+    """
     try:
         import optuna
     except ModuleNotFoundError:

@@ -17,7 +17,7 @@ from reachlab.scale import ENGINES
 from reachlab.scale.engine import Engine
 from reachlab.scale.goals import check_goal
 from reachlab.scale.space import dimensions
-from reachlab.scale.study import Study, Trial
+from reachlab.scale.study import Study, Trial, load_optuna
 from reachlab.scale.trials import SweepConfig, Trials
 from reachlab.settings.config import RunConfig
 from reachlab.settings.json_form import override, to_json
@@ -97,6 +97,7 @@ def sweep(
     engine: str = "local",
     address: str | None = None,
     resume: bool = False,
+    base: RunConfig | None = None,
 ) -> SweepResult:
     """Result of a sweep, whose files are in the directory `out`.
 
@@ -112,12 +113,14 @@ def sweep(
         engine: name of `ENGINES`.
         address: of a Ray cluster that runs.
         resume: continue the sweep in `out`.
+        base: settings from which `config` was changed, see `train`.
 
     Raises:
         InputError: a setting, space, goal or engine that cannot be used, or a directory that is there.
         Interrupted: a signal asked for it.
     """
-    check(config)
+    load_optuna()
+    check(config, config if resume else base)
     space, goal = dimensions(settings.space, config), check_goal(settings.goal, config)
     kind = ENGINES[choose("engine", engine, ENGINES)]
     if address and engine != "ray":

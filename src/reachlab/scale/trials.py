@@ -98,7 +98,7 @@ class Trials:
         """Queue what is left of a trial's trainings."""
         try:
             config = override(self._config, **varied)
-            check(config)
+            check(config, self._config)
         except InputError as error:
             self._open[number] = Open([], [], failure=str(error))
             self._end(number)

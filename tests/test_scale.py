@@ -1,0 +1,430 @@
+"""More than one process: rollouts by Ray workers, and sweeps."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import signal
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from reachlab.cli.main import main
+from reachlab.learn.interrupts import Interrupted
+from reachlab.learn.train import train
+from reachlab.runs.directory import RunDirectory, read_config
+from reachlab.runs.files import write_json
+from reachlab.scale.engine import Job
+from reachlab.scale.goals import GOALS, check_goal
+from reachlab.scale.local import LocalEngine
+from reachlab.scale.rollouts import RayRollouts, Share, divide
+from reachlab.scale.space import dimensions, read_space
+from reachlab.scale.study import Study
+from reachlab.scale.sweep import SweepProgress, sweep
+from reachlab.scale.trials import SweepConfig
+from reachlab.settings.config import RunConfig
+from reachlab.settings.presets import configure
+from reachlab.settings.validation import InputError
+
+TINY: dict[str, Any] = {
+    "num_envs": 16,
+    "rollout_steps": 16,
+    "total_steps": 20 * 256,
+    "hidden": (8,),
+    "stop_early": False,
+    "report_episodes": 16,
+    "max_steps": 30,
+}
+"""A training of a moment."""
+
+SPACE = {"learning_rate": {"low": 1e-4, "high": 1e-2, "log": True}, "epochs": {"low": 1, "high": 4}}
+
+
+def newest_weights(out: Path) -> bytes:
+    return max(out.glob("checkpoints/step_*/state.safetensors")).read_bytes()
+
+
+# --- rollouts -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("num_envs", [16, 100, 256, 1000])
+@pytest.mark.parametrize("workers", [1, 2, 3, 7])
+def test_every_environment_has_one_worker_and_parts_begin_at_whole_blocks(num_envs: int, workers: int) -> None:
+    if workers * 16 > num_envs + 15:
+        with pytest.raises(InputError, match=r"workers must be at least 1 and at most \d+"):
+            divide(num_envs, workers)
+        return
+    shares = divide(num_envs, workers)
+    assert len(shares) == workers
+    assert [env for share in shares for env in range(*share)] == list(range(num_envs))
+    assert all(share.first % 16 == 0 for share in shares)
+    sizes = [share.end - share.first for share in shares]
+    assert max(sizes) - min(sizes) <= 16
+
+
+def test_no_worker_is_refused() -> None:
+    with pytest.raises(InputError, match="at least 1"):
+        divide(64, 0)
+    assert divide(64, 1) == [Share(0, 64)]
+
+
+@pytest.fixture(scope="module")
+def ray() -> Iterator[Any]:
+    import ray
+
+    yield ray
+    ray.shutdown()
+
+
+SHORT: dict[str, Any] = {"rollout_steps": 8, "report_episodes": 16, "minibatches": 2, "max_steps": 12}
+ELSEWHERE = {
+    "mujoco": (configure("precise", **SHORT, num_envs=40, total_steps=4 * 320), 2),
+    # A process of its own holds no more than 16 of them.
+    "pybullet": (configure(sim="pybullet", **SHORT, num_envs=16, total_steps=4 * 128, stop_early=False), 1),
+}
+
+
+@pytest.mark.parametrize("sim", ELSEWHERE)
+def test_workers_learn_the_weights_of_one_process_also_if_one_is_killed(sim: str, tmp_path: Path, ray: Any) -> None:
+    config, workers = ELSEWHERE[sim]
+    train(config, tmp_path / "alone")
+    iterations = 0
+    with RayRollouts(config, workers) as collect:
+
+        def watch(_: object) -> None:
+            nonlocal iterations
+            iterations += 1
+            if iterations == 2:
+                ray.kill(collect._workers[-1])
+
+        train(config, tmp_path / "shared", watch, collect=collect)
+        assert collect.effort.lost == 1
+        assert collect.effort.calls == 4
+    assert newest_weights(tmp_path / "alone") == newest_weights(tmp_path / "shared")
+
+
+def test_a_simulator_that_is_compiled_is_not_shared(tmp_path: Path, ray: Any) -> None:
+    del ray
+    with (
+        RayRollouts(configure(**TINY), 1) as collect,
+        pytest.raises(InputError, match="use --sim mujoco or pybullet"),
+    ):
+        train(configure(**TINY), tmp_path / "run", collect=collect)
+
+
+# --- space and goals ------------------------------------------------------------------------------
+
+
+def test_a_space_is_read(tmp_path: Path) -> None:
+    file = tmp_path / "space.toml"
+    file.write_text(
+        "[space]\nlearning_rate = { low = 1e-5, high = 3e-3, log = true }\nepochs = { low = 2, high = 10 }\n"
+        "hidden = [[64, 64], [128, 128]]\nreward = ['sparse', 'dense']\n"
+    )
+    rate, epochs, hidden, reward = dimensions(read_space(file, RunConfig()), RunConfig())
+    assert (rate.low, rate.high, rate.log, rate.whole) == (1e-5, 3e-3, True, False)
+    assert (epochs.low, epochs.high, epochs.log, epochs.whole) == (2, 10, False, True)
+    assert hidden.choices == ((64, 64), (128, 128))
+    assert reward.choices == ("sparse", "dense")
+
+
+@pytest.mark.parametrize(
+    ("said", "refused"),
+    [
+        ("", r"must hold the table \[space\] alone"),
+        ("space = 3", r"must hold the table \[space\] alone"),
+        ("[space]", r"must hold the table \[space\] alone"),
+        ("[space]\nepochs = [2, 3]\n[more]\na = 1", r"must hold the table \[space\] alone"),
+        ("[space", "is no TOML file"),
+        ("[space]\nlearning_rat = [1e-3, 1e-4]", "Did you mean 'learning_rate'"),
+        ("[space]\nepochs = { low = 0, high = 3 }", "epochs must be at least 1"),
+        ("[space]\ngamma = { low = 0.9, high = 1.5 }", "gamma must be"),
+        ("[space]\nepochs = { low = 3, high = 2 }", "a low below its high"),
+        ("[space]\nentropy_weight = { low = 0.0, high = 1.0, log = true }", "a low above 0 below its high"),
+        ("[space]\nepochs = { low = 1, high = 3, steps = 2 }", "limits or a list of choices"),
+        ("[space]\nepochs = 3", "limits or a list of choices"),
+        ("[space]\nepochs = [3]", "fewer than two choices"),
+        ("[space]\nhidden = { low = [8], high = [16] }", "as its values are no numbers"),
+        ("[space]\nseed = [1, 2]", "with --seeds"),
+    ],
+)
+def test_a_space_that_makes_no_sense_is_refused(said: str, refused: str, tmp_path: Path) -> None:
+    file = tmp_path / "space.toml"
+    file.write_text(said)
+    with pytest.raises(InputError, match=refused):
+        read_space(file, RunConfig())
+
+
+def test_a_space_that_is_missing_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="cannot be read"):
+        read_space(tmp_path / "space.toml", RunConfig())
+
+
+def test_goals_read_a_result_and_the_worst_stands_for_what_is_missing() -> None:
+    result = {"success_rate": 0.5, "final_error_mm": {"median": None, "p95": 2.5}, "steps": 700, "validated": True}
+    assert GOALS["success_rate"].of(result) == 0.5
+    assert GOALS["final_error_mm.median"].of(result) == float("inf")
+    assert GOALS["final_error_mm.p95"].of(result) == 2.5
+    assert GOALS["steps"].of(result) == 700
+    assert GOALS["steps"].of(result | {"validated": False}) == float("inf")
+    assert GOALS["steps"].of({"success_rate": 0.5}) is None, "of a report on the way"
+
+
+@pytest.mark.parametrize(
+    ("goal", "task", "refused"),
+    [
+        ("succes_rate", "tutorial", "Did you mean 'success_rate'"),
+        ("success_within.1", "tutorial", "a task that does not end at the target"),
+        ("final_angle_rad.median", "precise", "a goal with an orientation"),
+        ("tracking.rms_mm", "precise", "a goal that moves"),
+        ("steps", "precise", "ends once its validations suffice"),
+    ],
+)
+def test_a_goal_that_trainings_do_not_have_is_refused(goal: str, task: str, refused: str) -> None:
+    with pytest.raises(InputError, match=refused):
+        check_goal(goal, configure(task))
+
+
+# --- studies --------------------------------------------------------------------------------------
+
+
+def make_study(folder: Path, config: RunConfig | None = None) -> Study:
+    used = config or configure()
+    return Study(folder / "journal", dimensions(SPACE, used), GOALS["success_rate"], used)
+
+
+def test_the_first_trial_is_the_settings_themselves_where_the_space_holds_them(tmp_path: Path) -> None:
+    inside = configure(learning_rate=2e-3, epochs=3)
+    (tmp_path / "in").mkdir()
+    (tmp_path / "out").mkdir()
+    assert make_study(tmp_path / "in", inside).ask() == (0, {"learning_rate": 2e-3, "epochs": 3})
+    assert make_study(tmp_path / "out", configure(epochs=8)).ask()[1]["epochs"] <= 4
+
+
+def test_a_study_continues_as_if_its_process_had_not_died(tmp_path: Path) -> None:
+    (tmp_path / "whole").mkdir()
+    (tmp_path / "cut").mkdir()
+    whole = make_study(tmp_path / "whole")
+    for value in (0.1, 0.4, 0.2):
+        whole.complete(whole.ask()[0], value)
+    for value in (0.1, 0.4, 0.2):
+        study = make_study(tmp_path / "cut")
+        number, settings = study.ask()
+        with (tmp_path / "cut" / "journal").open("ab") as journal:
+            journal.write(b'{"op_code": 5, "wor')  # its process dies while it writes
+        again = make_study(tmp_path / "cut")
+        assert again.begun() == [(number, settings)]
+        again.complete(number, value)
+    assert make_study(tmp_path / "cut").trials == whole.trials
+    assert [trial.value for trial in whole.ranked] == [0.4, 0.2, 0.1]
+
+
+# --- sweeps ---------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("sweep") / "sweep"
+    seen: list[SweepProgress] = []
+    result = sweep(configure(**TINY), SweepConfig(SPACE, seeds=2), out, seen.append, trials=2, workers=2)
+    assert len(result.trials) == 2
+    assert seen[-1].total == 2
+    assert {len(one.running) for one in seen} <= {0, 1, 2}
+    assert result.config == read_config(out / "best.json")
+    return out
+
+
+def rows_of(out: Path) -> list[dict[str, str]]:
+    with (out / "trials.csv").open() as file:
+        return list(csv.DictReader(file))
+
+
+def test_a_sweep_leaves_a_run_for_every_seed_of_every_trial_and_a_table(swept: Path) -> None:
+    rows = rows_of(swept)
+    assert [row["trial"] for row in rows] == ["0", "1"]
+    assert {row["state"] for row in rows} == {"complete"}
+    for row in rows:
+        for seed in (0, 1):
+            config = RunDirectory(swept / "trials" / f"{int(row['trial']):04}-{seed}").read_config()
+            assert config.seed == seed
+            assert config.ppo.epochs == int(row["epochs"])
+            assert config.learner.learning_rate == pytest.approx(float(row["learning_rate"]))
+    best = max(rows, key=lambda row: float(row["success_rate"]))
+    assert read_config(swept / "best.json").ppo.epochs == int(best["epochs"])
+    assert (swept / "history.png").stat().st_size > 5000
+
+
+def test_a_sweep_goes_on_with_more_trials_and_leaves_the_others_as_they_were(
+    swept: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = {path: newest_weights(path) for path in (swept / "trials").iterdir() if path.is_dir()}
+    assert main(["sweep", "--resume", str(swept), "--trials", "3", "--json"]) == 0
+    assert len(json.loads(capsys.readouterr().out)["trials"]) == 3
+    after = {path: newest_weights(path) for path in (swept / "trials").iterdir() if path.is_dir()}
+    assert len(after) == 6
+    assert before == {path: weights for path, weights in after.items() if path in before}
+
+
+def test_the_best_settings_are_trained_with_and_flags_change_them(swept: Path, tmp_path: Path) -> None:
+    flags = ["--config", str(swept / "best.json"), "--total-steps", "256", "--out", str(tmp_path / "run")]
+    assert main(["train", *flags]) == 0
+    trained, best = RunDirectory(tmp_path / "run").read_config(), read_config(swept / "best.json")
+    assert (trained.ppo, trained.learner) == (best.ppo, best.learner)
+    assert trained.loop.total_steps == 256
+    assert main(["train", "--config", str(tmp_path / "run" / "config.json"), "--out", str(tmp_path / "again")]) == 0
+    assert newest_weights(tmp_path / "run") == newest_weights(tmp_path / "again")
+
+
+def test_a_trial_with_settings_that_contradict_each_other_fails_with_the_sentence(tmp_path: Path) -> None:
+    space = {"minibatches": [3, 5]}
+    result = sweep(configure(**TINY), SweepConfig(space), tmp_path / "sweep", trials=2)
+    assert result.config is None
+    assert [trial.state for trial in result.trials] == ["fail", "fail"]
+    assert all("cannot be divided among" in trial.why for trial in result.trials)
+
+
+def wait_for(found: Any, seconds: float = 60.0) -> None:
+    until = time.monotonic() + seconds
+    while not found():
+        assert time.monotonic() < until
+        time.sleep(0.05)
+
+
+LONG = TINY | {"total_steps": 10_000 * 256, "checkpoint_interval": 0.1}
+
+
+def test_a_training_ends_saved_where_its_stop_file_is(tmp_path: Path) -> None:
+    job = Job(tmp_path / "0000-0", configure(**LONG), "success_rate", 2000)
+    engine = LocalEngine(1)
+    engine.submit(job)
+    wait_for(job.values)
+    job.stop_file.touch()
+    assert engine.ended(60.0) == [job]
+    assert job.ended
+    assert not RunDirectory(job.path).finished
+    steps = RunDirectory(job.path).checkpoint_steps()[-1]
+    assert max(job.values()) <= steps < LONG["total_steps"]
+
+
+def test_a_training_that_is_killed_is_handed_back(tmp_path: Path) -> None:
+    job = Job(tmp_path / "0000-0", configure(**LONG), "success_rate", 0)
+    engine = LocalEngine(1)
+    engine.submit(job)
+    wait_for((job.path / "checkpoints").exists)
+    os.kill(engine._processes[job].pid, signal.SIGKILL)
+    assert engine.ended(60.0) == [job]
+    assert not job.ended
+    engine.submit(job)
+    engine.close()
+    assert engine.running == []
+
+
+def test_a_failure_of_the_training_itself_is_written_down(tmp_path: Path) -> None:
+    job = Job(tmp_path / "0000-0", configure(**TINY, robot=str(tmp_path / "missing.urdf")), "success_rate", 0)
+    engine = LocalEngine(1)
+    engine.submit(job)
+    assert engine.ended(60.0) == [job]
+    assert "missing.urdf" in json.loads(job.failure_file.read_text())["error"]
+
+
+def test_a_poor_trial_is_given_up(tmp_path: Path) -> None:
+    config = configure(**TINY)
+    job = Job(tmp_path / "unused", config, "success_rate", 1)
+    job.values_file.write_text('{"steps": 100, "value": 0.5}\n{"steps": 200, "va')
+    assert job.values() == {100: 0.5}
+    study = make_study(tmp_path)
+    for value in (0.5, 0.6, 0.7, 0.8, 0.9):
+        number, _ = study.ask()
+        assert not study.report(number, 100, value)
+        study.complete(number, value)
+    number, _ = study.ask()
+    assert study.report(number, 100, 0.1)
+    study.prune(number)
+    assert study.trials[-1].state == "pruned"
+
+
+def test_an_interrupted_sweep_says_how_it_continues(tmp_path: Path) -> None:
+    def interrupt(progress: SweepProgress) -> None:
+        if progress.running:
+            signal.raise_signal(signal.SIGTERM)
+
+    with pytest.raises(Interrupted, match=r"reachlab sweep --resume .*sweep` continues from there"):
+        sweep(configure(**TINY), SweepConfig(SPACE), tmp_path / "sweep", interrupt, trials=2)
+    assert len(sweep(configure(**TINY), SweepConfig(SPACE), tmp_path / "sweep", trials=2, resume=True).trials) == 2
+
+
+def test_trials_on_ray_are_those_of_processes(swept: Path, tmp_path: Path, ray: Any) -> None:
+    del ray
+    config, settings = configure(**TINY), SweepConfig(SPACE, seeds=1)
+    sweep(config, settings, tmp_path / "sweep", trials=1, engine="ray")
+    assert newest_weights(tmp_path / "sweep" / "trials" / "0000-0") == newest_weights(swept / "trials" / "0000-0")
+
+
+# --- what is refused ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("words", "refused"),
+    [
+        (["sweep"], "sweep needs a space"),
+        (["sweep", "missing.toml"], "space 'missing.toml' cannot be read"),
+        (["sweep", "--resume", "{folder}"], "config.json' is missing"),
+        (["sweep", "{space}", "--engine", "slurm"], "engine 'slurm' is not one of: local, ray"),
+        (["sweep", "{space}", "--address", "127.0.0.1:1"], "use --engine ray"),
+        (["sweep", "{space}", "--goal", "sucess_rate"], "Did you mean 'success_rate'"),
+        (["sweep", "{space}", "--out", "{folder}"], "exists and is not overwritten"),
+        (["train", "--address", "127.0.0.1:1"], "say how many with --workers"),
+        (["train", "--workers", "2", "--engine", "local"], "use --engine ray here"),
+        (["train", "--task", "precise", "--workers", "99"], "at most 16, one for 16 of num_envs 256"),
+        (["train", "--config", "missing.json"], "missing.json' is missing"),
+        (["train", "--config", "{config}", "--task", "precise"], "leave --task out"),
+    ],
+)
+def test_what_cannot_be_used_is_refused_in_a_sentence(
+    words: list[str], refused: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    places = {"folder": tmp_path / "folder", "space": tmp_path / "space.toml", "config": tmp_path / "config.json"}
+    places["folder"].mkdir()
+    places["space"].write_text("[space]\nepochs = { low = 1, high = 4 }\n")
+    from reachlab.settings.json_form import to_json
+
+    write_json(places["config"], to_json(configure()))
+    assert main([word.format(**places) for word in words]) == 2
+    assert refused in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("module", "words", "sentence"),
+    [
+        ("optuna", ["sweep", "{space}", "--out", "{out}"], "sweep needs Optuna: pip install 'reachlab[sweep]'."),
+        (
+            "ray",
+            ["sweep", "{space}", "--engine", "ray", "--out", "{out}"],
+            "engine 'ray' needs Ray: pip install 'reachlab[ray]'.",
+        ),
+        (
+            "ray",
+            ["train", "--task", "precise", "--workers", "2", "--out", "{out}"],
+            "engine 'ray' needs Ray: pip install 'reachlab[ray]'.",
+        ),
+    ],
+)
+def test_without_its_extra_each_is_refused_before_anything_is_written(
+    module: str,
+    words: list[str],
+    sentence: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setitem(sys.modules, module, None)
+    (tmp_path / "space.toml").write_text("[space]\nepochs = { low = 1, high = 4 }\n")
+    places = {"space": tmp_path / "space.toml", "out": tmp_path / "out"}
+    assert main([word.format(**places) for word in words]) == 2
+    assert capsys.readouterr().err.strip() == f"reachlab: {sentence}"
+    assert not (tmp_path / "out").exists()
