@@ -38,6 +38,8 @@ from reachlab.cli.flags import EVALUATED
 from reachlab.cli.verbs import VERBS
 from reachlab.robots.catalogue import ROBOTS
 from reachlab.runs.sinks import SINKS
+from reachlab.scale import ENGINES
+from reachlab.scale.goals import GOALS
 from reachlab.settings.consistency import RANDOMISED
 from reachlab.settings.json_form import flatten, to_json
 from reachlab.settings.presets import preset
@@ -80,6 +82,9 @@ NAMES: dict[str, Sequence[str]] = {
     "randomise": [*RANDOMISED, "colours"],
     "suite": ["sped", "speed"],
     "host": ["127.0.0.1"],
+    "engine": [*ENGINES, "slurm"],
+    "address": ["127.0.0.1:1", "auto"],
+    "goal": [*GOALS, "succes_rate"],
 }
 """Values of the settings that are names."""
 
@@ -94,10 +99,18 @@ PATHS: dict[str, Sequence[str]] = {
     "normaliser": ["gone.pkl", "."],
     "run": [*RUNS],
     "runs": [*RUNS],
+    "space": ["space.toml", "gone.toml", "arm.xml", "."],
+    "config": ["young/config.json", "precise/config.json", "gone.json", "."],
 }
 """Values of the flags that are paths."""
 
-SOUND_PATHS: dict[str, Sequence[str]] = {"out": ["new.webp"], "save": ["page.html"], "resume": RUNS[:2]}
+SOUND_PATHS: dict[str, Sequence[str]] = {
+    "out": ["new.webp"],
+    "save": ["page.html"],
+    "resume": RUNS[:2],
+    "space": ["space.toml"],
+    "config": ["young/config.json"],
+}
 """Those that can be."""
 
 LARGEST = {"num_envs": 64, "rollout_steps": 64, "hidden": 64, "episodes": 4, "port": 65535, "action_repeat": 2000}
@@ -191,7 +204,9 @@ def command(chance: random.Random, verbs: Sequence[str]) -> list[str]:
         words += values("robot", str, chance, sound=sound) or []
     elif verb == "distil" and chance.random() < 0.8:
         words += [chance.choice(runs)]
-    positional = {"run", "runs", "teacher"} | ({"robot"} if verb == "robot" else set())
+    elif verb == "sweep":
+        words += values("space", Path, chance, sound=sound) or []
+    positional = {"run", "runs", "teacher", "space"} | ({"robot"} if verb == "robot" else set())
     free = sorted(kinds.keys() - positional - {"open"} - ({"resume"} if chance.random() < SOUND else set()))
     for name in chance.sample(free, min(chance.choice([0, 1, 2, 3, 5, 8]), len(free))):
         flag, value = f"--{name.replace('_', '-')}", values(name, kinds[name], chance, sound=sound)
@@ -316,6 +331,8 @@ def run(words: list[str], *, whole: bool) -> Outcome:
     with contextlib.ExitStack() as stack:
         if not (whole and words[0] == "train"):
             stack.enter_context(mock.patch("reachlab.learn.train._train", built))
+        stack.enter_context(mock.patch("reachlab.scale.sweep.Trials", built))
+        stack.enter_context(mock.patch("reachlab.scale.cluster.Cluster._connect", built))
         stack.enter_context(mock.patch.object(viewer.Viewer, "run"))
         stack.enter_context(mock.patch("reachlab.cli.verbs.run_suite", return_value=[]))
         stack.enter_context(mock.patch.object(logging.getLogger("reachlab"), "handlers", [handler]))
@@ -342,7 +359,7 @@ def _judged(words: list[str], status: int | None, said: str) -> str | None:
     last = (said.splitlines() or [""])[-1]
     if status == cli.WRONG_INPUT and not (last.startswith("reachlab: ") and last.endswith((".", "?"))):
         return f"no sentence: {said!r}"
-    if words[0] == "train" and status != cli.WRONG_INPUT and not {"--resume", "--help"} & {*words}:
+    if words[0] == "train" and status != cli.WRONG_INPUT and not {"--resume", "--config", "--help"} & {*words}:
         why = senseless(words)
         if why and "reachlab: " not in said.replace("reachlab: interrupted.", ""):
             return f"accepted in silence: {why}"
@@ -357,6 +374,7 @@ def workplace() -> Iterator[None]:
         os.chdir(folder)
         try:
             Path("arm.xml").write_text(ARM)
+            Path("space.toml").write_text("[space]\nepochs = [2, 3]\n")
             Path("broken.urdf").write_text("<robot")
             Path("empty").mkdir()
             for name in ("young", "precise"):

@@ -28,6 +28,8 @@ from reachlab.envs.setup import make_setup, settled
 from reachlab.learn.ppo_method import initial_state
 from reachlab.robots.catalogue import ROBOTS
 from reachlab.runs.directory import RunDirectory
+from reachlab.scale import ENGINES
+from reachlab.scale.goals import GOALS
 from reachlab.settings.config import RunConfig
 from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError
@@ -64,6 +66,8 @@ TABLES = {
     "targets": TARGETS,
     "goal paths": PATHS,
     "at goal": AT_GOAL,
+    "engines": ENGINES,
+    "goals of a sweep": GOALS,
     "agents": AGENTS,
     "suites": SUITES,
 }

@@ -66,6 +66,7 @@ COMMANDS = sorted({command for text in TEXTS.values() for command in commands(te
 @pytest.mark.parametrize("command", COMMANDS)
 def test_a_command_of_the_documents_is_one(command: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cli, "_resumed", lambda _chosen: None)  # the run that is resumed is not there
+    monkeypatch.setattr(cli, "_given", lambda _chosen: None)  # nor is the file of settings
     verb, *words = (NUMBERS.get(word, word) for word in shlex.split(command)[1:])
     if verb == "--version":
         return

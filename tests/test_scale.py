@@ -19,6 +19,7 @@ from reachlab.learn.interrupts import Interrupted
 from reachlab.learn.train import train
 from reachlab.runs.directory import RunDirectory, read_config
 from reachlab.runs.files import write_json
+from reachlab.scale.cluster import Cluster
 from reachlab.scale.engine import Job
 from reachlab.scale.goals import GOALS, check_goal
 from reachlab.scale.local import LocalEngine
@@ -75,10 +76,9 @@ def test_no_worker_is_refused() -> None:
 
 @pytest.fixture(scope="module")
 def ray() -> Iterator[Any]:
-    import ray
-
-    yield ray
-    ray.shutdown()
+    cluster = Cluster(None, 2)  # one for all tests: whoever finds it leaves it as it is
+    yield cluster.ray
+    cluster.close()
 
 
 SHORT: dict[str, Any] = {"rollout_steps": 8, "report_episodes": 16, "minibatches": 2, "max_steps": 12}
@@ -106,6 +106,12 @@ def test_workers_learn_the_weights_of_one_process_also_if_one_is_killed(sim: str
         assert collect.effort.lost == 1
         assert collect.effort.calls == 4
     assert newest_weights(tmp_path / "alone") == newest_weights(tmp_path / "shared")
+
+
+def test_more_workers_than_cpus_are_refused(ray: Any) -> None:
+    assert ray.cluster_resources()["CPU"] == 2
+    with pytest.raises(InputError, match="Ray has 2 CPUs, and each of 3 workers needs one"):
+        RayRollouts(configure("precise"), 3)
 
 
 def test_a_simulator_that_is_compiled_is_not_shared(tmp_path: Path, ray: Any) -> None:

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from reachlab.robots.kinematics import forward_kinematics
     from reachlab.robots.loading import load_robot
     from reachlab.robots.robot import Robot
+    from reachlab.scale.sweep import sweep
+    from reachlab.scale.trials import SweepConfig
     from reachlab.settings.config import RunConfig
     from reachlab.settings.presets import configure, distillation
     from reachlab.settings.validation import InputError
@@ -41,6 +43,7 @@ _HOMES = {
     "Report": "evaluation.report",
     "Robot": "robots.robot",
     "RunConfig": "settings.config",
+    "SweepConfig": "scale.trials",
     "TrainResult": "learn.train",
     "configure": "settings.presets",
     "distil": "learn.train",
@@ -51,6 +54,7 @@ _HOMES = {
     "load": "learn.load",
     "load_robot": "robots.loading",
     "plot": "watch.plots",
+    "sweep": "scale.sweep",
     "train": "learn.train",
     "write_video": "watch.video",
 }
@@ -65,6 +69,7 @@ __all__ = [
     "Report",
     "Robot",
     "RunConfig",
+    "SweepConfig",
     "TrainResult",
     "configure",
     "distil",
@@ -75,6 +80,7 @@ __all__ = [
     "load",
     "load_robot",
     "plot",
+    "sweep",
     "train",
     "write_video",
 ]

@@ -23,6 +23,9 @@ ITERATIONS, WORKERS = 25, (1, 2)
 PREDICTED = (1, 2, 4, 8, 16, 32, 64, 128, 256)
 """Numbers of workers that are calculated, each with as many environments as one of the two has here."""
 
+HOUR = 3600
+"""Seconds."""
+
 TRIALS, TRIAL_STEPS = 8, 500_000
 """Trials of a sweep, and environment steps of each."""
 
@@ -33,7 +36,7 @@ def scale() -> Iterator[Row]:
     yield row("train_steps_per_second/in process", alone.rate, "1/s", iterations=ITERATIONS)
     measured = {workers: _training(workers) for workers in WORKERS}
     for workers, one in measured.items():
-        name = f"{workers} worker{'s'[: workers > 1]}"
+        name = _named(workers)
         yield row(f"train_steps_per_second/{name}", one.rate, "1/s", share_of_alone=one.rate / alone.rate)
         yield row(f"share of the time that workers compute/{name}", one.busy_s / one.iteration_s, "rate")
         yield row(f"share of the time that the learner computes/{name}", one.learning_s / one.iteration_s, "rate")
@@ -45,8 +48,16 @@ def scale() -> Iterator[Row]:
     for workers in PREDICTED:
         more = workers / 2
         iteration_s = two.busy_s + more * (two.learning_s + two.message_s)
-        yield row(f"predicted/{workers} workers", more * two.rate * two.iteration_s / iteration_s, "1/s")
+        yield row(
+            f"predicted train_steps_per_second/{_named(workers)}",
+            more * two.rate * two.iteration_s / iteration_s,
+            "1/s",
+        )
     yield from _trials()
+
+
+def _named(workers: int) -> str:
+    return f"{workers} worker{'s'[: workers > 1]}"
 
 
 class _Measured:
@@ -89,11 +100,12 @@ def _trials() -> Iterator[Row]:
     space = {"learning_rate": {"low": 3e-4, "high": 3e-3, "log": True}}
     config = configure(total_steps=TRIAL_STEPS, stop_early=False)
     rates = {}
-    for workers in WORKERS:
+    for workers, trials in ((1, 1), *((workers, TRIALS) for workers in WORKERS)):  # once for what is compiled
         with tempfile.TemporaryDirectory() as folder:
             begun = time.perf_counter()
-            settings = SweepConfig(space, validations=0)
-            sweep(config, settings, Path(folder) / "sweep", trials=TRIALS, workers=workers)
-            rates[workers] = 3600 * TRIALS / (time.perf_counter() - begun)
+            sweep(config, SweepConfig(space, validations=0), Path(folder) / "sweep", trials=trials, workers=workers)
+            rates[workers] = HOUR * trials / (time.perf_counter() - begun)
     for workers, rate in rates.items():
-        yield row(f"trials an hour/{workers} local", rate, "1/h", of_one=rate / rates[1], steps=TRIAL_STEPS)
+        yield row(
+            f"trials of a sweep an hour/{_named(workers)}", rate, "1/h", of_one=rate / rates[1], steps=TRIAL_STEPS
+        )

@@ -15,7 +15,8 @@ from typing import Any
 
 import tyro
 
-from reachlab.cli.flags import LESSON, Distil, Sweep, Train
+from reachlab.cli.flags import LESSON, Distil, Train
+from reachlab.cli.sweep_flags import Sweep
 from reachlab.cli.verbs import VERBS
 from reachlab.settings.config import DistilRunConfig, RunConfig
 from reachlab.settings.json_form import flatten, to_json

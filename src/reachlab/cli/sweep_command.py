@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from reachlab.cli.console import note, print_table, say
-from reachlab.cli.flags import Sweep
 from reachlab.cli.preparation import prepare
 from reachlab.cli.progress import Bar
+from reachlab.cli.sweep_flags import Sweep
 from reachlab.settings.validation import InputError
 
 if TYPE_CHECKING:

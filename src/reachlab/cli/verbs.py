@@ -9,10 +9,11 @@ from typing import Any
 
 from reachlab.bench import SUITES, run_suite
 from reachlab.cli.eval_command import evaluate
-from reachlab.cli.flags import Bench, Distil, Eval, List, Plot, ShowRobot, Sweep, Train, Video, View
+from reachlab.cli.flags import Bench, Distil, Eval, List, Plot, ShowRobot, Train, Video, View
 from reachlab.cli.preparation import prepare
 from reachlab.cli.robot_command import robot
 from reachlab.cli.sweep_command import sweep
+from reachlab.cli.sweep_flags import Sweep
 from reachlab.cli.train_command import distil, train
 from reachlab.cli.watch_commands import plot, video, view
 

@@ -105,11 +105,8 @@ def train(
         check_reach(asked)
     env = Env(config, config.loop.num_envs, threads=threads or 0)
     try:
-        if collect and (env.traced or not method.shares):
-            raise InputError(
-                f"simulator {config.sim!r} is compiled with what learns from it, and shared with no worker: leave"
-                " --workers out, or use --sim mujoco or pybullet."
-            )
+        if collect:
+            _check_shared(env, method)
         env.check_rendering()
         if not resume:
             run.create(config)
@@ -134,6 +131,14 @@ def distil(
         InputError: see `train`; or a teacher, observation or simulator that cannot be learnt with.
     """
     return train(config, out, watch, resume=resume, sinks=sinks)
+
+
+def _check_shared(env: Env, method: Method) -> None:
+    if env.traced or not method.shares:
+        raise InputError(
+            f"simulator {env.config.sim!r} is compiled with what learns from it, and shared with no worker: leave"
+            " --workers out, or use --sim mujoco or pybullet."
+        )
 
 
 def _check_unfinished(run: RunDirectory, config: RunConfig) -> None:

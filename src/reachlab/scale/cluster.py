@@ -35,29 +35,46 @@ def load_ray() -> Any:
     return ray
 
 
-def join(address: str | None, cpus: int) -> Any:
-    """The module `ray`, connected to the cluster at an address, or to a Ray that is started here with so many CPUs.
+class Cluster:
+    """A connection to Ray.
 
-    One that this process is connected to already is used as it is.
-
-    Raises:
-        InputError: Ray is not installed, or nothing answers at the address.
+    Attributes:
+        ray: the module `ray`.
     """
-    ray = load_ray()
-    if ray.is_initialized():
-        return ray
-    begin: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.ERROR}
-    if address:
-        begin |= {"address": address}
-    else:
-        begin |= {"address": "local", "num_cpus": cpus, "include_dashboard": False, "_node_ip_address": LOCAL}
-    try:
-        with warnings.catch_warnings():
-            # Ray forks, and what was forked becomes another program at once: JAX's threads are not missed.
-            warnings.filterwarnings("ignore", "os.fork", RuntimeWarning)
-            ray.init(**begin)
-    except (ConnectionError, ValueError, RuntimeError) as error:
-        reason = str(error).partition("\n")[0].rstrip(".")
-        where = f"at address {address!r}" if address else "here"
-        raise InputError(f"Ray cannot be used {where} ({reason}): see `ray status`.") from None
-    return ray
+
+    def __init__(self, address: str | None, workers: int) -> None:
+        """Connect to the cluster at an address, or to a Ray that is started here with a CPU for each worker.
+
+        One that this process is connected to already is used as it is.
+
+        Raises:
+            InputError: Ray is not installed, nothing answers at the address, or it has too few CPUs.
+        """
+        self.ray = load_ray()
+        self._mine = not self.ray.is_initialized()
+        if self._mine:
+            self._connect(address, workers)
+        if (cpus := int(self.ray.cluster_resources().get("CPU", 0))) < workers:
+            self.close()
+            raise InputError(f"Ray has {cpus} CPUs, and each of {workers} workers needs one: choose fewer --workers.")
+
+    def _connect(self, address: str | None, workers: int) -> None:
+        begin: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.ERROR}
+        if address:
+            begin |= {"address": address}
+        else:
+            begin |= {"address": "local", "num_cpus": workers, "include_dashboard": False, "_node_ip_address": LOCAL}
+        try:
+            with warnings.catch_warnings():
+                # Ray forks, and what was forked becomes another program at once: JAX's threads are not missed.
+                warnings.filterwarnings("ignore", "os.fork", RuntimeWarning)
+                self.ray.init(**begin)
+        except (ConnectionError, ValueError, RuntimeError) as error:
+            reason = str(error).partition("\n")[0].rstrip(".")
+            where = f"at address {address!r}" if address else "here"
+            raise InputError(f"Ray cannot be used {where} ({reason}): see `ray status`.") from None
+
+    def close(self) -> None:
+        """Disconnect; a Ray that was started here ends."""
+        if self._mine:
+            self.ray.shutdown()

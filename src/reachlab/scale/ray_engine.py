@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from reachlab.scale.cluster import join
+from reachlab.scale.cluster import Cluster
 from reachlab.scale.engine import Job, run_job
 
 PATIENCE = 30.0
@@ -18,9 +18,10 @@ class RayEngine:
         """Engine on the cluster at an address, or on a Ray that is started here for so many workers.
 
         Raises:
-            InputError: see `cluster.join`.
+            InputError: see `Cluster`.
         """
-        self._ray = join(address, workers)
+        self._cluster = Cluster(address, workers)
+        self._ray = self._cluster.ray
         # A new process for each: the last one's memory is gone, and a death concerns it alone.
         self._run = self._ray.remote(num_cpus=1, max_retries=0, max_calls=1)(run_job)
         self._tasks: dict[Any, Job] = {}
@@ -59,3 +60,4 @@ class RayEngine:
         for task in self._tasks:
             self._ray.cancel(task, force=True)
         self._tasks.clear()
+        self._cluster.close()

@@ -6,7 +6,6 @@ import itertools
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple, Self, TypeVar
 
@@ -18,10 +17,8 @@ from reachlab.agents.policy import Policy
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState
 from reachlab.jax_setup import set_threads, use_compilation_cache
-from reachlab.learn.loop import Progress
 from reachlab.learn.rollout import EngineError, Part, Rollout, host_collector
-from reachlab.learn.train import TrainResult, train
-from reachlab.scale.cluster import join
+from reachlab.scale.cluster import Cluster
 from reachlab.settings.config import LoopConfig, RunConfig
 from reachlab.settings.validation import InputError
 
@@ -123,7 +120,8 @@ class RayRollouts:
             InputError: too many workers, Ray is not installed, or nothing answers at the address.
         """
         self._config, self._shares = config, divide(config.loop.num_envs, workers)
-        self._ray = join(address, workers)
+        self._cluster = Cluster(address, workers)
+        self._ray = self._cluster.ray
         self._workers = [self._start(share, cpus=1) for share in self._shares]
         self.effort = Effort()
 
@@ -197,34 +195,7 @@ class RayRollouts:
         """End the workers."""
         for worker in self._workers:
             self._ray.kill(worker)
-
-
-def train_with_workers(
-    config: RunConfig,
-    out: str | Path,
-    watch: Callable[[Progress], None] = lambda _: None,
-    *,
-    workers: int,
-    address: str | None = None,
-    resume: bool = False,
-    sinks: Sequence[str] = (),
-) -> TrainResult:
-    """As `train`, with rollouts by so many Ray actors; the weights are the same, bit for bit.
-
-    Args:
-        config: every setting; the simulator must be one that runs outside JAX.
-        out: see `train`.
-        watch: see `train`.
-        workers: processes, of one thread each.
-        address: of a Ray cluster that runs; without it Ray is started here and ends with this process.
-        resume: see `train`.
-        sinks: see `train`.
-
-    Raises:
-        InputError: see `train` and `RayRollouts`.
-    """
-    with RayRollouts(config, workers, address) as collect:
-        return train(config, out, watch, resume=resume, sinks=sinks, collect=collect)
+        self._cluster.close()
 
 
 def _sent(state: EnvState) -> EnvState:

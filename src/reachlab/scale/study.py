@@ -29,6 +29,9 @@ PLOTS = {
 }
 """Pictures, by the name of their file, and Optuna's function that draws each."""
 
+NAMED = ("history", "parallel")
+"""Those on which Optuna writes what the goal is called."""
+
 SIZE, DPI = (8.0, 5.0), 120
 """Of a picture [inches], and its points an inch."""
 
@@ -173,8 +176,8 @@ class Study:
         complete = [(sign * one.value, one.number, one) for one in self.trials if one.value is not None]
         return [one for *_, one in sorted(complete, key=lambda one: one[:2])]
 
-    def draw(self, folder: Path) -> list[Path]:
-        """Draw Optuna's pictures of the study; those that it has too few trials for are left out."""
+    def draw(self, folder: Path, goal: str) -> list[Path]:
+        """Draw Optuna's pictures of the study, with the goal's name; those that it has too few trials for are left out."""
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from optuna.visualization import matplotlib as drawn
 
@@ -183,7 +186,7 @@ class Study:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # that these are experimental
                 try:
-                    axes = vars(drawn)[function](self._study)
+                    axes = vars(drawn)[function](self._study, **({"target_name": goal} if name in NAMED else {}))
                 except (ValueError, RuntimeError):
                     continue
             figure = next(iter(getattr(axes, "flat", [axes]))).figure

@@ -146,12 +146,15 @@ def sweep(
                     best = next(iter(study.ranked), None)
                     watch(SweepProgress(study.trials, trials, under_way.shares(), best))
                     if interrupts.received is not None:
-                        carrier.close()
-                        how = f"`reachlab sweep --resume {folder.path}` continues from there"
-                        raise Interrupted(interrupts.received, f"interrupted; every trial is saved: {how}.")
+                        raise _interrupted(interrupts.received, folder)
             return _result(config, folder, study, settings)
     finally:
         carrier.close()
+
+
+def _interrupted(signal: int, folder: SweepDirectory) -> Interrupted:
+    how = f"`reachlab sweep --resume {folder.path}` continues from there"
+    return Interrupted(signal, f"interrupted; every trial is saved: {how}.")
 
 
 def _result(config: RunConfig, folder: SweepDirectory, study: Study, settings: SweepConfig) -> SweepResult:
@@ -165,4 +168,4 @@ def _result(config: RunConfig, folder: SweepDirectory, study: Study, settings: S
         table.writerow(["trial", "state", settings.goal, *varied, "why"])
         for one in trials:
             table.writerow([one.number, one.state, one.value, *(one.settings.get(name) for name in varied), one.why])
-    return SweepResult(ranked, chosen, trials, study.draw(folder.path))
+    return SweepResult(ranked, chosen, trials, study.draw(folder.path, settings.goal))
