@@ -27,7 +27,7 @@ from reachlab.scale.rollouts import RayRollouts, Share, divide
 from reachlab.scale.space import dimensions, read_space
 from reachlab.scale.study import Study
 from reachlab.scale.sweep import SweepProgress, sweep
-from reachlab.scale.trials import SweepConfig
+from reachlab.scale.trials import SweepConfig, Trials
 from reachlab.settings.config import RunConfig
 from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError
@@ -352,6 +352,37 @@ def test_a_poor_trial_is_given_up(tmp_path: Path) -> None:
     assert study.report(number, 100, 0.1)
     study.prune(number)
     assert study.trials[-1].state == "pruned"
+
+
+class Dying:
+    """An engine on which every training dies, after a validation that is poorer from trial to trial."""
+
+    def __init__(self) -> None:
+        self.running: list[Job] = []
+
+    def submit(self, job: Job) -> None:
+        job.path.mkdir(parents=True, exist_ok=True)
+        number = int(job.path.name.partition("-")[0])
+        job.values_file.write_text(json.dumps({"steps": 100, "value": 1.0 - number / 10}) + "\n")
+        if number < 5:
+            write_json(job.path / "report.json", {"success_rate": 1.0 - number / 10})
+        self.running.append(job)
+
+    def ended(self, timeout: float) -> list[Job]:
+        del timeout
+        ended, self.running = self.running, []
+        return ended
+
+    def close(self) -> None:
+        pass
+
+
+def test_a_trial_is_given_up_also_while_its_training_waits_to_be_continued(tmp_path: Path) -> None:
+    config, study = configure(**TINY), make_study(tmp_path)
+    trials = Trials(SweepConfig(SPACE), config, tmp_path / "trials", study, Dying())
+    while trials.fill(6, 1):
+        trials.look(0.0)
+    assert [trial.state for trial in study.trials] == ["complete"] * 5 + ["pruned"]
 
 
 def test_an_interrupted_sweep_says_how_it_continues(tmp_path: Path) -> None:

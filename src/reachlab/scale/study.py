@@ -177,7 +177,7 @@ class Study:
         return [one for *_, one in sorted(complete, key=lambda one: one[:2])]
 
     def draw(self, folder: Path, goal: str) -> list[Path]:
-        """Draw Optuna's pictures of the study, with the goal's name; those that it has too few trials for are left out."""
+        """Draw Optuna's pictures of the study; those that it has too few trials for are left out."""
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from optuna.visualization import matplotlib as drawn
 

@@ -126,11 +126,7 @@ def sweep(
     if address and engine != "ray":
         raise InputError(f"address is that of a Ray cluster: leave it out with engine {engine!r}, or use --engine ray.")
     folder, run = SweepDirectory(Path(out)), RunDirectory(Path(out))
-    if resume:
-        folder.read()
-        run.read_unfinished(config)
-    else:
-        run.refuse_existing()
+    _check_folder(folder, run, config, resume=resume)
     carrier: Engine = kind.load()(workers, address)
     try:
         if not resume:
@@ -150,6 +146,14 @@ def sweep(
             return _result(config, folder, study, settings)
     finally:
         carrier.close()
+
+
+def _check_folder(folder: SweepDirectory, run: RunDirectory, config: RunConfig, *, resume: bool) -> None:
+    if resume:
+        folder.read()
+        run.read_unfinished(config)
+    else:
+        run.refuse_existing()
 
 
 def _interrupted(signal: int, folder: SweepDirectory) -> Interrupted:

@@ -81,9 +81,10 @@ class Trials:
 
     def look(self, wait_s: float) -> None:
         """Take note of trainings that end, waiting so long for one, and of validations."""
-        for job in self._engine.ended(wait_s):
+        ended = self._engine.ended(wait_s)
+        self._judge()  # with the last validations of those that ended
+        for job in ended:
             self._settle(job)
-        self._judge()
 
     def shares(self) -> dict[str, float]:
         """Share of its steps that each training under way has taken, by the name of its run."""
@@ -157,7 +158,7 @@ class Trials:
 
     def _judge(self) -> None:
         """Hand on the validations that all trainings of a trial have, and prune the trial if they are poor."""
-        for number, trial in self._open.items():
+        for number, trial in list(self._open.items()):
             each = [job.values() for job in trial.jobs]
             shared = set.intersection(*map(set, each)) if not trial.given_up else set()
             for steps in sorted(shared):
@@ -165,15 +166,17 @@ class Trials:
                     trial.pruned = True
                     self._give_up(trial)
                     break
+            if trial.given_up and not trial.left:
+                self._end(number)
 
     def _end(self, number: int) -> None:
         trial = self._open.pop(number)
         if trial.failure:
             self._study.fail(number, trial.failure)
-        elif trial.pruned:
-            self._study.prune(number)
-        else:
+        elif len(trial.values) == len(trial.jobs):
             self._study.complete(number, self._pessimistic(trial.values))
+        else:
+            self._study.prune(number)
 
     def _pessimistic(self, values: list[float]) -> float:
         """The value of one seed; of several the poorer end of the 95 % interval of their mean (Student's t)."""
