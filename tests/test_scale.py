@@ -416,6 +416,14 @@ def test_trials_on_ray_are_those_of_processes(swept: Path, tmp_path: Path, ray: 
         (["sweep", "{space}", "--goal", "sucess_rate"], "Did you mean 'success_rate'"),
         (["sweep", "{space}", "--out", "{folder}"], "exists and is not overwritten"),
         (["train", "--address", "127.0.0.1:1"], "say how many with --workers"),
+        (
+            ["sweep", "{space}", "--engine", "ray", "--address", "127.0.0.1:1"],
+            "no Ray answers at address '127.0.0.1:1'",
+        ),
+        (
+            ["sweep", "{space}", "--engine", "ray", "--address", "head"],
+            "address must be HOST:PORT or 'auto', got 'head'",
+        ),
         (["train", "--workers", "2", "--engine", "local"], "use --engine ray here"),
         (["train", "--task", "precise", "--workers", "99"], "at most 16, one for 16 of num_envs 256"),
         (["train", "--config", "missing.json"], "missing.json' is missing"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import socket
 import warnings
 from typing import Any
 
@@ -11,6 +12,12 @@ from reachlab.settings.validation import InputError
 
 LOCAL = "127.0.0.1"
 """Where a Ray that is started here listens: no other machine reaches it."""
+
+AUTO, CLIENT = "auto", "ray://"
+"""The address of the cluster that this machine is a node of, and the beginning of those of Ray's client."""
+
+ANSWER_TIME = 5.0
+"""Time in which something has to answer [s]."""
 
 QUIET = {
     "RAY_USAGE_STATS_ENABLED": "0",
@@ -51,6 +58,8 @@ class Cluster:
             InputError: Ray is not installed, nothing answers at the address, or it has too few CPUs.
         """
         self.ray = load_ray()
+        if address:
+            _knock(address)
         self._mine = not self.ray.is_initialized()
         if self._mine:
             self._connect(address, workers)
@@ -78,3 +87,18 @@ class Cluster:
         """Disconnect; a Ray that was started here ends."""
         if self._mine:
             self.ray.shutdown()
+
+
+def _knock(address: str) -> None:
+    """Make sure that something answers at an address: Ray itself would try for minutes."""
+    host, colon, port = address.removeprefix(CLIENT).rpartition(":")
+    if address == AUTO:
+        return
+    if not colon or not port.isdecimal():
+        raise InputError(f"address must be HOST:PORT or {AUTO!r}, got {address!r}.")
+    try:
+        socket.create_connection((host, int(port)), ANSWER_TIME).close()
+    except (OSError, OverflowError) as error:
+        raise InputError(
+            f"no Ray answers at address {address!r} ({error}): see `ray status` on its head node."
+        ) from None
