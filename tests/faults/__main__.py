@@ -18,6 +18,7 @@ from faults.hostile import hostile_files
 from faults.saves import Trial, corruptions, cut_saves, failing_saves
 from faults.sweeps import killed_sweeps, killed_workers
 from faults.trainings import killed_runs, not_finite
+from faults.workers import lost_node, shared_weights
 from reachlab.bench.table import Row, row
 from reachlab.cli.console import print_table
 from reachlab.envs.core import Env
@@ -48,6 +49,8 @@ TRIALS: dict[str, Callable[[], Trial]] = {
     "hostile_files": hostile_files,
     "killed_workers_local": lambda: killed_workers("local", MINUTES * 60, INTERVAL, WORKER_TRIALS, WORKER_STEPS),
     "killed_workers_ray": lambda: killed_workers("ray", MINUTES * 60, INTERVAL, WORKER_TRIALS, WORKER_STEPS),
+    "shared_weights": shared_weights,
+    "lost_node": lost_node,
     "killed_sweeps": lambda: killed_sweeps(SWEEP_KILLS, SWEEP_TRIALS, WORKER_STEPS),
 }
 

@@ -18,7 +18,7 @@ from reachlab.settings.config import RunConfig
 from reachlab.settings.json_form import override
 from reachlab.settings.validation import Checked, Count, InputError, NonNegativeInt
 
-DEATHS = 20
+DEATHS = 50
 """Times that a training's process may die without a newer checkpoint until the trial counts as failed."""
 
 
