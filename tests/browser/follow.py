@@ -18,8 +18,8 @@ from reachlab.bench.table import Row, row
 from reachlab.watch import stage
 from reachlab.watch.viewer import Viewer
 
-REST, STILL = 0.6, 0.0005
-"""The arm rests where its tool has moved by less than this [m] for so long [s]."""
+REST, STILL = 0.6, 0.002
+"""The arm rests where its tool has moved by less than this [m] for so long [s]; noisy sensors move it by 1 mm."""
 
 PATIENCE = 30.0
 """Time that a drag has to end in rest [s]."""
@@ -45,8 +45,11 @@ ARC = 0.65
 ACROSS = 0.7
 """Least sine of the angle between the line of sight and an arrow that is taken."""
 
-ATTEMPTS = 3
-"""Times that the mouse tries to take a handle that it misses."""
+ATTEMPTS = 8
+"""Times that the mouse tries to move a target: it may miss the handle, or ask for what the arm cannot reach."""
+
+CATCH_UP = 0.5
+"""Time in which the page shows a target that has just stopped [s]."""
 
 
 def follow(shown: Viewer, page: Page, task: str, drags: int, seconds: float) -> Iterator[Row]:
@@ -125,6 +128,8 @@ class Hand:
         """Drag the target along an axis that is free, and hold it. One that moves is taken while all is paused."""
         for _ in range(ATTEMPTS):
             self._shown.paused = self._shown.player.on_path
+            if self._shown.paused:
+                time.sleep(CATCH_UP)
             before = self._shown.player.moment.target.copy()
             self._drag(before)
             with contextlib.suppress(TimeoutError):
@@ -137,7 +142,9 @@ class Hand:
         raise LookupError("the mouse does not find the target's handle")
 
     def _has_moved(self, before: np.ndarray) -> bool:
-        return not np.allclose(self._shown.player.moment.target, before, atol=1e-3)
+        """Whether the hand has moved the target, which may take one more step on its path before all is paused."""
+        player = self._shown.player
+        return not player.on_path and not np.allclose(player.moment.target, before, atol=1e-3)
 
     def _drag(self, target: np.ndarray) -> None:
         low, high = self._shown.box
