@@ -14,7 +14,7 @@ import pytest
 from PIL import Image
 
 from reachlab import Robot, RunConfig, load_robot
-from reachlab.cli.robot_command import MARKS
+from reachlab.cli.robot_command import LIMITS, MARKS
 from reachlab.envs.setup import make_setup
 from reachlab.jax_setup import cache_folder
 from reachlab.render.scene import drawn_spec, in_front, scene_spec
@@ -33,7 +33,7 @@ AXES = ("0 0 1", "0 1 0", "0 1 0", "0 1 0", "0 0 1")
 LENGTHS = (0.0, 0.1, 0.2, 0.2, 0.08)
 """How far each joint is above the one before while the arm is straight [m]."""
 
-LIMITS = 'lower="-2.5" upper="2.5" effort="30" velocity="2"'
+BOUNDS = 'lower="-2.5" upper="2.5" effort="30" velocity="2"'
 UNSTATED = 'lower="-2.9" upper="2.9" effort="0" velocity="0"'
 
 GANTRY = """
@@ -71,13 +71,13 @@ def small_arm() -> str:
     visual = '<visual><geometry><mesh filename="package://parts/tetrahedron.stl"/></geometry></visual>'
     text = '<robot name="small"><link name="stand"/><link name="base"/>'
     text += '<joint name="mount" type="prismatic"><parent link="stand"/><child link="base"/><axis xyz="0 0 1"/>'
-    text += f"<limit {LIMITS}/></joint>"
+    text += f"<limit {BOUNDS}/></joint>"
     above = "base"
     for number, (axis, length) in enumerate(zip(AXES, LENGTHS, strict=True)):
         text += f'<link name="part{number}">{inertial}{visual}</link>'
         text += f'<joint name="j{number}" type="revolute"><parent link="{above}"/><child link="part{number}"/>'
         text += (
-            f'<origin xyz="0 0 {length}"/><axis xyz="{axis}"/><limit {UNSTATED if number == 4 else LIMITS}/></joint>'
+            f'<origin xyz="0 0 {length}"/><axis xyz="{axis}"/><limit {UNSTATED if number == 4 else BOUNDS}/></joint>'
         )
         above = f"part{number}"
     text += '<link name="tool0"/><joint name="end" type="fixed"><parent link="part4"/><child link="tool0"/>'
@@ -135,8 +135,8 @@ def check_joints(told: list[dict[str, Any]], robot: Robot) -> None:
         assert (joint["lower"], joint["upper"]) == (robot.chain.lower[number], robot.chain.upper[number])
         assert (joint["speed"], joint["home"]) == (robot.speed[number], robot.home[number])
         assert joint["torque"] == (robot.torque[number] if np.isfinite(robot.torque[number]) else None)
-        assert {what: joint["sources"][what] for what in ("position", "speed", "torque", "home")} == {
-            **{what: robot.sources[what][number] for what in ("position", "speed", "torque")},
+        assert {what: joint["sources"][what] for what in (*LIMITS, "home")} == {
+            **{what: robot.sources[what][number] for what in LIMITS},
             "home": robot.sources["home"],
         }
         assert set(joint["sources"].values()) <= set(MARKS)

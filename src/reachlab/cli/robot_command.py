@@ -19,6 +19,9 @@ from reachlab.tasks import TASKS
 if TYPE_CHECKING:
     from reachlab.robots.robot import Robot
 
+LIMITS = ("position", "speed", "torque", "acceleration", "jerk")
+"""What is limited of a joint."""
+
 MARKS = {"model file": "f", "catalogue": "c", "derived": "d", "default": "*"}
 """Where a figure of the table comes from, in a letter."""
 
@@ -131,7 +134,7 @@ def _joints(robot: Robot) -> list[dict[str, Any]]:
         stiffness = float(model.actuator_gainprm[actuators[joint], 0])
         own = float(model.dof_damping[model.jnt_dofadr[joint]])
         damping = own - float(model.actuator_biasprm[actuators[joint], 2])
-        sources = {what: robot.sources[what][joint] for what in ("position", "speed", "torque")}
+        sources = {what: robot.sources[what][joint] for what in LIMITS}
         sources["servo"] = "derived" if robot.isolation.joints[joint] in robot.isolation.servos else "model file"
         torque = robot.torque[joint]
         facts.append(
@@ -142,6 +145,8 @@ def _joints(robot: Robot) -> list[dict[str, Any]]:
                 "upper": chain.upper[joint],
                 "speed": robot.speed[joint],
                 "torque": torque if math.isfinite(torque) else None,
+                "acceleration": robot.acceleration[joint],
+                "jerk": robot.jerk[joint],
                 "stiffness": stiffness,
                 "damping": damping,
                 "frequency": float(np.sqrt(stiffness / inertia[joint])),
@@ -217,11 +222,12 @@ def _print(facts: dict[str, Any]) -> None:
     say(f"Tool frame: {facts['tool']} ({facts['tool_found']}){f', of {kinds}' if kinds else ''}.")
     if facts["tool_frames"]:
         say(f"Other frames for --tool: {some(facts['tool_frames'], MOST_FRAMES)}.")
-    headings = ("joint", "limits", "speed", "torque", "stiffness, damping", "frequency, lag", "home")
+    headings = ("joint", "limits", "speed, ramp", "torque", "stiffness, damping", "frequency, lag", "home")
     print_table("", headings, [_row(joint) for joint in facts["joints"]])
     say(
         "f model file, c catalogue, d derived, * a default: check it. Servos: stiffness [Nm/rad or N/m], damping"
-        " [Nm s/rad or N s/m],\nnatural frequency at the largest inertia, and lag behind a moving command."
+        " [Nm s/rad or N s/m],\nnatural frequency at the largest inertia, and lag behind a moving command. Ramp: to that"
+        " speed in shaped commands."
     )
     say(f"Moved mass {facts['mass']:.3g} kg; payload up to {facts['payload']:.2g} kg, which is derived.")
     for name, box in (("Workspace", facts["workspace"]), ("Box of goals", facts["goal_box"])):
@@ -238,6 +244,7 @@ def _print(facts: dict[str, Any]) -> None:
 
 def _row(joint: dict[str, Any]) -> tuple[str, ...]:
     slide, marks = joint["type"] == "slide", {what: MARKS[source] for what, source in joint["sources"].items()}
+    ramp = f"{joint['speed'] / joint['acceleration']:.2g} s {marks['acceleration']}"
     turn, unit, digits = (1.0, " m", 3) if slide else (180 / math.pi, "°", 1)
 
     def place(value: float) -> str:
@@ -247,7 +254,7 @@ def _row(joint: dict[str, Any]) -> tuple[str, ...]:
     return (
         joint["name"],
         f"{place(joint['lower'])} to {place(joint['upper'])}{unit} {marks['position']}",
-        f"{turn * joint['speed']:.3g}{unit}/s {marks['speed']}",
+        f"{turn * joint['speed']:.3g}{unit}/s {marks['speed']}, in {ramp}",
         f"{force} {marks['torque']}",
         f"{joint['stiffness']:,.4g}, {joint['damping']:,.4g} {marks['servo']}",
         f"{joint['frequency']:.3g} rad/s, {joint['lag']:.2g} s",

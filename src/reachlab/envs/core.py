@@ -17,6 +17,7 @@ from reachlab.envs.setup import make_setup, settled
 from reachlab.jax_setup import dispatch_inline, first_process, jit
 from reachlab.render.marks import NO_PATH, TARGET_AXES, TOOL_AXES, Axes, Block, Marks
 from reachlab.render.view_randomisation import SAMPLES, develop, make_views
+from reachlab.robots.motion_limits import MotionLimits
 from reachlab.settings.config import RunConfig
 from reachlab.sims import SIMULATORS, ArmState, BatchArray, make_simulator
 from reachlab.tasks.actions import ACTIONS
@@ -24,7 +25,7 @@ from reachlab.tasks.observations import OBSERVATIONS
 from reachlab.tasks.obstacles import Obstacles
 from reachlab.tasks.scenes import clearances, places
 from reachlab.tasks.schema import SIZE, Observed
-from reachlab.tasks.task import Goal, Situation
+from reachlab.tasks.task import Goal, Situation, TaskSetup
 
 
 def merge(mask: np.ndarray, new: Observed, old: Observed) -> Observed:
@@ -51,6 +52,14 @@ class _Parts(NamedTuple):
     merge: Callable[..., Any]
     spread: Callable[..., Any]
     continued: Callable[..., Any]
+
+
+def _limits(config: RunConfig, setup: TaskSetup) -> MotionLimits | None:
+    """Within which commands are shaped; None where they are not."""
+    if not config.physics.shaping:
+        return None
+    robot, chain = setup.robot, setup.robot.chain
+    return MotionLimits(chain.lower, chain.upper, robot.speed, robot.acceleration, robot.jerk, setup.period)
 
 
 class Env:
@@ -94,7 +103,7 @@ class Env:
         simulated = self.simulator.kind == "traced"
         self.traced = simulated and not self.pictured
         f = self._functions = EnvFunctions(
-            self.setup, config.randomise, SIMULATORS[config.sim].real_time, self.pictured
+            self.setup, config.randomise, SIMULATORS[config.sim].real_time, self.pictured, _limits(config, self.setup)
         )
         parts = (f.sample_episode, f.chained_start, f.begin, f.command, f.judge, f.merge, f.spread, f.continued)
         self._parts = _Parts(*(parts if simulated else map(jit, parts)))
@@ -166,12 +175,12 @@ class Env:
 
     def _step(self, state: EnvState, action: BatchArray, instead: Array | None) -> Stepped:
         before = replace(state, arm=replace(state.arm, engine=None))
-        taken, target_q = self._parts.command(before, action, instead)
+        taken, target_q, motion = self._parts.command(before, action, instead)
         moved = self.simulator.step(state.arm, target_q)
         judged = self._parts.judge(before, moved._replace(engine=None), target_q, taken)
-        tool, goal, progress, clock, transition = judged
+        tool, goal, progress, clock, sensed, transition = judged
         arm = ArmState(moved.q, moved.qd, tool.position, tool.quaternion, moved.engine, moved.contact)
-        state = EnvState(arm, goal, target_q, taken, progress, clock, state.key, state.obstacles)
+        state = EnvState(arm, goal, target_q, taken, progress, clock, state.key, state.obstacles, motion, sensed)
         return state, transition
 
     # --- observations -----------------------------------------------------------------------------

@@ -9,9 +9,11 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from reachlab.envs.delays import Sensed, sense, sensed_at_start
 from reachlab.envs.random_streams import CHAIN_STREAM, PARTS, SCENE_STREAM, VIEW_STREAM, noise_keys
 from reachlab.render.view_randomisation import SAMPLES
 from reachlab.robots.kinematics import Pose, forward_kinematics
+from reachlab.robots.motion_limits import Motion, MotionLimits
 from reachlab.robots.scalar_algebra import once
 from reachlab.sims import ArmState, BatchArray, Moved
 from reachlab.tasks import actions, observations
@@ -38,6 +40,8 @@ class EnvState:
         clock: steps since the reset `[B]`.
         key: random key of each environment `[B]`.
         obstacles: None where there are none.
+        motion: of the commands, whose position is `target_q`; None where they are not shaped.
+        sensed: what is known of the joints; None where measurements come at once.
     """
 
     arm: ArmState
@@ -48,6 +52,8 @@ class EnvState:
     clock: Array
     key: Array
     obstacles: Obstacles | None = None
+    motion: Motion | None = None
+    sensed: Sensed | None = None
 
     @property
     def distance(self) -> Array:
@@ -120,12 +126,14 @@ class EnvFunctions:
         randomise: what varies from episode to episode, see `RunConfig.randomise`.
         real_time: joints take time to move, see `SimulatorEntry.real_time`.
         pictured: the observation holds a picture.
+        limits: within which commands are shaped; None where they are not.
     """
 
     setup: TaskSetup
     randomise: tuple[str, ...]
     real_time: bool
     pictured: bool
+    limits: MotionLimits | None = None
 
     def sample_episode(self, keys: Array) -> Begin:
         """What episodes begin with, and their next keys."""
@@ -162,28 +170,38 @@ class EnvFunctions:
             clock=jnp.zeros(len(goal.position), jnp.int32),
             key=begin.key,
             obstacles=begin.obstacles,
+            motion=None if self.limits is None else self.limits.at_rest(arm.q, jnp),
+            sensed=sensed_at_start(arm) if "delay" in self.randomise else None,
         )
 
-    def command(self, state: EnvState, action: Array, instead: Array | None) -> tuple[Array, Array]:
-        """An action `[B, a]` in its box, and the next joint command `[B, n]`.
-
-        The command is the action's, no faster than the joints can follow; see `Env.step` for what else it may be.
-        """
+    def command(self, state: EnvState, action: Array, instead: Array | None) -> tuple[Array, Array, Motion | None]:
+        """An action `[B, a]` in its box, the next joint command `[B, n]` and their motion, where it is shaped."""
         action = actions.bounded(self.setup, action)
+        wanted = self._wanted(state, action, instead)
+        if self.limits is None or state.motion is None:
+            return action, wanted, None
+        motion = self.limits.advance(state.motion, wanted, xp=jnp)
+        return action, motion.position, motion
+
+    def _wanted(self, state: EnvState, action: Array, instead: Array | None) -> Array:
+        """The action's joint command `[B, n]`, no faster than the joints can follow, or what else it may be.
+
+        See `Env.step`.
+        """
         target_q = actions.command(self.setup, self.situation(state), action)
         if self.real_time:
             most = jnp.array(self.setup.robot.speed) * self.setup.period
             target_q = jnp.clip(target_q, state.target_q - most, state.target_q + most)
         if instead is not None:
-            return action, jnp.where(jnp.isnan(instead), target_q, instead)
+            return jnp.where(jnp.isnan(instead), target_q, instead)
         if (rests := self.setup.task.rests(self.setup, state.progress)) is not None:
-            return action, jnp.where(rests[:, None], state.target_q, target_q)
-        return action, target_q
+            return jnp.where(rests[:, None], state.target_q, target_q)
+        return target_q
 
     def judge(
         self, before: EnvState, moved: Moved, target_q: Array, action: Array
-    ) -> tuple[Pose, Goal, Progress, Array, Transition]:
-        """The tool's pose, the goal, what is remembered, the clock and the transition of a step."""
+    ) -> tuple[Pose, Goal, Progress, Array, Sensed | None, Transition]:
+        """The tool's pose, the goal, what is remembered, the clock, what is sensed and the transition of a step."""
         setup, clock = self.setup, before.clock + 1
         # Computed as it is by itself: to the same bits.
         tool = once(forward_kinematics(setup.robot.chain, moved.q)) if moved.tool is None else moved.tool
@@ -192,37 +210,41 @@ class EnvFunctions:
         now = Situation(moved.q, moved.qd, *tool, goal, target_q, action, **scene)
         outcome = setup.task.judge(setup, before.progress, now, clock)
         progress = outcome.progress
+        sensed = None if before.sensed is None else sense(before.sensed, before.arm, before.key, clock, setup.period)
         terms = REWARDS[setup.rules.reward](setup.rules, outcome)
+        seen = None if self.pictured else observations.observe(setup, self.measured(now, before.key, clock, sensed))
         transition = Transition(
-            observation=None if self.pictured else observations.observe(setup, self.measured(now, before.key, clock)),
+            observation=seen,
             reward=sum(terms.values(), jnp.zeros_like(outcome.distance)),
             terminated=outcome.terminated,
             truncated=outcome.timeout,
             done=outcome.terminated | outcome.timeout,
             terms={**_errors(progress), "success": outcome.success, **terms},
         )
-        return tool, goal, progress, clock, transition
+        return tool, goal, progress, clock, sensed, transition
 
     def observe(self, state: EnvState, picture: BatchArray | None = None) -> Observed:
         """Observation of a state; one that holds a picture is given it."""
         return observations.observe(self.setup, self.situation(state)._replace(picture=cast("Array | None", picture)))
 
     def situation(self, state: EnvState) -> Situation:
-        """What observations and agents may use: as measured, with noise where dynamics vary."""
+        """What observations and agents may use: as measured, with noise where dynamics vary, and late if that does."""
         arm = state.arm
         pose = arm.tool_position, arm.tool_quaternion
         scene = {"obstacles": state.obstacles, "contact": arm.contact}
         now = Situation(arm.q, arm.qd, *pose, state.goal, state.target_q, state.last_action, **scene)
-        return self.measured(now, state.key, state.clock)
+        return self.measured(now, state.key, state.clock, state.sensed)
 
-    def measured(self, now: Situation, keys: Array, clock: Array) -> Situation:
+    def measured(self, now: Situation, keys: Array, clock: Array, sensed: Sensed | None) -> Situation:
         """A situation as it is measured, and the goal as far as it is known."""
         if now.goal.velocity is not None and not self.setup.rules.goal_velocity:
             now = now._replace(goal=replace(now.goal, velocity=jnp.zeros_like(now.goal.velocity)))
-        if "dynamics" not in self.randomise:
+        if sensed is None and "dynamics" not in self.randomise:
             return now
-        noise = jax.vmap(lambda key: jax.random.normal(key, (2, now.q.shape[-1])))(noise_keys(keys, clock))
-        q, qd = now.q + POSITION_NOISE * noise[:, 0], now.qd + SPEED_NOISE * noise[:, 1]
+        q, qd = (now.q, now.qd) if sensed is None else (sensed.q, sensed.qd)
+        if "dynamics" in self.randomise:
+            noise = jax.vmap(lambda key: jax.random.normal(key, (2, now.q.shape[-1])))(noise_keys(keys, clock))
+            q, qd = q + POSITION_NOISE * noise[:, 0], qd + SPEED_NOISE * noise[:, 1]
         pose = forward_kinematics(self.setup.robot.chain, q)
         measured = now._replace(q=q, qd=qd, tool_position=pose.position, tool_quaternion=pose.quaternion)
         return measured._replace(achieved=Pose(now.tool_position, now.tool_quaternion))

@@ -17,9 +17,9 @@ TRAINING_STREAM, REPORT_STREAM, VALIDATION_STREAM, LEARNER_STREAM, GYMNASIUM_STR
 PARTS = 4
 """Keys that an episode's key is split into: the next episode's, its target's, its start's and its arm's."""
 
-VIEW_STREAM, NOISE_STREAM, AGENT_STREAM, CHAIN_STREAM, SCENE_STREAM = (2**32 - 1 - i for i in range(5))
+VIEW_STREAM, NOISE_STREAM, AGENT_STREAM, CHAIN_STREAM, SCENE_STREAM, DELAY_STREAM = (2**32 - 1 - i for i in range(6))
 """Streams of an episode's key beside these parts: its view, the noise of its measurements, what its agent samples,
-where the next episode begins, and its obstacles."""
+where the next episode begins, its obstacles, and how late its measurements are."""
 
 
 def stream_key(seed: int | Array, stream: int) -> Array:
@@ -44,4 +44,13 @@ def gymnasium_keys(seeds: np.ndarray | Array) -> Array:
 
 def noise_keys(keys: Array, clock: Array) -> Array:
     """Keys `[B]` of the measurement noise at the steps `clock [B]` of the episodes with `keys [B]`."""
-    return jax.vmap(lambda key, step: jax.random.fold_in(jax.random.fold_in(key, NOISE_STREAM), step))(keys, clock)
+    return _step_keys(keys, clock, NOISE_STREAM)
+
+
+def delay_keys(keys: Array, clock: Array) -> Array:
+    """The same of how late the measurements are."""
+    return _step_keys(keys, clock, DELAY_STREAM)
+
+
+def _step_keys(keys: Array, clock: Array, stream: int) -> Array:
+    return jax.vmap(lambda key, step: jax.random.fold_in(jax.random.fold_in(key, stream), step))(keys, clock)

@@ -23,6 +23,8 @@ class KnownRobot:
         home: joints `[n]` in which episodes start [rad or m].
         speed: joint speed limits `[n]` [rad/s or m/s].
         torque: joint torque limits `[n]` [Nm or N].
+        acceleration: limits of joint acceleration `[n]` [rad/s² or m/s²].
+        jerk: limits of joint jerk `[n]` [rad/s³ or m/s³].
         workspace: box in which the tool works [m].
         goal_box: box of goals that are not on the table [m].
         held_quaternion: orientation in which the tool is held, wxyz.
@@ -36,6 +38,8 @@ class KnownRobot:
     home: tuple[float, ...] | None = None
     speed: tuple[float, ...] | None = None
     torque: tuple[float, ...] | None = None
+    acceleration: tuple[float, ...] | None = None
+    jerk: tuple[float, ...] | None = None
     workspace: Box | None = None
     goal_box: Box | None = None
     held_quaternion: tuple[float, ...] | None = None
@@ -59,6 +63,8 @@ ROBOTS: dict[str, KnownRobot] = {
         title="Franka Emika Panda",
         sources="panda/SOURCES.md",
         tools={"flange": "flange"},
+        acceleration=(15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0),
+        jerk=(7500.0, 3750.0, 5000.0, 6250.0, 7500.0, 10000.0, 10000.0),
         workspace=((0.27, -0.29, 0.0), (0.67, 0.29, 0.54)),
         goal_box=((0.25, -0.4, 0.1), (0.6, 0.4, 0.6)),
     ),
@@ -83,6 +89,7 @@ ROBOTS: dict[str, KnownRobot] = {
         title="Kinova Gen3 with seven joints",
         sources="gen3/SOURCES.md",
         tools={"flange": "end_effector"},
+        acceleration=(5.2, 5.2, 5.2, 5.2, 10.0, 10.0, 10.0),
         workspace=((0.22, -0.29, 0.0), (0.64, 0.29, 0.42)),
         goal_box=((0.25, -0.4, 0.1), (0.65, 0.4, 0.6)),
     ),

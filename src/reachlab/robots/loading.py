@@ -24,6 +24,10 @@ from reachlab.settings.validation import InputError, choose
 DEFAULT_SPEED = 1.5
 """Joint speed limit where none is known [rad/s or m/s]; slow for an industrial arm."""
 
+RAMP_RATE, JERK_RATE = 10.0, 20.0
+"""Limits of acceleration and jerk where none are known: full speed in a tenth of a second, and full acceleration in a
+twentieth [1/s]."""
+
 UNKNOWN = JointFacts(None, None, None)
 """What a file says of a joint that it says nothing of."""
 
@@ -85,6 +89,7 @@ def _load(name: str, tool: str | None, base: str | None, packages: tuple[str, ..
     mass = float(arm.model.body_subtreemass[arm.model.jnt_bodyid[0]])
     load = payload(loads, usable, mass)
     gains, servoed = servos(loads, usable, load), own_servos(arm.model, range(arm.chain.n))
+    acceleration, jerk = _shaping(listed, speed, sources)
     added = {own: gains[i] for i, own in enumerate(arm.isolation.joints) if i not in servoed}
     places, notices = _places(file, arm, listed, speed), [*file.notices, *arm.notices]
     sources["home"] = CATALOGUE if listed.home else FILE if places.home == arm.home else DERIVED
@@ -101,6 +106,8 @@ def _load(name: str, tool: str | None, base: str | None, packages: tuple[str, ..
         home=places.home,
         speed=speed,
         torque=torque,
+        acceleration=acceleration,
+        jerk=jerk,
         workspace=places.workspace,
         goal_box=places.goal_box,
         held_quaternion=places.held_quaternion,
@@ -131,6 +138,17 @@ def _limits(
     torque, torque_sources = _filled(listed.torque, torques, unlimited)
     position = tuple(FILE if limited else DEFAULT for limited in arm.model.jnt_limited)
     return speed, torque, {"position": position, "speed": speed_sources, "torque": torque_sources}
+
+
+def _shaping(
+    listed: KnownRobot, speed: tuple[float, ...], sources: dict[str, str | tuple[str, ...]]
+) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Limits of acceleration and jerk `[n]`, which no model file states; where they come from is noted."""
+    nothing: list[float | None] = [None] * len(speed)
+    usual = [RAMP_RATE * limit for limit in speed]
+    acceleration, sources["acceleration"] = _filled(listed.acceleration, nothing, usual)
+    jerk, sources["jerk"] = _filled(listed.jerk, nothing, [JERK_RATE * limit for limit in acceleration])
+    return acceleration, jerk
 
 
 def _filled(

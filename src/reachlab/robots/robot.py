@@ -56,6 +56,8 @@ class Robot:
         home: joint vector `[n]` in which episodes start [rad or m].
         speed: joint speed limits `[n]` [rad/s or m/s].
         torque: joint torque limits `[n]` [Nm or N]; infinite where the file's own servos have none.
+        acceleration: limits of joint acceleration `[n]` [rad/s² or m/s²], for commands that are shaped.
+        jerk: limits of joint jerk `[n]` [rad/s³ or m/s³], likewise.
         workspace: box in which the tool works [m].
         goal_box: box in which goals are asked for that are not on the table [m].
         held_quaternion: orientation in which the tool is held, wxyz.
@@ -77,6 +79,8 @@ class Robot:
     home: tuple[float, ...]
     speed: tuple[float, ...]
     torque: tuple[float, ...]
+    acceleration: tuple[float, ...]
+    jerk: tuple[float, ...]
     workspace: Box
     goal_box: Box
     held_quaternion: tuple[float, ...]

@@ -40,6 +40,9 @@ class SimConfig(Checked):
     """PyBullet: open its window, on the first environment."""
     slow: bool = False
     """PyBullet: slow down to be followed by eye."""
+    shaping: bool = False
+    """Joint commands are kept within the arm's limits of acceleration and jerk too, as the controller of an exported
+    policy keeps them: they can be stopped within 0.18 s at any time."""
 
 
 @dataclass(frozen=True)
@@ -147,7 +150,8 @@ class RunConfig(Checked):
     randomise: Annotated[tuple[str, ...], Length(8)] = ()
     """What varies from episode to episode in training; the report is without it. `dynamics`: in MuJoCo servo gains
     within 15 %, joint damping within 30 % and a payload of 0 to 2 kg at the tool, and everywhere joints measured with
-    noise of 0.5 mrad and 0.01 rad/s. `view`: light, colours and the camera's pose within 2 cm and 2 degrees."""
+    noise of 0.5 mrad and 0.01 rad/s. `delay`: measurements are a control period old and up to 10 ms more, and 5 % of
+    them do not come. `view`: light, colours and the camera's pose within 2 cm and 2 degrees."""
     rules: TaskConfig = field(default_factory=TaskConfig)
     physics: SimConfig = field(default_factory=SimConfig)
     loop: LoopConfig = field(default_factory=LoopConfig)

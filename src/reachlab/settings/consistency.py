@@ -15,7 +15,7 @@ from reachlab.settings.needs import NEEDS, Asked, Facts
 from reachlab.settings.presets import preset_of
 from reachlab.settings.validation import InputError, choose
 
-RANDOMISED = ("dynamics", "view")
+RANDOMISED = ("dynamics", "delay", "view")
 """What can vary from episode to episode; see `RunConfig.randomise`."""
 
 log = logging.getLogger(__name__)
