@@ -56,12 +56,10 @@ class MotionLimits:
         self.speed, self.jerk = INSIDE * np.asarray(speed, float), INSIDE * np.asarray(jerk, float)
         self.acceleration = INSIDE * np.asarray(acceleration, float)
         self.middle, self.n = (lower + upper) / 2, len(lower)
-        ways = [
-            _ways_to_stop(self.steps, period, a / (j * period))
-            for a, j in zip(self.acceleration, self.jerk, strict=True)
-        ]
+        ramps = self.acceleration / (self.jerk * period)
         # Of a stop that begins with a speed of 1, and with an acceleration of 1, `[steps + 1, n]`; at its end nothing.
-        self.from_speed, self.from_acceleration = (np.stack(columns, axis=1) for columns in zip(*ways, strict=True))
+        ways = np.stack([_ways_to_stop(self.steps, period, ramp) for ramp in ramps], axis=-1)
+        self.from_speed, self.from_acceleration = ways[:, 0], ways[:, 1]
         self._set_rows(INSIDE * (upper - lower) / 2)
 
     def _set_rows(self, play: np.ndarray) -> None:
@@ -133,8 +131,8 @@ class MotionLimits:
         return xp.sign(missing) * bounded
 
 
-def _ways_to_stop(steps: int, period: float, ramp: float) -> tuple[np.ndarray, np.ndarray]:
-    """Accelerations `[steps + 1]` that bring a speed of 1, and an acceleration of 1, to rest in so many steps.
+def _ways_to_stop(steps: int, period: float, ramp: float) -> np.ndarray:
+    """Accelerations `[steps + 1, 2]` that bring a speed of 1, and an acceleration of 1, to rest in so many steps.
 
     The limit of acceleration is `ramp` times what the jerk's limit changes it by in a step. The last but one is already
     zero, so that the jerk to it is within what is counted.
@@ -146,5 +144,4 @@ def _ways_to_stop(steps: int, period: float, ramp: float) -> tuple[np.ndarray, n
     system[:free, free] = system[free, :free] = 1.0
     right = np.zeros((free + 1, 2))
     right[free, 0], right[0, 1] = -1.0 / period, ramp**2
-    solved = np.concatenate([np.linalg.solve(system, right)[:free], np.zeros((2, 2))])
-    return solved[:, 0], solved[:, 1]
+    return np.concatenate([np.linalg.solve(system, right)[:free], np.zeros((2, 2))])

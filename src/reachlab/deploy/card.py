@@ -1,0 +1,102 @@
+"""The model card of an exported policy, in the form of the Hugging Face Hub."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+EXAMPLE = '''```python
+from controller import Controller
+
+controller = Controller(".")
+controller.reset(controller.home)  # joints of the arm, at rest
+q, qd = controller.home, 0 * controller.home  # what is measured: here an arm that follows at once
+for step in range({steps}):
+    command = controller.step(q, qd, {goal}, step * controller.period)
+    q, qd = command, (command - q) / controller.period
+print(dict(zip(controller.joints, command.round(3))), controller.problem or "no problem")
+```'''
+
+
+def model_card(facts: dict[str, Any]) -> str:
+    """Content of `README.md`, of what `policy.json` says."""
+    title = f"{facts['task']} for {facts['robot']}"
+    return "\n".join([_metadata(facts, title), f"# {title}", "", *_sections(facts)]) + "\n"
+
+
+def _metadata(facts: dict[str, Any], title: str) -> str:
+    """The block of metadata, whose lines are JSON and with it YAML."""
+    lines = ["---", "library_name: reachlab", "pipeline_tag: robotics", "tags:"]
+    lines += [f"- {tag}" for tag in ("robotics", "reinforcement-learning", "onnx", facts["robot"], facts["task"])]
+    if facts["held_out"]:
+        report = facts["held_out"][0]
+        result = {
+            "task": {"type": "reinforcement-learning", "name": facts["task"]},
+            "dataset": {"name": f"held-out goals of seed {report['seed']}, {report['sim']}", "type": facts["task"]},
+            "metrics": [{"type": "success_rate", "value": report["success_rate"], "name": "success rate"}],
+        }
+        lines.append(f"model-index: {json.dumps([{'name': title, 'results': [result]}])}")
+    return "\n".join([*lines, "---", ""])
+
+
+def _sections(facts: dict[str, Any]) -> list[str]:
+    goal = facts["goal"]
+    numbers = "position [m] and quaternion wxyz" if goal["orientation"] else "position [m]"
+    low, high = (", ".join(f"{value:.3g}" for value in goal[side]) for side in ("low", "high"))
+    middle = [round((a + b) / 2, 3) for a, b in zip(goal["low"], goal["high"], strict=True)]
+    held = facts["arm"]["held_quaternion"] if goal["orientation"] else []
+    lines = [
+        f"What is asked: {goal['asks']}. The goal is the {numbers} of `{goal['tool']}` in the frame of the arm's base,"
+        f" between ({low}) and ({high}) m.",
+        "",
+        "| file | what it is |",
+        "| --- | --- |",
+        "| `controller.py` | runs the policy with NumPy alone (Python ≥ 3.9), within the limits below |",
+        "| `policy.onnx` | the network, with normaliser and clipping inside |",
+        "| `policy.safetensors` | the same weights by name |",
+        "| `policy.json` | observation, action, arm, limits with their sources, settings, figures, hashes |",
+        "",
+        "## Example",
+        "",
+        EXAMPLE.format(steps=round(2 / facts["control_period"]), goal=[*middle, *held]),
+        "",
+        "## Held-out figures",
+        "",
+    ]
+    if not facts["held_out"]:
+        lines.append("None: the run was not evaluated.")
+    else:
+        lines += ["| simulator | varied | episodes, seed | success | 95 % interval | median error |", "| --- " * 6 + "|"]
+    for report in facts["held_out"]:
+        low, high = report["success_interval"]
+        error = report["final_error_mm"]["median"]
+        lines.append(
+            f"| {report['sim']} | {', '.join(report['randomised']) or 'nothing'} | {report['episodes']:,},"
+            f" {report['seed']} | {100 * report['success_rate']:.2f} % | {100 * low:.1f} to {100 * high:.1f} |"
+            f" {'not held' if error is None else f'{error:.3g} mm'} |"
+        )
+    return [*lines, "", *_limits(facts)]
+
+
+def _limits(facts: dict[str, Any]) -> list[str]:
+    rows = [
+        f"| `{one['name']}` | {one['lower']:.4g} to {one['upper']:.4g} {one['unit']} | {one['speed']:.4g} |"
+        f" {one['acceleration']:.4g} | {one['jerk']:.4g} | {', '.join(sorted(set(one['sources'].values())))} |"
+        for one in facts["joints"]
+    ]
+    return [
+        "## Limits",
+        "",
+        f"Commands are {1 / facts['control_period']:.4g} Hz joint positions, and keep these limits whatever is measured"
+        " or asked; a `default` was chosen by reachlab and is not the maker's.",
+        "",
+        "| joint | position | speed [/s] | acceleration [/s²] | jerk [/s³] | sources |",
+        "| --- " * 6 + "|",
+        *rows,
+        "",
+        "## Limits of use",
+        "",
+        "Trained and judged in simulation alone. The controller knows the arm's joints, not what is around it: it does"
+        " not see people, tables or cables, does not measure forces, and is no safety function in the sense of any"
+        " standard. Keep the arm's own limits, its emergency stop and a fence.",
+    ]

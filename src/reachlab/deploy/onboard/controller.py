@@ -1,0 +1,302 @@
+"""A controller that runs an exported policy on an arm, with NumPy and the standard library alone.
+
+    controller = Controller("policy/")
+    controller.reset(measured_q)
+    while True:  # at every control period, with seconds of a clock that never runs back
+        command = controller.step(measured_q, measured_qd, goal, time)
+
+`command` are joint positions in the order of `controller.joints`, for a position controller that follows at once.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import deque
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from reachlab.deploy.onboard.arm import Arm, quaternion_of
+from reachlab.deploy.onboard.deciding import Decider, Goal, Situation
+from reachlab.deploy.onboard.network import Network, read_weights
+from reachlab.deploy.onboard.scene import Obstacles
+from reachlab.deploy.onboard.solving import Solver
+from reachlab.deploy.onboard.watching import Watch
+from reachlab.robots.motion_limits import MotionLimits
+
+SOLVED_A_STEP = 6
+"""Steps that the solver of a goal's joints takes in a control step."""
+
+NOTED = ("q", "qd", "goal", "time", "velocity", "obstacles", "joints", "command", "problem")
+"""What is kept of a control step."""
+
+KEPT = 100_000
+"""Control steps that the log holds."""
+
+NEARBY = 0.1
+"""How far outside the box of the goals that were trained a goal may be [m]."""
+
+
+class Controller:
+    """Runs a policy: takes measurements and a goal, gives joint commands.
+
+    Commands never leave the limits of position, speed, acceleration and jerk, whatever is measured or asked. Where a
+    measurement cannot be believed, the last good one is used for 0.06 s; then, and where the controller is called late,
+    the clock runs back or the goal is refused, the arm brakes: it is at rest 0.18 s later, and moves again when all is
+    well. `problem` says why.
+
+    Attributes:
+        joints: names of the joints, in the order of all vectors.
+        home: joints `[n]` in which episodes began in training [rad or m].
+        period: time from one control step to the next [s].
+        problem: what is wrong, in words; empty where nothing is.
+        braking: the arm is brought to rest, or rests because it has to.
+    """
+
+    def __init__(self, folder: str | Path, *, runtime: str = "numpy") -> None:
+        """Controller of the policy in a folder that `reachlab export` wrote.
+
+        Args:
+            folder: the folder, with `policy.json` and `policy.safetensors`.
+            runtime: what computes the network: `numpy`, or `onnx` for ONNX Runtime and `policy.onnx`.
+
+        Raises:
+            ValueError: a file is broken, or there is no such runtime.
+            ModuleNotFoundError: ONNX Runtime is asked for and not installed.
+        """
+        folder = Path(folder)
+        facts = json.loads((folder / "policy.json").read_text(encoding="utf-8"))
+        self.joints = [joint["name"] for joint in facts["joints"]]
+        self.home, self.period = np.array(facts["arm"]["home"], float), float(facts["control_period"])
+        self._goal_facts, self._pictured = facts["goal"], facts["observation"]["pictured"]
+        self._arm = Arm(facts["arm"], facts["constants"])
+        self._decider, self._watch = Decider(self._arm, facts), Watch(facts)
+        network = {"numpy": lambda: Network(read_weights(folder / "policy.safetensors"), facts["network"]).act}
+        network["onnx"] = lambda: _onnx(folder / "policy.onnx")
+        if runtime not in network:
+            raise ValueError(f"runtime must be numpy or onnx, got {runtime!r}.")
+        self._act = network[runtime]()
+        arm, joints = facts["arm"], facts["joints"]
+        limits = [np.array([joint[name] for joint in joints], float) for name in ("acceleration", "jerk")]
+        self.limits = MotionLimits(arm["lower"], arm["upper"], arm["speed"], *limits, self.period)
+        self._log: deque[Any] = deque(maxlen=KEPT)
+        self.reset(self.home)
+
+    def reset(self, q: Any) -> None:
+        """Begin anew with an arm that rests at joints `[n]`: also after `stop`.
+
+        Raises:
+            ValueError: they are not joints of this arm, within its limits.
+        """
+        q = np.array(q, float)
+        arm = self._arm
+        if q.shape != (arm.n,) or not ((q >= arm.lower) & (q <= arm.upper)).all():
+            raise ValueError(f"reset takes {arm.n} joints within their limits, got {q.tolist()}.")
+        self.motion = self.limits.at_rest(q)
+        self._watch.reset(q)
+        self._action, self.problem = np.zeros(self._decider.size), ""
+        self._goal: Goal | None = None
+        self._asked: tuple[Any, ...] | None = None
+        self._solver: Solver | None = None
+        self._goal_time = 0.0
+        self._stopped = self.braking = False
+        self._log.append({"reset": q.tolist()})
+
+    def stop(self) -> None:
+        """Brake, and stay at rest until `reset`."""
+        self._stopped = True
+        self._log.append({"stop": True})
+
+    def step(
+        self,
+        q: Any,
+        qd: Any,
+        goal: Any,
+        time: float,
+        *,
+        velocity: Any = None,
+        obstacles: Any = None,
+        picture: np.ndarray | None = None,
+        joints: Any = None,
+    ) -> np.ndarray:
+        """Next joint command `[n]` [rad or m]; call it once in a control period.
+
+        Args:
+            q: measured joints `[n]` [rad or m]; None where no measurement has come.
+            qd: their speeds `[n]` [rad/s or m/s].
+            goal: position of the tool `[3]` m or, for a policy that was trained on poses, position and quaternion
+                wxyz `[7]`, in the frame of the arm's base; None holds the arm.
+            time: of this step [s], by any clock that does not run back.
+            velocity: of the goal `[3]` [m/s]; by default from its last positions.
+            obstacles: for a policy that was trained among them, a list of dicts with `position`, and for boxes and
+                capsules `quaternion`, `half` and `radius`, see `Obstacles`.
+            picture: the camera's, for a policy that gets one, `[84, 84]` uint8.
+            joints: joints at which the tool is at the goal, where they are known; by default they are looked for.
+        """
+        before = self.motion.position
+        problem, brake = self._watch.look(q, qd, time, before)
+        refused = "stop() was called" if self._stopped else self._take(goal, time, velocity, joints)
+        wanted = before
+        if not (refused or brake or self.braking or self._goal is None):
+            wanted, failed = self._decide(obstacles, picture)
+            problem, brake = (failed, True) if failed else (problem, brake)
+        self.problem = refused or problem
+        at_rest = bool((self.motion.stop_step >= self.limits.steps).all())
+        self.braking = bool(refused or brake or (self.braking and not at_rest))
+        self.motion = self.limits.advance(self.motion, wanted, self.braking)
+        command = self.motion.position
+        self._note(q, qd, goal, time, velocity, obstacles, joints, command)
+        return command.copy()
+
+    # --- goals --------------------------------------------------------------------------------------
+
+    def _take(self, goal: Any, time: float, velocity: Any, joints: Any) -> str:
+        """Take a goal, and say why it is refused, if it is."""
+        if goal is None:
+            self._goal = self._asked = None
+            return ""
+        facts = self._goal_facts
+        try:
+            numbers = np.array(goal, float)
+            speed = None if velocity is None else np.array(velocity, float)
+        except (TypeError, ValueError):
+            return "the goal is not made of numbers"
+        size = 7 if facts["orientation"] else 3
+        if numbers.shape != (size,) or not np.isfinite(numbers).all():
+            return f"the goal must be {size} finite numbers, got {goal!r}"
+        if speed is not None and (speed.shape != (3,) or not np.isfinite(speed).all()):
+            return f"the goal's velocity must be 3 finite numbers, got {velocity!r}"
+        place, low, high = numbers[:3], np.array(facts["low"], float), np.array(facts["high"], float)
+        if (place < low - NEARBY).any() or (place > high + NEARBY).any():
+            return f"the goal {place.tolist()} is out of the workspace, {low.tolist()} to {high.tolist()} m"
+        if facts["orientation"] and abs(np.linalg.norm(numbers[3:]) - 1) > 1e-2:
+            return f"the goal's quaternion must have length 1, got {numbers[3:].tolist()}"
+        return self._set_goal(numbers, time, speed, joints)
+
+    def _set_goal(self, numbers: np.ndarray, time: float, velocity: np.ndarray | None, joints: Any) -> str:
+        asked = (*numbers.tolist(), None if joints is None else tuple(joints))
+        if self._goal_facts["moves"]:
+            if velocity is None:
+                last, passed = self._goal, time - self._goal_time
+                velocity = np.zeros(3) if last is None or passed <= 0 else (numbers[:3] - last.position) / passed
+            self._goal, self._goal_time = Goal(numbers[:3], velocity=velocity), time
+            return ""
+        if not self._goal_facts["joints"]:
+            if asked != self._asked:
+                self._goal, self._asked = Goal(numbers[:3]), asked
+            return ""
+        if asked != self._asked:
+            self._asked, self._goal, self._solver = asked, None, None
+            if joints is not None:
+                self._goal = self._goal_at(np.array(joints, float))
+                return ""
+            turned = None
+            if self._goal_facts["orientation"]:
+                turned = Goal(numbers[:3], numbers[3:] / np.linalg.norm(numbers[3:])).rotation
+            self._solver = Solver(self._arm, numbers[:3], turned, self.motion.position.copy())
+        return self._look_for_joints()
+
+    def _look_for_joints(self) -> str:
+        solver = self._solver
+        if solver is None or self._goal is not None:
+            return ""
+        solver.advance(SOLVED_A_STEP)
+        if not solver.ended:
+            return ""
+        if solver.joints is None:
+            return "the goal is out of reach: no joints are found at which the tool is there"
+        self._goal = self._goal_at(solver.joints)
+        return ""
+
+    def _goal_at(self, joints: np.ndarray) -> Goal:
+        """The goal that the tool is at with joints `[n]`."""
+        from_joints = self._arm.frames(joints)
+        turned = quaternion_of(from_joints.rotation) if self._goal_facts["orientation"] else None
+        return Goal(from_joints.position, turned, joints=joints)
+
+    # --- decisions ----------------------------------------------------------------------------------
+
+    def _decide(self, obstacles: Any, picture: np.ndarray | None) -> tuple[np.ndarray, str]:
+        """The command that the policy asks for `[n]`, and why there is none, if so."""
+        rest = self.motion.position
+        if self._pictured and (picture is None or np.shape(picture) != tuple(self._pictured)):
+            return rest, f"the policy needs a picture of {self._pictured} pixels"
+        around = None
+        if self._decider.scene is not None:
+            try:
+                around = Obstacles(obstacles or [])
+            except (TypeError, ValueError, KeyError) as error:
+                return rest, f"the obstacles cannot be read: {error!r}"
+        now = Situation(self._arm, self._watch.q, self._watch.qd, self._goal, rest, self._action, around)
+        seen = self._decider.observe(now)
+        action = np.asarray(self._act(seen, picture if self._pictured else None), float)
+        wanted = self._decider.command(now, action)
+        if not np.isfinite(wanted).all():
+            return rest, "the policy's command is not finite"
+        self._action = action
+        return wanted, ""
+
+    # --- log ----------------------------------------------------------------------------------------
+
+    def _note(self, *entry: Any) -> None:
+        kept = tuple(one.copy() if isinstance(one, np.ndarray) else one for one in entry)
+        self._log.append((*kept, self.problem))
+
+    def save_log(self, file: str | Path) -> None:
+        """Write the last control steps, a line of JSON each; `replay` takes them again.
+
+        Pictures are not kept, so that a policy that gets some cannot be replayed.
+        """
+        with Path(file).open("w", encoding="utf-8") as lines:
+            for entry in self._log:
+                if not isinstance(entry, dict):
+                    entry = {name: _plain(value) for name, value in zip(NOTED, entry)}
+                lines.write(json.dumps(entry) + "\n")
+
+    def replay(self, file: str | Path) -> float:
+        """Take the control steps of a log again, and give the largest difference of a command [rad or m].
+
+        The log has to begin with a `reset`, as it does unless it has grown too long.
+        """
+        worst = 0.0
+        for line in Path(file).read_text(encoding="utf-8").splitlines():
+            entry = json.loads(line)
+            if "reset" in entry:
+                self.reset(entry["reset"])
+            elif "stop" in entry:
+                self.stop()
+            else:
+                told, _ = entry.pop("command"), entry.pop("problem")
+                worst = max(worst, float(np.abs(self.step(**entry) - told).max()))
+        return worst
+
+
+def _plain(value: Any) -> Any:
+    """What JSON can hold of a value; of what it cannot, nothing, which is as little a measurement."""
+    if isinstance(value, dict):
+        return {str(name): _plain(one) for name, one in value.items()}
+    if isinstance(value, (list, tuple, np.ndarray)):
+        return [_plain(one) for one in value]
+    if isinstance(value, np.generic):
+        return value.item()
+    return value if value is None or isinstance(value, (bool, int, float, str)) else None
+
+
+def _onnx(file: Path) -> Any:
+    """The network in ONNX Runtime."""
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    session = onnxruntime.InferenceSession(str(file), options, providers=["CPUExecutionProvider"])
+    names = [one.name for one in session.get_inputs()]
+
+    def act(vector: np.ndarray | None, picture: np.ndarray | None) -> np.ndarray:
+        given = {}
+        for name in names:
+            part = picture if name == "picture" else vector
+            given[name] = np.asarray(part, np.uint8 if name == "picture" else np.float32)[None]
+        return session.run(None, given)[0][0]
+
+    return act

@@ -1,0 +1,116 @@
+"""Policies in ONNX files: exports of ours, or of any other trainer with the same observations."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from reachlab.settings.config import RunConfig
+from reachlab.settings.json_form import from_json
+from reachlab.settings.presets import configure
+from reachlab.settings.validation import InputError
+from reachlab.tasks.schema import GOALS, Observed, Schema
+
+FACTS = "policy.json"
+"""File beside the graph that says what the policy observes and commands."""
+
+
+class OnnxNetwork:
+    """A policy in an ONNX file.
+
+    Attributes:
+        config: settings of the environment that it was trained in, from the file beside it; None without one.
+        checkpoint: what names it in a report, `steps` and `sha256` of its file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Policy of a file, or of a folder with a `policy.onnx`.
+
+        Raises:
+            InputError: ONNX Runtime is not installed, or a file cannot be read.
+        """
+        try:
+            import onnxruntime
+        except ModuleNotFoundError:
+            raise InputError("a policy in ONNX needs the extra 'deploy': pip install 'reachlab[deploy]'.") from None
+        self.file = path / "policy.onnx" if path.is_dir() else path
+        try:
+            content = self.file.read_bytes()
+            options = onnxruntime.SessionOptions()
+            options.log_severity_level = 4
+            self._session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+        except Exception as error:  # its own errors have no common class
+            why = " ".join(str(error).split())
+            raise InputError(f"'{self.file}' cannot be read as a policy in ONNX: {why}.") from None
+        self._inputs = {one.name: one for one in self._session.get_inputs()}
+        self.config = _settings(self.file.with_name(FACTS))
+        self.checkpoint: dict[str, Any] = {"steps": None, "sha256": hashlib.sha256(content).hexdigest()}
+
+    def check(self, schema: Schema, actions: int) -> None:
+        """Make sure that it takes the observations of a schema, and gives so many numbers of an action.
+
+        Raises:
+            InputError: it does not.
+        """
+        given = {name: array.shape for name, array in self._named(schema.bounds[0], schema).items()}
+        for name, shape in given.items():
+            taken = self._inputs[name].shape[1:]
+            if len(taken) != len(shape) or any(isinstance(t, int) and t != s for t, s in zip(taken, shape, strict=True)):
+                raise InputError(
+                    f"input {name!r} of '{self.file}' takes {taken}, and the environment observes {list(shape)}: say"
+                    f" what the policy observes in a '{FACTS}' beside it, as docs/deploy.md shows."
+                )
+        outputs = [one.shape for one in self._session.get_outputs()]
+        if len(outputs) != 1 or len(outputs[0]) != 2 or (isinstance(outputs[0][1], int) and outputs[0][1] != actions):
+            raise InputError(
+                f"'{self.file}' has outputs {outputs}, and a policy for this environment has one, [batch, {actions}]."
+            )
+
+    def act(self, observation: Observed) -> np.ndarray:
+        """Actions `[B, a]` of observations with the batch in front."""
+        given = self._named(observation)
+        batch = self._inputs[next(iter(given))].shape[0]
+        if batch == 1:  # a graph that was made for one observation at a time
+            count = len(next(iter(given.values())))
+            rows = [{name: part[i : i + 1] for name, part in given.items()} for i in range(count)]
+            return np.concatenate([self._session.run(None, row)[0] for row in rows])
+        return self._session.run(None, given)[0]
+
+    def _named(self, observation: Observed, schema: Schema | None = None) -> dict[str, np.ndarray]:
+        """An observation by the names of the graph's inputs.
+
+        Raises:
+            InputError: they are not those of the observation.
+        """
+        parts = observation if isinstance(observation, Mapping) else {next(iter(self._inputs)): observation}
+        if set(parts) != set(self._inputs):
+            raise InputError(
+                f"'{self.file}' has the inputs {', '.join(self._inputs)}, and the environment observes"
+                f" {', '.join(parts)}."
+            )
+        kinds = {"tensor(uint8)": np.uint8, "tensor(double)": np.float64}
+        return {name: np.asarray(part, kinds.get(self._inputs[name].type, np.float32)) for name, part in parts.items()}
+
+
+def _settings(file: Path) -> RunConfig | None:
+    """Settings of the file beside a graph: `settings` in full as an export has them, or flags of a task by name.
+
+    Raises:
+        InputError: it is no such file.
+    """
+    if not file.exists():
+        return None
+    try:
+        settings = json.loads(file.read_text(encoding="utf-8"))["settings"]
+        if "rules" in settings:
+            return from_json(settings)
+        return configure(**settings)
+    except (ValueError, KeyError, TypeError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"'{file}' does not say what its policy was trained for: {error!r}.") from None
