@@ -266,6 +266,18 @@ class Plot(Checked):
 
 
 @dataclass(frozen=True)
+class Export(Checked):
+    """Write a policy into a folder with all that a robot's computer needs."""
+
+    run: Annotated[Path, tyro.conf.Positional]
+    """Run directory."""
+    out: Annotated[Path, Optional] = Path("policy")
+    """Folder to make."""
+    json: bool = False
+    """Print what was written as one JSON object on standard output."""
+
+
+@dataclass(frozen=True)
 class Bench(Checked):
     """Measure speed, accuracy and learning on this machine."""
 

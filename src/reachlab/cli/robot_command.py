@@ -226,8 +226,8 @@ def _print(facts: dict[str, Any]) -> None:
     print_table("", headings, [_row(joint) for joint in facts["joints"]])
     say(
         "f model file, c catalogue, d derived, * a default: check it. Servos: stiffness [Nm/rad or N/m], damping"
-        " [Nm s/rad or N s/m],\nnatural frequency at the largest inertia, and lag behind a moving command. Ramp: to that"
-        " speed in shaped commands."
+        " [Nm s/rad or N s/m],\nnatural frequency at the largest inertia, and lag behind a moving command. Ramp: to"
+        " that speed in shaped commands."
     )
     say(f"Moved mass {facts['mass']:.3g} kg; payload up to {facts['payload']:.2g} kg, which is derived.")
     for name, box in (("Workspace", facts["workspace"]), ("Box of goals", facts["goal_box"])):

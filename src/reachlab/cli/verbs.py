@@ -8,8 +8,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from reachlab.bench import SUITES, run_suite
+from reachlab.cli.deploy_command import deploy, export
+from reachlab.cli.deploy_flags import Deploy
 from reachlab.cli.eval_command import evaluate
-from reachlab.cli.flags import Bench, Distil, Eval, List, Plot, ShowRobot, Train, Video, View
+from reachlab.cli.flags import Bench, Distil, Eval, Export, List, Plot, ShowRobot, Train, Video, View
 from reachlab.cli.preparation import prepare
 from reachlab.cli.robot_command import robot
 from reachlab.cli.sweep_command import sweep
@@ -102,6 +104,8 @@ VERBS: dict[str, Verb] = {
     "video": Verb(Video, video),
     "view": Verb(View, view),
     "plot": Verb(Plot, plot),
+    "export": Verb(Export, export),
+    "deploy": Verb(Deploy, deploy),
     "bench": Verb(Bench, bench),
     "list": Verb(List, list_names),
 }

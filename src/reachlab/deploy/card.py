@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
-EXAMPLE = '''```python
+EXAMPLE = """```python
 from controller import Controller
 
 controller = Controller(".")
@@ -15,7 +15,7 @@ for step in range({steps}):
     command = controller.step(q, qd, {goal}, step * controller.period)
     q, qd = command, (command - q) / controller.period
 print(dict(zip(controller.joints, command.round(3))), controller.problem or "no problem")
-```'''
+```"""
 
 
 def model_card(facts: dict[str, Any]) -> str:
@@ -46,8 +46,10 @@ def _sections(facts: dict[str, Any]) -> list[str]:
     middle = [round((a + b) / 2, 3) for a, b in zip(goal["low"], goal["high"], strict=True)]
     held = facts["arm"]["held_quaternion"] if goal["orientation"] else []
     lines = [
-        f"What is asked: {goal['asks']}. The goal is the {numbers} of `{goal['tool']}` in the frame of the arm's base,"
-        f" between ({low}) and ({high}) m.",
+        (
+            f"What is asked: {goal['asks']}. The goal is the {numbers} of `{goal['tool']}` in the frame of the arm's"
+            f" base, between ({low}) and ({high}) m."
+        ),
         "",
         "| file | what it is |",
         "| --- | --- |",
@@ -66,7 +68,10 @@ def _sections(facts: dict[str, Any]) -> list[str]:
     if not facts["held_out"]:
         lines.append("None: the run was not evaluated.")
     else:
-        lines += ["| simulator | varied | episodes, seed | success | 95 % interval | median error |", "| --- " * 6 + "|"]
+        lines += [
+            "| simulator | varied | episodes, seed | success | 95 % interval | median error |",
+            "| --- " * 6 + "|",
+        ]
     for report in facts["held_out"]:
         low, high = report["success_interval"]
         error = report["final_error_mm"]["median"]
@@ -87,8 +92,10 @@ def _limits(facts: dict[str, Any]) -> list[str]:
     return [
         "## Limits",
         "",
-        f"Commands are {1 / facts['control_period']:.4g} Hz joint positions, and keep these limits whatever is measured"
-        " or asked; a `default` was chosen by reachlab and is not the maker's.",
+        (
+            f"Commands are {1 / facts['control_period']:.4g} Hz joint positions, and keep these limits whatever is"
+            " measured or asked; a `default` was chosen by reachlab and is not the maker's."
+        ),
         "",
         "| joint | position | speed [/s] | acceleration [/s²] | jerk [/s³] | sources |",
         "| --- " * 6 + "|",
@@ -96,7 +103,9 @@ def _limits(facts: dict[str, Any]) -> list[str]:
         "",
         "## Limits of use",
         "",
-        "Trained and judged in simulation alone. The controller knows the arm's joints, not what is around it: it does"
-        " not see people, tables or cables, does not measure forces, and is no safety function in the sense of any"
-        " standard. Keep the arm's own limits, its emergency stop and a fence.",
+        (
+            "Trained and judged in simulation alone. The controller knows the arm's joints, not what is around it: it"
+            " does not see people, tables or cables, does not measure forces, and is no safety function in the sense of"
+            " any standard. Keep the arm's own limits, its emergency stop and a fence."
+        ),
     ]

@@ -146,7 +146,7 @@ def _situations(env: Env, policy: Policy, steps: int) -> Any:
     """Observations `[B, ...]` of so many steps of held-out episodes, in NumPy."""
     state = env.compile_whole(env.init)(episode_keys(CHECK_SEED, REPORT_STREAM, 0, env.num_envs))
     act, key = make_act(env, "trained"), jax.random.key(0)
-    step = env.compile_whole(lambda policy, state, key: act(policy, state, key))
+    step = env.compile_whole(act)
     for _ in range(steps):
         seen: Observed = jax.tree.map(np.asarray, env.observe_now(state))
         yield seen

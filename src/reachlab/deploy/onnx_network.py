@@ -14,7 +14,7 @@ from reachlab.settings.config import RunConfig
 from reachlab.settings.json_form import from_json
 from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError
-from reachlab.tasks.schema import GOALS, Observed, Schema
+from reachlab.tasks.schema import Observed, Schema
 
 FACTS = "policy.json"
 """File beside the graph that says what the policy observes and commands."""
@@ -57,10 +57,12 @@ class OnnxNetwork:
         Raises:
             InputError: it does not.
         """
-        given = {name: array.shape for name, array in self._named(schema.bounds[0], schema).items()}
+        given = {name: array.shape for name, array in self._named(schema.bounds[0]).items()}
         for name, shape in given.items():
             taken = self._inputs[name].shape[1:]
-            if len(taken) != len(shape) or any(isinstance(t, int) and t != s for t, s in zip(taken, shape, strict=True)):
+            if len(taken) != len(shape) or any(
+                isinstance(t, int) and t != s for t, s in zip(taken, shape, strict=True)
+            ):
                 raise InputError(
                     f"input {name!r} of '{self.file}' takes {taken}, and the environment observes {list(shape)}: say"
                     f" what the policy observes in a '{FACTS}' beside it, as docs/deploy.md shows."
@@ -81,7 +83,7 @@ class OnnxNetwork:
             return np.concatenate([self._session.run(None, row)[0] for row in rows])
         return self._session.run(None, given)[0]
 
-    def _named(self, observation: Observed, schema: Schema | None = None) -> dict[str, np.ndarray]:
+    def _named(self, observation: Observed) -> dict[str, np.ndarray]:
         """An observation by the names of the graph's inputs.
 
         Raises:

@@ -71,9 +71,7 @@ def onnx_model(policy: Policy, bounds: Bounds, *, clips: bool) -> Any:
 
     given = inputs(policy.schema)
     vectors = [name for name, _, picture in given if not picture]
-    parts = []
-    for name in (name for name, _, picture in given if picture):
-        parts.append(_encoded(name, add, dense, constants))
+    parts = [_encoded(name, add, dense, constants) for name, _, picture in given if picture]
     if vectors:
         vector = vectors[0] if len(vectors) == 1 else add("Concat", vectors, "vector", axis=1)
         scaled = add("Div", [add("Sub", [vector, "normaliser.mean"], "shifted"), "normaliser.scale"], "scaled")

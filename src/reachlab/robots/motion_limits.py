@@ -52,6 +52,7 @@ class MotionLimits:
     ) -> None:
         """Limits `[n]` [rad or m, and per s, s² and s³] of commands that are a `period` [s] apart."""
         lower, upper = np.asarray(lower, float), np.asarray(upper, float)
+        self.lower, self.upper = lower, upper
         self.period, self.steps = period, max(int(STOP_TIME / period + 1e-6), 3)
         self.speed, self.jerk = INSIDE * np.asarray(speed, float), INSIDE * np.asarray(jerk, float)
         self.acceleration = INSIDE * np.asarray(acceleration, float)

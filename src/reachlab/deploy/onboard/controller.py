@@ -52,6 +52,7 @@ class Controller:
         period: time from one control step to the next [s].
         problem: what is wrong, in words; empty where nothing is.
         braking: the arm is brought to rest, or rests because it has to.
+        asks_orientation: goals are poses.
     """
 
     def __init__(self, folder: str | Path, *, runtime: str = "numpy") -> None:
@@ -70,6 +71,7 @@ class Controller:
         self.joints = [joint["name"] for joint in facts["joints"]]
         self.home, self.period = np.array(facts["arm"]["home"], float), float(facts["control_period"])
         self._goal_facts, self._pictured = facts["goal"], facts["observation"]["pictured"]
+        self.asks_orientation = bool(self._goal_facts["orientation"])
         self._arm = Arm(facts["arm"], facts["constants"])
         self._decider, self._watch = Decider(self._arm, facts), Watch(facts)
         network = {"numpy": lambda: Network(read_weights(folder / "policy.safetensors"), facts["network"]).act}
@@ -250,9 +252,10 @@ class Controller:
         """
         with Path(file).open("w", encoding="utf-8") as lines:
             for entry in self._log:
+                named = entry
                 if not isinstance(entry, dict):
-                    entry = {name: _plain(value) for name, value in zip(NOTED, entry)}
-                lines.write(json.dumps(entry) + "\n")
+                    named = {name: _plain(value) for name, value in zip(NOTED, entry)}
+                lines.write(json.dumps(named) + "\n")
 
     def replay(self, file: str | Path) -> float:
         """Take the control steps of a log again, and give the largest difference of a command [rad or m].

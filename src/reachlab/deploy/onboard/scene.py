@@ -60,7 +60,7 @@ class Scene:
         self._basis = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
     def nearest(self, frames: Frames, obstacles: Obstacles) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Of each capsule the distance `[C]` m from what is nearest, the way from it `[C, 3]`, and where on its axis."""
+        """Of each capsule the distance `[C]` m from what is nearest, the way from it and where on its axis `[C, 3]`."""
         links = frames.links[self._links - 1]
         rotation, place = links[:, :3, :3], links[:, :3, 3]
         start, end = (place + np.einsum("cij,cj->ci", rotation, side) for side in (self._starts, self._ends))

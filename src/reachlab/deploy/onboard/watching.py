@@ -19,7 +19,10 @@ JUMP = 0.1
 """How far a joint may be from where it was, beside what its speed explains [rad or m]."""
 
 MOVED = 0.005
-"""A measurement that stays the same to the last bit for `GRACE` while the command moves so far is not one [rad or m]."""
+"""A measurement that stays the same for `GRACE` while the command moves so far is not one [rad or m]."""
+
+DRIFTED = 0.0005
+"""Nor is one while its own speeds say that a joint moves so far [rad or m]."""
 
 
 class Watch:
@@ -34,7 +37,8 @@ class Watch:
         arm = facts["arm"]
         self._lower, self._upper = (np.array(arm[side], float) for side in ("lower", "upper"))
         self._speed, self._lag = (np.array(arm[name], float) for name in ("speed", "lag"))
-        self._repeats = max(int(GRACE / float(facts["control_period"]) + 1e-6), 2)
+        self._period = float(facts["control_period"])
+        self._repeats = max(int(GRACE / self._period + 1e-6), 2)
         self.reset(np.array(arm["home"], float))
 
     def reset(self, q: np.ndarray) -> None:
@@ -47,7 +51,8 @@ class Watch:
         """What is wrong, empty where nothing is, and whether the arm has to brake for it.
 
         Args:
-            q, qd: measured joints and speeds, whatever they are.
+            q: measured joints, whatever that is.
+            qd: their speeds, likewise.
             time: of this control step [s].
             command: the last joint command `[n]`.
         """
@@ -98,6 +103,8 @@ class Watch:
             self._same += 1
         else:
             self._same, self._command = 0, command.copy()
-        moved = np.abs(command - self._command).max()
-        frozen = self._same >= self._repeats and moved > MOVED
-        return f"the measurement has not changed for {self._same} steps, and the command has" if frozen else ""
+        if self._same < self._repeats:
+            return ""
+        moved = np.abs(command - self._command).max() > MOVED
+        drifted = np.abs(qd).max() * self._same * self._period > DRIFTED
+        return f"the measurement has not changed for {self._same} steps, and the arm moves" if moved or drifted else ""

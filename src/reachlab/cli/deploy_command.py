@@ -1,0 +1,75 @@
+"""The verbs `export` and `deploy`."""
+
+from __future__ import annotations
+
+import json as jsonlib
+
+from reachlab.cli.deploy_flags import Deploy
+from reachlab.cli.flags import Export
+from reachlab.cli.preparation import prepare
+from reachlab.deploy.plant_faults import Faults
+from reachlab.deploy.topics import Topics
+from reachlab.settings.validation import InputError
+
+
+def export(arguments: Export) -> None:
+    """Run `reachlab export`."""
+    prepare()
+    from reachlab.cli.console import say
+    from reachlab.deploy.export import SITUATIONS, TOLERANCE, export
+    from reachlab.runs.directory import RunDirectory
+
+    done = export(RunDirectory(arguments.run), arguments.out)
+    if arguments.json:
+        print(jsonlib.dumps({"folder": str(done.folder), "files": done.files, "differences": done.differences}))
+        return
+    sizes = ", ".join(f"{name} ({size / 1000:.0f} kB)" for name, size in done.files.items())
+    worst = " and ".join(f"{value:.0e} ({name})" for name, value in done.differences.items())
+    say(f"Written: {done.folder}: {sizes}.")
+    say(
+        f"Largest difference from the policy in {SITUATIONS:,} situations, of its actions' box: {worst};"
+        f" {TOLERANCE:.0e} are allowed."
+    )
+    say(f"Next: reachlab deploy check {done.folder}")
+
+
+def deploy(arguments: Deploy) -> None:
+    """Run `reachlab deploy`.
+
+    Raises:
+        InputError: a flag that does not go with what is done.
+    """
+    if arguments.how == "ros2":
+        if arguments.faults != Faults() or arguments.over_ros2 or arguments.sim or arguments.json:
+            raise InputError("deploy ros2 takes the names of topics and --trajectory; the other flags go with check.")
+        from reachlab.deploy.ros2 import run_node
+
+        run_node(arguments.policy, arguments.topics, trajectory=arguments.trajectory)
+        return
+    if arguments.trajectory or arguments.topics != Topics():
+        raise InputError("--trajectory and the names of topics go with deploy ros2.")
+    prepare()
+    from reachlab.deploy.check import check
+    from reachlab.deploy.ros2_check import check_over_ros2
+
+    run = check_over_ros2 if arguments.over_ros2 else check
+    given = {"sim": arguments.sim, "episodes": arguments.episodes, "seed": arguments.seed, "faults": arguments.faults}
+    outcome = run(arguments.policy, **given).to_json()
+    if arguments.json:
+        print(jsonlib.dumps(outcome))
+        return
+    from reachlab.cli.console import say
+
+    low, high = outcome["success_interval"]
+    say(
+        f"{outcome['episodes']} held-out episodes in real time: success {100 * outcome['success_rate']:.1f} %"
+        f" (95 % interval {100 * low:.1f} to {100 * high:.1f})."
+    )
+    say(
+        f"Commands in time: {100 * outcome['in_time']:.2f} % of {outcome['cycles']:,} cycles; past a limit:"
+        f" {outcome['broken']}."
+    )
+    if outcome["rest_s"] is not None:
+        say(f"At rest at most {outcome['rest_s']:.2f} s after the last measurement.")
+    for problem, count in outcome["problems"].items():
+        say(f"The controller said in {count:,} cycles: {problem}.")

@@ -1,0 +1,37 @@
+"""Flags of `reachlab deploy`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from reachlab.deploy.plant_faults import Faults
+from reachlab.deploy.topics import Topics
+from reachlab.settings.validation import Checked, Count, Seed
+
+
+@dataclass(frozen=True)
+class Deploy(Checked):
+    """Run an exported policy: as a node of ROS 2 on an arm, or checked in real time against a simulated one."""
+
+    how: Annotated[Literal["check", "ros2"], tyro.conf.Positional]
+    """`check`: its controller in a process of its own drives a simulated arm in real time. `ros2`: a node."""
+    policy: Annotated[Path, tyro.conf.Positional]
+    """Folder that `reachlab export` wrote."""
+    sim: Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")] = None
+    """Check: simulator of the arm; by default the run's own."""
+    episodes: Count = 20
+    """Check: held-out episodes."""
+    seed: Seed = 1
+    """Check: seed of the goals."""
+    over_ros2: bool = False
+    """Check: the arm is a node, and the policy's node another process; messages go over DDS."""
+    faults: Faults = field(default_factory=Faults)
+    trajectory: bool = False
+    """Node: publish trajectories of one point, for arms without a forward position controller."""
+    topics: Topics = field(default_factory=Topics)
+    json: bool = False
+    """Check: print the result as one JSON object on standard output."""

@@ -1,0 +1,166 @@
+"""An exported policy in real time: its controller in one process, a simulated arm in another, faults between them."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import json
+import multiprocessing
+import time
+from collections.abc import Iterator
+from multiprocessing.connection import Connection
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from reachlab.deploy.plant import Measurement, Outcome, Plant, drive
+from reachlab.deploy.plant_faults import Faults
+from reachlab.envs.setup import in_evaluation
+from reachlab.settings.config import RunConfig
+from reachlab.settings.json_form import from_json
+from reachlab.settings.validation import InputError
+
+PATIENCE = 60.0
+"""Time in which a controller has to be ready [s]."""
+
+
+def load_controller(folder: Path) -> ModuleType:
+    """The module `controller.py` of an export, from its file.
+
+    Raises:
+        InputError: there is none.
+    """
+    file = folder / "controller.py"
+    if not file.is_file():
+        raise InputError(f"'{folder}' holds no controller.py: name a folder that `reachlab export` wrote.")
+    spec = importlib.util.spec_from_file_location("controller", file)
+    assert spec is not None, file  # noqa: S101
+    assert spec.loader, file  # noqa: S101
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def read_facts(folder: Path) -> dict[str, Any]:
+    """What the `policy.json` of an export says.
+
+    Raises:
+        InputError: there is none, or it is broken.
+    """
+    file = folder / "policy.json"
+    try:
+        return json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"'{file}' cannot be read as what `reachlab export` wrote: {error}.") from None
+
+
+def settings_of(folder: Path, sim: str | None) -> RunConfig:
+    """Settings in which an exported policy is checked, in a simulator or in its own.
+
+    Raises:
+        InputError: the folder is none that was exported, the policy gets pictures, or there is no such simulator.
+    """
+    facts = read_facts(folder)
+    if facts["observation"]["pictured"]:
+        raise InputError("a policy that gets pictures is not checked in real time: evaluate it, `reachlab eval`.")
+    config = from_json(facts["settings"])
+    return in_evaluation(config, sim or config.sim)
+
+
+def check(folder: Path, *, sim: str | None, episodes: int, seed: int, faults: Faults) -> Outcome:
+    """Play held-out episodes in real time with the controller of an export, in a process of its own.
+
+    Raises:
+        InputError: see `settings_of`, or the controller does not start.
+    """
+    plant = Plant(settings_of(folder, sim), seed)
+    try:
+        with _controller(folder) as link:
+            return drive(plant, link, faults, episodes)
+    finally:
+        plant.close()
+
+
+@contextlib.contextmanager
+def _controller(folder: Path) -> Iterator[PipeLink]:
+    """A controller in a process of its own, which ends with this one."""
+    context = multiprocessing.get_context("spawn")
+    here, there = context.Pipe()
+    process = context.Process(target=serve, args=(folder, there), daemon=True)
+    process.start()
+    there.close()
+    try:
+        yield PipeLink(here)
+    finally:
+        here.close()
+        process.join(5)
+        if process.is_alive():
+            process.terminate()
+
+
+class PipeLink:
+    """A pipe to a controller's process."""
+
+    def __init__(self, pipe: Connection) -> None:
+        """The end of a pipe."""
+        self._pipe, self._problem = pipe, ""
+
+    def begin(self, q: np.ndarray) -> None:
+        """Reset the controller.
+
+        Raises:
+            InputError: it is not ready in time.
+        """
+        self._pipe.send(q)
+        end = time.monotonic() + PATIENCE
+        while time.monotonic() < end:
+            if self._pipe.poll(0.1) and self._pipe.recv() == "ready":
+                self._problem = ""
+                return
+        raise InputError(f"the controller is not ready within {PATIENCE:g} s.")
+
+    def send(self, measurement: Measurement) -> None:
+        """Tell the controller a measurement."""
+        self._pipe.send(measurement)
+
+    def receive(self) -> np.ndarray | None:
+        """The newest command, if one has come."""
+        command = None
+        while self._pipe.poll():
+            command, self._problem = self._pipe.recv()
+        return command
+
+    def problem(self) -> str:
+        """What the controller said last."""
+        return self._problem
+
+
+def serve(folder: Path, pipe: Connection) -> None:
+    """Run the controller of an export at the other end of a pipe, until that is closed."""
+    controller = load_controller(folder).Controller(folder)
+    period, told, due = controller.period, None, time.perf_counter()
+    with contextlib.suppress(EOFError, BrokenPipeError, ConnectionResetError):
+        while True:
+            q, qd = None, None
+            if told is None:
+                pipe.poll(None)
+            # A measurement is used as it comes; where none comes in a period and a half, there is none.
+            came = pipe.poll(max(0.0, due + 0.5 * period - time.perf_counter()))
+            while came and pipe.poll():
+                message = pipe.recv()
+                if isinstance(message, Measurement):
+                    told, q, qd = message, message.q, message.qd
+                else:
+                    controller.reset(np.clip(message, controller.limits.lower, controller.limits.upper))
+                    told, q = None, None
+                    pipe.send("ready")
+                    break
+            if told is None:
+                continue
+            now = time.perf_counter()
+            due = now + period
+            extras = {"velocity": told.velocity, "obstacles": told.obstacles}
+            command = controller.step(q, qd, told.goal, now, **extras)
+            pipe.send((command, controller.problem))

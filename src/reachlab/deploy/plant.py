@@ -1,0 +1,218 @@
+"""A simulated arm that is driven in real time by a controller in another process, and judged as in an evaluation."""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+import time
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import jax
+import numpy as np
+
+from reachlab.deploy.plant_faults import Faults
+from reachlab.envs.core import Env
+from reachlab.envs.random_streams import REPORT_STREAM, episode_keys
+from reachlab.evaluation.report import wilson_interval
+from reachlab.settings.config import RunConfig
+from reachlab.settings.json_form import override
+
+WARM_UP = 3
+"""Steps of the plant before time counts: what they take is compiled then."""
+
+RESTS = 1e-6
+"""Joint speed of a command that rests [rad/s or m/s]."""
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """What the controller is told in a control period: joints and speeds `[n]`, and what it is asked for."""
+
+    q: np.ndarray
+    qd: np.ndarray
+    goal: list[float]
+    velocity: list[float] | None
+    obstacles: list[dict[str, Any]] | None
+
+
+class Link(Protocol):
+    """The way between a plant and a controller."""
+
+    def begin(self, q: np.ndarray) -> None:
+        """Wait until the controller is ready for an arm that rests at joints `[n]`, and has no goal."""
+        ...
+
+    def send(self, measurement: Measurement) -> None:
+        """Tell the controller a measurement."""
+        ...
+
+    def receive(self) -> np.ndarray | None:
+        """The command `[n]` that came since the last call; None without one. Never waits."""
+        ...
+
+    def problem(self) -> str:
+        """What the controller said last is wrong; empty where nothing is, or where that cannot be known."""
+        ...
+
+
+@dataclass
+class Outcome:
+    """What became of the episodes.
+
+    Attributes:
+        episodes, successes: by the task's rules.
+        cycles: control periods.
+        in_time: those in which a command had come since the one before.
+        broken: commands that left a limit of speed, or that were not finite.
+        rest_s: longest time from the last measurement to rest, where measurements end [s].
+        problems: how often the controller said what.
+    """
+
+    episodes: int = 0
+    successes: int = 0
+    cycles: int = 0
+    in_time: int = 0
+    broken: int = 0
+    rest_s: float | None = None
+    problems: Counter[str] = field(default_factory=Counter)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain form."""
+        return {
+            "episodes": self.episodes,
+            "success_rate": self.successes / self.episodes,
+            "success_interval": wilson_interval(self.successes, self.episodes),
+            "cycles": self.cycles,
+            "in_time": self.in_time / self.cycles,
+            "broken": self.broken,
+            "rest_s": self.rest_s,
+            "problems": dict(self.problems),
+        }
+
+
+class Plant:
+    """One simulated arm on the held-out goals of a seed."""
+
+    def __init__(self, config: RunConfig, seed: int) -> None:
+        """Arm of a configuration, which follows every command as it comes."""
+        self._env, self._seed = Env(override(config, shaping=False), 1), seed
+        self.period, self.steps = config.physics.control_period, config.rules.max_steps
+        self.speed = np.array(self._env.setup.robot.speed)
+        self._init, self._step = self._env.compile_whole(self._env.init), self._env.compile_whole(self._env.step)
+        self._idle = np.zeros((1, len(self._env.action_bounds[0])), np.float32)
+        self.begin(0)
+        for _ in range(WARM_UP):
+            self.step(self.q)
+
+    def begin(self, number: int) -> None:
+        """Begin the episode of that number."""
+        self._state = self._init(episode_keys(self._seed, REPORT_STREAM, number, 1))
+
+    @property
+    def q(self) -> np.ndarray:
+        """Joints `[n]`."""
+        return np.asarray(self._state.arm.q, float)[0]
+
+    def step(self, command: np.ndarray) -> tuple[bool, bool]:
+        """Move for a control period towards a command `[n]`; whether the episode has ended, and in success."""
+        self._state, transition = self._step(self._state, self._idle, instead=np.asarray(command, np.float32)[None])
+        return bool(transition.done[0]), bool(transition.terms["success"][0])
+
+    def measure(self) -> Measurement:
+        """What is measured and asked for now."""
+        state, goal = self._state, self._state.goal
+        asked = np.asarray(goal.position, float)[0].tolist()
+        if goal.quaternion is not None:
+            asked += np.asarray(goal.quaternion, float)[0].tolist()
+        velocity = None if goal.velocity is None else np.asarray(goal.velocity, float)[0].tolist()
+        around = None
+        if state.obstacles is not None:
+            present = np.flatnonzero(np.asarray(state.obstacles.present)[0])
+            rows = jax.tree.map(lambda x: np.asarray(x, float)[0], state.obstacles)
+            around = [{name: part[i].tolist() for name, part in vars(rows).items()} for i in present]
+        return Measurement(self.q, np.asarray(state.arm.qd, float)[0], asked, velocity, around)
+
+    def close(self) -> None:
+        """Close the simulator."""
+        self._env.close()
+
+
+class Disturbed:
+    """A link on which measurements come late, damaged or not at all."""
+
+    def __init__(self, link: Link, faults: Faults) -> None:
+        """A link with faults, which are the same each time."""
+        self._link, self._faults, self._random = link, faults, np.random.default_rng(0)
+        self._late: list[tuple[float, int, Measurement]] = []
+        self._numbers = itertools.count()
+
+    def send(self, measurement: Measurement, since: float) -> bool:
+        """Send a measurement that is made so long [s] after the episode began; whether any can still come."""
+        faults, random = self._faults, self._random.random(3)
+        if faults.dead_after is not None and since >= faults.dead_after:
+            self._late.clear()
+            return False
+        if random[0] < faults.nan:
+            q = measurement.q.copy()
+            q[self._random.integers(len(q))] = np.nan
+            measurement = Measurement(q, *list(vars(measurement).values())[1:])
+        if random[1] >= faults.drop:
+            due = time.perf_counter() + faults.delay + random[2] * faults.jitter
+            heapq.heappush(self._late, (due, next(self._numbers), measurement))
+        self.flush()
+        return True
+
+    def flush(self) -> None:
+        """Hand over what is due."""
+        while self._late and self._late[0][0] <= time.perf_counter():
+            self._link.send(heapq.heappop(self._late)[2])
+
+    def clear(self) -> None:
+        """Forget what is on its way."""
+        self._late.clear()
+
+
+def drive(plant: Plant, link: Link, faults: Faults, episodes: int) -> Outcome:
+    """Play so many episodes in real time, each from home on."""
+    outcome, disturbed = Outcome(), Disturbed(link, faults)
+    for number in range(episodes):
+        plant.begin(number)
+        disturbed.clear()
+        link.begin(plant.q)
+        outcome.successes += _episode(plant, link, disturbed, outcome)
+        outcome.episodes += 1
+    return outcome
+
+
+def _episode(plant: Plant, link: Link, disturbed: Disturbed, outcome: Outcome) -> bool:
+    """Whether an episode ends in success; its figures are added."""
+    command, success, dead = plant.q, False, None
+    most = plant.speed * plant.period * (1 + 1e-6)
+    began = time.perf_counter()
+    for step in range(plant.steps):
+        if not disturbed.send(plant.measure(), step * plant.period) and dead is None:
+            dead = step
+        _wait(began + (step + 1) * plant.period, disturbed)
+        came = link.receive()
+        outcome.cycles += 1
+        outcome.in_time += came is not None
+        if came is not None:
+            outcome.broken += not bool(np.isfinite(came).all() and (np.abs(came - command) <= most).all())
+            if dead is not None and np.abs(came - command).max() > RESTS * plant.period:
+                outcome.rest_s = max(outcome.rest_s or 0.0, (step - dead + 1) * plant.period)
+            command = came
+        if problem := link.problem():
+            outcome.problems[problem] += 1
+        done, success = plant.step(command)
+        if done:
+            break
+    return success
+
+
+def _wait(end: float, disturbed: Disturbed) -> None:
+    """Wait for a moment, and hand over what is due until then."""
+    while (left := end - time.perf_counter()) > 0:
+        time.sleep(min(left, 0.0005))
+        disturbed.flush()

@@ -1,0 +1,157 @@
+"""A node of ROS 2 that runs an exported policy: measured joints and goals come in, joint commands go out."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from reachlab.deploy.check import load_controller
+from reachlab.deploy.topics import Topics
+from reachlab.settings.validation import InputError
+
+EARLY = 0.25
+"""Share of a control period by which a measurement may come before its time and still begins a control step."""
+
+TICKS = 8
+"""How often in a control period the node looks whether it is time for a step without a new measurement."""
+
+RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+"""Variable that says where nodes look for each other."""
+
+
+@contextlib.contextmanager
+def ros2() -> Iterator[Any]:
+    """The package rclpy, between its begin and its end. Nodes of this machine alone are found, unless told otherwise.
+
+    Raises:
+        InputError: it is not installed.
+    """
+    os.environ.setdefault(RANGE, "LOCALHOST")
+    try:
+        import rclpy
+    except ModuleNotFoundError:
+        raise InputError(
+            "this needs ROS 2's Python: source its setup, or pip install 'reachlab[ros2]' for tests on one machine."
+        ) from None
+    rclpy.init(args=[])
+    try:
+        yield rclpy
+    finally:
+        rclpy.try_shutdown()
+
+
+def run_node(folder: Path, topics: Topics, *, trajectory: bool) -> None:
+    """Run the node until it is interrupted.
+
+    Raises:
+        InputError: ROS 2 is missing, or the folder is none that was exported.
+    """
+    controller = load_controller(folder).Controller(folder)
+    with ros2() as rclpy:
+        node = PolicyNode(rclpy.create_node("reachlab_policy"), controller, topics, trajectory=trajectory)
+        with contextlib.suppress(KeyboardInterrupt, rclpy.executors.ExternalShutdownException):
+            rclpy.spin(node.node)
+
+
+class PolicyNode:
+    """Steps a controller as measurements come, at the policy's rate.
+
+    Commands stream to a forward position controller. A trajectory of one point is the alternative for arms without
+    one: a trajectory controller starts a new spline at each, from where it believes the arm to be, which adds lag of
+    its own that the policy was not trained with.
+    """
+
+    def __init__(self, node: Any, controller: Any, topics: Topics, *, trajectory: bool) -> None:
+        """The policy's side of a node of rclpy."""
+        from geometry_msgs.msg import PoseStamped
+        from rclpy.qos import qos_profile_sensor_data
+        from sensor_msgs.msg import JointState
+        from std_msgs.msg import Empty, Float64MultiArray
+        from trajectory_msgs.msg import JointTrajectory
+
+        self.node, self._controller, self._trajectory = node, controller, trajectory
+        self._goal: list[float] | None = None
+        self._measured: tuple[np.ndarray, np.ndarray] | None = None
+        self._due, self._told = 0.0, ""
+        self._resets = True  # commands begin where the arm is
+        kind, topic = (JointTrajectory, topics.trajectories) if trajectory else (Float64MultiArray, topics.commands)
+        self._publisher = node.create_publisher(kind, topic, 1)
+        node.create_subscription(JointState, topics.joint_states, self._on_joints, qos_profile_sensor_data)
+        node.create_subscription(PoseStamped, topics.goals, self._on_goal, 1)
+        node.create_subscription(Empty, topics.reset, self._on_reset, 1)
+        node.create_subscription(Empty, topics.stop, lambda _: controller.stop(), 1)
+        node.create_timer(controller.period / TICKS, self._on_tick)
+
+    def _on_reset(self, _: Any) -> None:
+        self._resets, self._measured = True, None
+
+    def _on_goal(self, message: Any) -> None:
+        place, turn = message.pose.position, message.pose.orientation
+        goal = [place.x, place.y, place.z]
+        if self._controller.asks_orientation:
+            goal += [turn.w, turn.x, turn.y, turn.z]
+        self._goal = goal
+
+    def _on_joints(self, message: Any) -> None:
+        try:
+            rows = [message.name.index(name) for name in self._controller.joints]
+            speeds = message.velocity or [0.0] * len(message.position)
+            self._measured = tuple(np.array([part[row] for row in rows]) for part in (message.position, speeds))
+        except (ValueError, IndexError):
+            self._measured = (np.array(message.position), np.array(message.velocity))
+        if time.monotonic() >= self._due - EARLY * self._controller.period:
+            self._step()
+
+    def _on_tick(self) -> None:
+        if self._due and time.monotonic() >= self._due + EARLY * self._controller.period:
+            self._step()
+
+    def _step(self) -> None:
+        controller, now = self._controller, time.monotonic()
+        late = now - self._due > controller.period
+        self._due = now + controller.period if late else self._due + controller.period
+        measured, self._measured = self._measured, None
+        q, qd = measured or (None, None)
+        if not self._begin(q):
+            return
+        command = controller.step(q, qd, self._goal, now)
+        self._tell(controller.problem if controller.braking else "")
+        self._publish(command)
+
+    def _begin(self, q: np.ndarray | None) -> bool:
+        """Begin anew where the arm is measured, if that is asked for; whether there is anything to control."""
+        controller = self._controller
+        if not self._resets or q is None:
+            return not self._resets
+        inside = q.shape == controller.home.shape and np.isfinite(q).all()
+        if inside and ((q >= controller.limits.lower) & (q <= controller.limits.upper)).all():
+            controller.reset(q)
+            self._goal, self._resets, self._told = None, False, ""
+            return True
+        self._tell("waiting: the arm is not measured within its limits")
+        return False
+
+    def _tell(self, problem: str) -> None:
+        """Write into the log what is wrong, once."""
+        if problem != self._told:
+            self._told = problem
+            self.node.get_logger().warning(problem or "all is well again")
+
+    def _publish(self, command: np.ndarray) -> None:
+        if not self._trajectory:
+            from std_msgs.msg import Float64MultiArray
+
+            self._publisher.publish(Float64MultiArray(data=command.tolist()))
+            return
+        from rclpy.duration import Duration
+        from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+        point = JointTrajectoryPoint(positions=command.tolist())
+        point.time_from_start = Duration(seconds=self._controller.period).to_msg()
+        self._publisher.publish(JointTrajectory(joint_names=self._controller.joints, points=[point]))

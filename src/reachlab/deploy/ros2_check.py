@@ -1,0 +1,138 @@
+"""The check of an exported policy over ROS 2: the plant is a node here, the policy's node another process."""
+
+from __future__ import annotations
+
+import contextlib
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from reachlab.deploy.check import PATIENCE, read_facts, settings_of
+from reachlab.deploy.plant import Measurement, Outcome, Plant, drive
+from reachlab.deploy.plant_faults import Faults
+from reachlab.deploy.ros2 import ros2
+from reachlab.deploy.topics import Topics
+from reachlab.settings.validation import InputError
+
+THERE = 1e-3
+"""The policy's node has taken the arm over when it sends it where it is, to so much [rad or m]."""
+
+TOLD_EVERY, ASKED_EVERY = 0.015, 1.0
+"""Time between two measurements, and between two resets, while the policy's node takes the arm over [s]."""
+
+
+def check_over_ros2(folder: Path, *, sim: str | None, episodes: int, seed: int, faults: Faults) -> Outcome:
+    """Play held-out episodes in real time, with real messages between two nodes in two processes.
+
+    Raises:
+        InputError: ROS 2 is missing, the policy is one that topics cannot carry, or its node does not start.
+    """
+    config, facts = settings_of(folder, sim), read_facts(folder)
+    if facts["goal"]["moves"] or facts["capsules"]:
+        raise InputError("goals that move and obstacles have no topic: check this policy without --ros2.")
+    topics = Topics()
+    with ros2() as rclpy:
+        plant = Plant(config, seed)
+        node = rclpy.create_node("reachlab_plant")
+        link = RosLink(node, [joint["name"] for joint in facts["joints"]], topics)
+        executor = rclpy.executors.SingleThreadedExecutor()
+        executor.add_node(node)
+        spinning = threading.Thread(target=executor.spin, daemon=True)
+        spinning.start()
+        try:
+            with _policy_node(folder):
+                return drive(plant, link, faults, episodes)
+        finally:
+            executor.shutdown()
+            spinning.join(5)
+            plant.close()
+
+
+@contextlib.contextmanager
+def _policy_node(folder: Path) -> Iterator[None]:
+    """The policy's node as a user starts it."""
+    words = [sys.executable, "-m", "reachlab", "deploy", "ros2", str(folder)]
+    process = subprocess.Popen(words)  # noqa: S603
+    try:
+        yield
+    finally:
+        process.terminate()
+        process.wait(10)
+
+
+class RosLink:
+    """Topics to the policy's node."""
+
+    def __init__(self, node: Any, joints: list[str], topics: Topics) -> None:
+        """The plant's side of a node of rclpy, whose messages come in another thread."""
+        from geometry_msgs.msg import PoseStamped
+        from sensor_msgs.msg import JointState
+        from std_msgs.msg import Empty, Float64MultiArray
+
+        self._joints, self._node = joints, node
+        self._states = node.create_publisher(JointState, topics.joint_states, 1)
+        self._goals = node.create_publisher(PoseStamped, topics.goals, 1)
+        self._resets = node.create_publisher(Empty, topics.reset, 1)
+        node.create_subscription(Float64MultiArray, topics.commands, self._on_command, 1)
+        self._command: np.ndarray | None = None
+        self._asked: list[float] | None = None
+
+    def _on_command(self, message: Any) -> None:
+        self._command = np.array(message.data)
+
+    def begin(self, q: np.ndarray) -> None:
+        """Tell where the arm rests until the policy's node has taken it over, and has no goal.
+
+        Raises:
+            InputError: it does not in time.
+        """
+        from std_msgs.msg import Empty
+
+        self._asked, self._command = None, None
+        end, asked = time.monotonic() + PATIENCE, 0.0
+        still = np.zeros_like(q)
+        while time.monotonic() < end:
+            if time.monotonic() - asked > ASKED_EVERY:
+                self._command, asked = None, time.monotonic()
+                self._resets.publish(Empty())
+            self._publish(q, still)
+            time.sleep(TOLD_EVERY)
+            if self._command is not None and np.abs(self._command - q).max() < THERE:
+                return
+        raise InputError(f"the policy's node does not take the arm over within {PATIENCE:g} s.")
+
+    def send(self, measurement: Measurement) -> None:
+        """Publish a measurement, and the goal where it is new."""
+        from geometry_msgs.msg import PoseStamped
+
+        if measurement.goal != self._asked:
+            self._asked, goal = measurement.goal, PoseStamped()
+            place, turn = goal.pose.position, goal.pose.orientation
+            place.x, place.y, place.z = measurement.goal[:3]
+            if len(measurement.goal) > 3:
+                turn.w, turn.x, turn.y, turn.z = measurement.goal[3:]
+            goal.header.stamp = self._node.get_clock().now().to_msg()
+            self._goals.publish(goal)
+        self._publish(measurement.q, measurement.qd)
+
+    def _publish(self, q: np.ndarray, qd: np.ndarray) -> None:
+        from sensor_msgs.msg import JointState
+
+        state = JointState(name=self._joints, position=q.tolist(), velocity=qd.tolist())
+        state.header.stamp = self._node.get_clock().now().to_msg()
+        self._states.publish(state)
+
+    def receive(self) -> np.ndarray | None:
+        """The newest command, if one has come."""
+        command, self._command = self._command, None
+        return command
+
+    def problem(self) -> str:
+        """Nothing: what the policy's node says is in its log."""
+        return ""

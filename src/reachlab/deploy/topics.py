@@ -1,0 +1,23 @@
+"""Names of the topics of ROS 2."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Topics:
+    """Names of the topics."""
+
+    joint_states: str = "joint_states"
+    """Measured joints, `sensor_msgs/JointState`, in any order."""
+    goals: str = "reachlab/goal"
+    """Goals, `geometry_msgs/PoseStamped`, in the frame of the arm's base."""
+    commands: str = "forward_position_controller/commands"
+    """Joint commands, `std_msgs/Float64MultiArray`, in the order of the policy's joints."""
+    reset: str = "reachlab/reset"
+    """`std_msgs/Empty`: begin anew from where the arm is measured to rest, without a goal; also after a stop."""
+    stop: str = "reachlab/stop"
+    """`std_msgs/Empty`: brake, and stay at rest until a reset."""
+    trajectories: str = "joint_trajectory_controller/joint_trajectory"
+    """With `--trajectory`, `trajectory_msgs/JointTrajectory`."""
