@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from reachlab.agents.sb3_policy import SavedModel
     from reachlab.cli.progress import EvalDisplay
+    from reachlab.deploy.onnx_network import OnnxNetwork
     from reachlab.learn.load import Saved
     from reachlab.runs.directory import RunDirectory
 
@@ -72,22 +73,36 @@ def evaluate(arguments: Eval) -> None:
         raise InputError(f"no result in {', '.join(failed)}: the reason is above.")
 
 
-def _is_model(path: Path) -> bool:
-    """Whether a path names a model of Stable-Baselines3, rather than a run directory."""
+def _is_zip(path: Path) -> bool:
+    """Whether a path names a model of Stable-Baselines3."""
     return path.suffix == ".zip" and not path.is_dir()
 
 
-def _model(arguments: Eval) -> SavedModel | None:
-    """The model of Stable-Baselines3 that the flags name, if they do.
+def _is_onnx(path: Path) -> bool:
+    """Whether a path names a policy in ONNX, or the folder of an export."""
+    return (path.suffix == ".onnx" and not path.is_dir()) or (path / "policy.onnx").is_file()
+
+
+def _is_model(path: Path) -> bool:
+    """Whether a path names a policy of another kind than a run directory."""
+    return _is_zip(path) or _is_onnx(path)
+
+
+def _model(arguments: Eval) -> SavedModel | OnnxNetwork | None:
+    """The model of Stable-Baselines3 or the policy in ONNX that the flags name, if they do.
 
     Raises:
         InputError: it is not trusted or cannot be loaded, or there is none and flags speak of one.
     """
-    if arguments.run is None or not _is_model(arguments.run):
+    if arguments.run is None or not _is_zip(arguments.run):
         for name in ("trust", "normaliser"):
             if getattr(arguments, name):
                 raise InputError(f"--{name} goes with a model of Stable-Baselines3: name its .zip, or leave it out.")
-        return None
+        if arguments.run is None or not _is_onnx(arguments.run):
+            return None
+        from reachlab.deploy.onnx_network import OnnxNetwork
+
+        return OnnxNetwork(arguments.run)
     if not arguments.trust:
         raise InputError(
             f"'{arguments.run}' is a model of Stable-Baselines3, which is unpickled and may run any code: add --trust"
@@ -98,7 +113,7 @@ def _model(arguments: Eval) -> SavedModel | None:
     return load_model(arguments.run, arguments.normaliser)
 
 
-def _settings(arguments: Eval, run: RunDirectory | None, model: SavedModel | None) -> RunConfig:
+def _settings(arguments: Eval, run: RunDirectory | None, model: SavedModel | OnnxNetwork | None) -> RunConfig:
     """Settings of the run or the model, or without one those of the task and the robot that the flags name.
 
     Raises:
@@ -107,7 +122,10 @@ def _settings(arguments: Eval, run: RunDirectory | None, model: SavedModel | Non
     arm = {name: vars(arguments)[name] for name in ("robot", "tool", "base", "package")}
     named = {"task": arguments.task} | arm
     known = model.config if model else None
-    if (run or known) and (given := [f"--{name}" for name, value in named.items() if value]):
+    said = {name: value for name, value in named.items() if value}
+    if known and said == {"task": known.task}:
+        said = {}
+    if (run or known) and (given := [f"--{name}" for name in said]):
         raise InputError(f"a run has its own task and robot: leave {' and '.join(given)} out, or the run.")
     if run:
         return run.read_config()
@@ -153,7 +171,7 @@ def _can_be_used(config: RunConfig) -> bool:
 def _evaluated(
     arguments: Eval,
     run: RunDirectory | None,
-    model: SavedModel | None,
+    model: SavedModel | OnnxNetwork | None,
     config: RunConfig,
     loaded: list[Saved],
     display: EvalDisplay,

@@ -153,7 +153,7 @@ class Eval(Checked):
     """Evaluate a run beside its baselines, or baselines alone, on held-out targets."""
 
     run: Annotated[Path | None, tyro.conf.Positional] = None
-    """Run directory, or a model of Stable-Baselines3 (.zip); baselines need none."""
+    """Run directory, policy in ONNX (.onnx or an export) or model of Stable-Baselines3 (.zip); baselines need none."""
     trust: bool = False
     """The model's file may run code: it is unpickled."""
     normaliser: Annotated[Path | None, Optional] = None

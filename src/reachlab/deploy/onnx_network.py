@@ -51,8 +51,8 @@ class OnnxNetwork:
         self.config = _settings(self.file.with_name(FACTS))
         self.checkpoint: dict[str, Any] = {"steps": None, "sha256": hashlib.sha256(content).hexdigest()}
 
-    def check(self, schema: Schema, actions: int) -> None:
-        """Make sure that it takes the observations of a schema, and gives so many numbers of an action.
+    def check(self, schema: Schema) -> None:
+        """Make sure that it takes the observations of a schema.
 
         Raises:
             InputError: it does not.
@@ -67,13 +67,8 @@ class OnnxNetwork:
                     f"input {name!r} of '{self.file}' takes {taken}, and the environment observes {list(shape)}: say"
                     f" what the policy observes in a '{FACTS}' beside it, as docs/deploy.md shows."
                 )
-        outputs = [one.shape for one in self._session.get_outputs()]
-        if len(outputs) != 1 or len(outputs[0]) != 2 or (isinstance(outputs[0][1], int) and outputs[0][1] != actions):
-            raise InputError(
-                f"'{self.file}' has outputs {outputs}, and a policy for this environment has one, [batch, {actions}]."
-            )
 
-    def act(self, observation: Observed) -> np.ndarray:
+    def onnx(self, observation: Observed) -> np.ndarray:
         """Actions `[B, a]` of observations with the batch in front."""
         given = self._named(observation)
         batch = self._inputs[next(iter(given))].shape[0]
@@ -82,6 +77,9 @@ class OnnxNetwork:
             rows = [{name: part[i : i + 1] for name, part in given.items()} for i in range(count)]
             return np.concatenate([self._session.run(None, row)[0] for row in rows])
         return self._session.run(None, given)[0]
+
+    act = onnx
+    """Under the name by which policies of others are asked; reports call it by the first one."""
 
     def _named(self, observation: Observed) -> dict[str, np.ndarray]:
         """An observation by the names of the graph's inputs.
