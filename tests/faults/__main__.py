@@ -14,6 +14,7 @@ os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 
 import numpy as np
 
+from faults.controllers import controllers
 from faults.hostile import hostile_files
 from faults.saves import Trial, corruptions, cut_saves, failing_saves
 from faults.sweeps import killed_sweeps, killed_workers
@@ -36,6 +37,9 @@ MINUTES, INTERVAL, WORKER_TRIALS, WORKER_STEPS = 5, 5.0, 12, 1_000_000
 
 SWEEP_KILLS, SWEEP_TRIALS = 20, 8
 """How often a sweep itself is killed, and its trials."""
+
+HOSTILE_STEPS, FAULTS = 1_000_000, 1000
+"""Control steps of an exported policy's controller among hostile measurements, and how often each fault is tried."""
 
 SAVES = 20
 """Saves that are timed; the median counts."""
@@ -63,9 +67,15 @@ def trust() -> Iterator[Row]:
             trial = try_out()
         finally:
             logging.disable(logging.NOTSET)
-        yield row(f"trust/{name}_gone_wrong", len(trial.wrong), f"of {trial.tried}", wrong=trial.wrong[:3])
+        yield _row(name, trial)
+    for name, trial in controllers(HOSTILE_STEPS, FAULTS).items():
+        yield _row(name, trial)
     for sim in ("kinematic", "mujoco"):
         yield from _cost(sim)
+
+
+def _row(name: str, trial: Trial) -> Row:
+    return row(f"trust/{name}_gone_wrong", len(trial.wrong), f"of {trial.tried}", wrong=trial.wrong[:3])
 
 
 def _cost(sim: str) -> Iterator[Row]:

@@ -53,6 +53,8 @@ class Controller:
         problem: what is wrong, in words; empty where nothing is.
         braking: the arm is brought to rest, or rests because it has to.
         asks_orientation: goals are poses.
+        goal_box: lower and upper corner `[2, 3]` of the goals that were trained [m].
+        home_quaternion: orientation `[4]`, wxyz, of the tool at home.
     """
 
     def __init__(self, folder: str | Path, *, runtime: str = "numpy") -> None:
@@ -73,6 +75,8 @@ class Controller:
         self._goal_facts, self._pictured = facts["goal"], facts["observation"]["pictured"]
         self.asks_orientation = bool(self._goal_facts["orientation"])
         self._arm = Arm(facts["arm"], facts["constants"])
+        self.goal_box = np.array([self._goal_facts["low"], self._goal_facts["high"]], float)
+        self.home_quaternion = quaternion_of(self._arm.frames(self.home).rotation)
         self._decider, self._watch = Decider(self._arm, facts), Watch(facts)
         network = {"numpy": lambda: Network(read_weights(folder / "policy.safetensors"), facts["network"]).act}
         network["onnx"] = lambda: _onnx(folder / "policy.onnx")
@@ -169,7 +173,7 @@ class Controller:
             return f"the goal must be {size} finite numbers, got {goal!r}"
         if speed is not None and (speed.shape != (3,) or not np.isfinite(speed).all()):
             return f"the goal's velocity must be 3 finite numbers, got {velocity!r}"
-        place, low, high = numbers[:3], np.array(facts["low"], float), np.array(facts["high"], float)
+        place, (low, high) = numbers[:3], self.goal_box
         if (place < low - NEARBY).any() or (place > high + NEARBY).any():
             return f"the goal {place.tolist()} is out of the workspace, {low.tolist()} to {high.tolist()} m"
         if facts["orientation"] and abs(np.linalg.norm(numbers[3:]) - 1) > 1e-2:
