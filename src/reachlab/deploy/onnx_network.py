@@ -43,7 +43,7 @@ class OnnxNetwork:
             content = self.file.read_bytes()
             options = onnxruntime.SessionOptions()
             options.log_severity_level = 4
-            self._session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+            self._session: Any = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
         except Exception as error:  # its own errors have no common class
             why = " ".join(str(error).split())
             raise InputError(f"'{self.file}' cannot be read as a policy in ONNX: {why}.") from None

@@ -102,7 +102,8 @@ class PolicyNode:
         try:
             rows = [message.name.index(name) for name in self._controller.joints]
             speeds = message.velocity or [0.0] * len(message.position)
-            self._measured = tuple(np.array([part[row] for row in rows]) for part in (message.position, speeds))
+            q, qd = (np.array([part[row] for row in rows]) for part in (message.position, speeds))
+            self._measured = q, qd
         except (ValueError, IndexError):
             self._measured = (np.array(message.position), np.array(message.velocity))
         if time.monotonic() >= self._due - EARLY * self._controller.period:

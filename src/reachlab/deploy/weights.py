@@ -21,13 +21,13 @@ def named_weights(policy: Policy, bounds: Bounds) -> dict[str, np.ndarray]:
     """Arrays of a policy that gives actions within bounds: what the controller and the graph compute with."""
     plain: Policy = jax.tree.map(np.asarray, policy)
     layers = {"actor": plain.parameters.actor, "encoder": plain.parameters.encoder or []}
-    weights = {
+    weights: dict[str, Any] = {
         f"{name}.{i}.{part}": array
         for name, those in layers.items()
         for i, layer in enumerate(those)
         for part, array in zip(("weight", "bias"), layer, strict=True)
     }
-    return weights | {
+    named: dict[str, np.ndarray] = weights | {
         "normaliser.mean": np.asarray(plain.normaliser.mean, np.float32),
         "normaliser.scale": np.sqrt(plain.normaliser.variance, dtype=np.float32) + np.float32(SMALLEST_STD),
         "action.centre": np.asarray(plain.centre, np.float32),
@@ -35,6 +35,7 @@ def named_weights(policy: Policy, bounds: Bounds) -> dict[str, np.ndarray]:
         "action.low": bounds[0],
         "action.high": bounds[1],
     }
+    return named
 
 
 def inputs(schema: Schema) -> list[tuple[str, list[int], bool]]:
@@ -87,7 +88,11 @@ def onnx_model(policy: Policy, bounds: Bounds, *, clips: bool) -> Any:
     else:
         add("Add", [x, "action.centre"], "action")
     used = {name for node in nodes for name in node.input}
-    arrays = [numpy_helper.from_array(value, name) for name, value in (weights | constants).items() if name in used]
+    arrays = [
+        numpy_helper.from_array(np.asarray(value), name)
+        for name, value in (weights | constants).items()
+        if name in used
+    ]
     kinds = {True: TensorProto.UINT8, False: TensorProto.FLOAT}
     graph = helper.make_graph(
         nodes,

@@ -84,8 +84,8 @@ class Controller:
             raise ValueError(f"runtime must be numpy or onnx, got {runtime!r}.")
         self._act = network[runtime]()
         arm, joints = facts["arm"], facts["joints"]
-        limits = [np.array([joint[name] for joint in joints], float) for name in ("acceleration", "jerk")]
-        self.limits = MotionLimits(arm["lower"], arm["upper"], arm["speed"], *limits, self.period)
+        ramp, jerk = (np.array([joint[name] for joint in joints], float) for name in ("acceleration", "jerk"))
+        self.limits = MotionLimits(arm["lower"], arm["upper"], arm["speed"], ramp, jerk, self.period)
         self._log: deque[Any] = deque(maxlen=KEPT)
         self.reset(self.home)
 
@@ -144,8 +144,8 @@ class Controller:
         problem, brake = self._watch.look(q, qd, time, before)
         refused = "stop() was called" if self._stopped else self._take(goal, time, velocity, joints)
         wanted = before
-        if not (refused or brake or self.braking or self._goal is None):
-            wanted, failed = self._decide(obstacles, picture)
+        if self._goal is not None and not (refused or brake or self.braking):
+            wanted, failed = self._decide(self._goal, obstacles, picture)
             problem, brake = (failed, True) if failed else (problem, brake)
         self.problem = refused or problem
         at_rest = bool((self.motion.stop_step >= self.limits.steps).all())
@@ -154,6 +154,11 @@ class Controller:
         command = self.motion.position
         self._note(q, qd, goal, time, velocity, obstacles, joints, command)
         return command.copy()
+
+    @property
+    def goal_joints(self) -> np.ndarray | None:
+        """Joints `[n]` at which the tool is at the goal, where the policy needs them and they are found."""
+        return None if self._goal is None else self._goal.joints
 
     # --- goals --------------------------------------------------------------------------------------
 
@@ -223,8 +228,8 @@ class Controller:
 
     # --- decisions ----------------------------------------------------------------------------------
 
-    def _decide(self, obstacles: Any, picture: np.ndarray | None) -> tuple[np.ndarray, str]:
-        """The command that the policy asks for `[n]`, and why there is none, if so."""
+    def _decide(self, goal: Goal, obstacles: Any, picture: np.ndarray | None) -> tuple[np.ndarray, str]:
+        """The command with which the policy goes to a goal `[n]`, and why there is none, if so."""
         rest = self.motion.position
         if self._pictured and (picture is None or np.shape(picture) != tuple(self._pictured)):
             return rest, f"the policy needs a picture of {self._pictured} pixels"
@@ -234,7 +239,7 @@ class Controller:
                 around = Obstacles(obstacles or [])
             except (TypeError, ValueError, KeyError) as error:
                 return rest, f"the obstacles cannot be read: {error!r}"
-        now = Situation(self._arm, self._watch.q, self._watch.qd, self._goal, rest, self._action, around)
+        now = Situation(self._arm, self._watch.q, self._watch.qd, goal, rest, self._action, around)
         seen = self._decider.observe(now)
         action = np.asarray(self._act(seen, picture if self._pictured else None), float)
         wanted = self._decider.command(now, action)
@@ -296,7 +301,7 @@ def _onnx(file: Path) -> Any:
 
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
-    session = onnxruntime.InferenceSession(str(file), options, providers=["CPUExecutionProvider"])
+    session: Any = onnxruntime.InferenceSession(str(file), options, providers=["CPUExecutionProvider"])
     names = [one.name for one in session.get_inputs()]
 
     def act(vector: np.ndarray | None, picture: np.ndarray | None) -> np.ndarray:

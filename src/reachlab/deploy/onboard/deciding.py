@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from reachlab.deploy.onboard.arm import Arm, quaternion_of, rotation_error, rotation_of
-from reachlab.deploy.onboard.scene import Obstacles, Scene
+from reachlab.deploy.onboard.scene import Scene
 
 
 class Goal:
@@ -28,7 +28,9 @@ class Goal:
         velocity: np.ndarray | None = None,
         joints: np.ndarray | None = None,
     ) -> None:
-        """A goal."""
+        """A goal; what a policy does not need may be left out."""
+        self.velocity: Any
+        self.joints: Any
         self.position, self.quaternion, self.velocity, self.joints = position, quaternion, velocity, joints
         self.rotation = np.eye(3) if quaternion is None else rotation_of(quaternion)
 
@@ -44,7 +46,7 @@ class Situation:
         goal: Goal,
         command: np.ndarray,
         action: np.ndarray,
-        obstacles: Obstacles | None,
+        obstacles: Any,
     ) -> None:
         """A situation; where the tool is follows."""
         self.q, self.qd, self.goal, self.command, self.action = q, qd, goal, command, action
@@ -67,7 +69,7 @@ class Decider:
         self._low, self._high = (np.array(action[side], float) for side in ("low", "high"))
         self._held = rotation_of(np.array(facts["arm"]["held_quaternion"], float))
         self._angle_weight = float(facts["goal"]["angle_weight"])
-        self.scene = Scene(arm, facts["capsules"], self._k) if facts["capsules"] else None
+        self.scene: Any = Scene(arm, facts["capsules"], self._k) if facts["capsules"] else None
         self._command = getattr(self, "_" + action["name"])
         self._most = np.array(facts["arm"]["speed"], float) * self._period if facts["real_time"] else np.inf
         self.size = len(self._low)

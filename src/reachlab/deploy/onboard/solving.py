@@ -49,7 +49,7 @@ class Solver:
     def _step_to_pose(self) -> None:
         arm, k = self._arm, self._arm.constants
         frames = arm.frames(self._q)
-        turn, columns = arm.turn_to(frames, self._rotation)
+        turn, columns = arm.turn_to(frames, np.asarray(self._rotation))
         error = np.concatenate([self._position - frames.position, turn], axis=-1)
         distance, angle = (np.sqrt((part**2).sum(axis=-1)) for part in (error[:, :3], turn))
         reached = (distance <= k["POSITION_TOLERANCE"]) & (angle <= k["ANGLE_TOLERANCE"])

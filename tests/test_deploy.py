@@ -1,0 +1,351 @@
+"""Exports: what they compute, what the controller does with it, and what it does when things go wrong."""
+
+from __future__ import annotations
+
+import ast
+import json
+import subprocess
+import sys
+import time
+import warnings
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+
+from faults.controllers import FAULTS, exported, faulty, hostile_commands, lively_run
+from reachlab.agents.acting import make_act
+from reachlab.cli import main as cli
+from reachlab.deploy import weights
+from reachlab.deploy.bundle import controller_source
+from reachlab.deploy.check import check, load_controller
+from reachlab.deploy.export import export
+from reachlab.deploy.plant_faults import Faults
+from reachlab.envs.core import Env
+from reachlab.envs.random_streams import REPORT_STREAM, episode_keys
+from reachlab.envs.setup import in_evaluation
+from reachlab.learn.load import load_policy
+from reachlab.runs.directory import RunDirectory
+from reachlab.settings.json_form import override
+from reachlab.settings.validation import InputError
+
+CASES: dict[str, tuple[str, dict[str, Any]]] = {
+    "tutorial": ("tutorial", {}),
+    "delta": ("precise", {"action": "joint_delta", "robot": "panda"}),
+    "goals": ("precise", {"observation": "goal+state", "robot": "gen3"}),
+    "pose": ("pose", {}),
+    "tilt": ("pose", {"robot": "so101"}),
+    "track": ("track", {"robot": "ur5e"}),
+    "clutter": ("clutter", {"robot": "xarm7"}),
+    "picture": ("tutorial", {"observation": "image+tool"}),
+}
+"""Tasks, observations, actions and arms that between them hold every term, action and kind of goal."""
+
+EPISODES, STEPS = 3, 40
+"""Episodes and their steps in which commands are compared."""
+
+SAME = 1e-5
+"""Largest difference of a command from that of the environment [rad]."""
+
+
+@pytest.fixture(scope="module", params=list(CASES))
+def run(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> RunDirectory:
+    task, settings = CASES[request.param]
+    return lively_run(tmp_path_factory.mktemp(request.param) / "run", task, **settings)
+
+
+@pytest.fixture(scope="module")
+def folder(run: RunDirectory) -> Path:
+    done = export(run, run.path.parent / "policy")
+    assert done.differences.keys() == {"ONNX Runtime", "NumPy"}
+    assert max(done.differences.values()) < 1e-6
+    return done.folder
+
+
+@pytest.fixture(scope="module")
+def precise(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return exported(tmp_path_factory.mktemp("precise"))
+
+
+# --- what it computes -----------------------------------------------------------------------------
+
+
+def told(env: Env, state: Any, row: int) -> dict[str, Any]:
+    """What the controller is told of one environment, beside joints and goal."""
+    goal, extras = state.goal, {}
+    if goal.velocity is not None:
+        extras["velocity"] = np.asarray(goal.velocity, float)[row]
+    if goal.joints is not None:
+        extras["joints"] = np.asarray(goal.joints, float)[row]
+    if state.obstacles is not None:
+        parts = {name: np.asarray(part, float)[row] for name, part in vars(state.obstacles).items()}
+        count = len(parts["radius"])
+        extras["obstacles"] = [{name: part[i] for name, part in parts.items()} for i in range(count)]
+    picture = env.render_observation(state)
+    return extras if picture is None else {**extras, "picture": picture[row]}
+
+
+def test_the_controller_commands_what_the_environment_does(run: RunDirectory, folder: Path) -> None:
+    config = run.read_config()
+    env = Env(override(in_evaluation(config, config.sim), shaping=True), EPISODES)
+    policy, act, key = load_policy(run, env), make_act(env, "trained"), jax.random.key(0)
+    state = env.compile_whole(env.init)(episode_keys(1, REPORT_STREAM, 0, EPISODES))
+    step, alive = env.compile_whole(act), np.ones(EPISODES, bool)
+    controllers = [load_controller(folder).Controller(folder) for _ in range(EPISODES)]
+    for controller, q in zip(controllers, np.asarray(state.arm.q, float), strict=True):
+        controller.reset(q)
+    for number in range(STEPS):
+        q, qd, goal = (np.asarray(part, float) for part in (state.arm.q, state.arm.qd, state.goal.position))
+        if state.goal.quaternion is not None:
+            goal = np.concatenate([goal, np.asarray(state.goal.quaternion, float)], axis=-1)
+        commands = [
+            controller.step(q[row], qd[row], goal[row], number * controller.period, **told(env, state, row))
+            for row, controller in enumerate(controllers)
+        ]
+        state, transition, key = step(policy, state, key)
+        assert [controller.problem for controller in controllers] == [""] * EPISODES
+        assert np.array(commands)[alive] == pytest.approx(np.asarray(state.target_q)[alive], abs=SAME)
+        alive &= ~np.asarray(transition.done)
+    env.close()
+
+
+def test_the_files_say_what_they_hold(folder: Path) -> None:
+    facts = json.loads((folder / "policy.json").read_text())
+    card = (folder / "README.md").read_text()
+    assert {file.name for file in folder.iterdir()} == {
+        *("README.md", "controller.py", "policy.json", "policy.onnx", "policy.safetensors")
+    }
+    assert all(joint["name"] in card for joint in facts["joints"])
+    assert all(
+        set(joint["sources"]) == {"position", "speed", "torque", "acceleration", "jerk"} for joint in facts["joints"]
+    )
+    assert facts["run"]["sha256"]
+    assert card.startswith("---\nlibrary_name: reachlab\n")
+
+
+# --- where it runs --------------------------------------------------------------------------------
+
+
+def test_the_controller_is_one_file_for_python_3_9() -> None:
+    source = controller_source()
+    tree = ast.parse(source, feature_version=(3, 9))
+    modules = {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
+    modules |= {str(node.module) for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
+    outside = {module.partition(".")[0] for module in modules} - set(sys.stdlib_module_names)
+    assert outside == {"numpy", "onnxruntime"}
+    assert "strict=" not in source
+
+
+EXAMPLE = """
+import sys
+sys.path.insert(0, {folder!r})
+{example}
+loaded = {{name.partition(".")[0] for name in sys.modules}}
+assert not loaded & {{"reachlab", "jax", "mujoco", "onnxruntime", "scipy"}}, loaded
+"""
+
+
+def test_the_example_of_the_card_runs_with_numpy_alone(precise: Path) -> None:
+    example = (precise / "README.md").read_text().partition("```python\n")[2].partition("```")[0]
+    code = EXAMPLE.format(folder=str(precise), example=example.replace('"."', repr(str(precise))))
+    done = subprocess.run([sys.executable, "-I", "-c", code], capture_output=True, text=True, check=False)
+    assert done.stderr == ""
+    assert "no problem" in done.stdout
+
+
+def test_both_runtimes_command_the_same(precise: Path) -> None:
+    module = load_controller(precise)
+    by_numpy, by_onnx = (module.Controller(precise, runtime=name) for name in ("numpy", "onnx"))
+    q, qd, goal = by_numpy.home, 0 * by_numpy.home, [0.5, 0.2, 0.4]
+    for number in range(50):
+        command = by_numpy.step(q, qd, goal, number * by_numpy.period)
+        assert by_onnx.step(q, qd, goal, number * by_numpy.period) == pytest.approx(command, abs=1e-6)
+        q, qd = command, (command - q) / by_numpy.period
+
+
+# --- what goes wrong ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_fault_brings_the_arm_to_rest_and_is_told(precise: Path, name: str) -> None:
+    assert faulty(precise, name, 10).wrong == []
+
+
+def test_no_command_leaves_a_limit_whatever_is_measured(precise: Path) -> None:
+    assert hostile_commands(precise, 4000).wrong == []
+
+
+def test_an_arm_that_was_stopped_waits_for_a_reset(precise: Path) -> None:
+    controller = load_controller(precise).Controller(precise)
+    q, qd, goal = controller.home, 0 * controller.home, [0.5, 0.2, 0.4]
+    step = iter(range(10**6))
+
+    def play(steps: int) -> None:
+        nonlocal q, qd
+        for _ in range(steps):
+            command = controller.step(q, qd, goal, next(step) * controller.period)
+            q, qd = command, (command - q) / controller.period
+
+    play(10)
+    controller.stop()
+    play(9)
+    rest = q
+    play(20)
+    assert controller.problem == "stop() was called"
+    assert q == pytest.approx(rest, abs=1e-12)
+    controller.reset(q)
+    play(10)
+    assert controller.problem == ""
+    assert np.abs(q - rest).max() > 1e-3
+
+
+def test_a_lost_measurement_or_two_do_not_stop_the_arm(precise: Path) -> None:
+    controller = load_controller(precise).Controller(precise)
+    q, qd = controller.home, 0 * controller.home
+    for number in range(60):
+        lost = number % 5 in (3, 4)
+        command = controller.step(None if lost else q, qd, [0.5, 0.2, 0.4], number * controller.period)
+        assert bool(controller.problem) == lost
+        assert not controller.braking
+        q, qd = command, (command - q) / controller.period
+
+
+def test_a_pose_without_joints_is_refused_and_one_with_some_is_reached(tmp_path: Path) -> None:
+    folder = exported(tmp_path, "pose")
+    controller = load_controller(folder).Controller(folder)
+    facts = json.loads((folder / "policy.json").read_text())
+    held = facts["arm"]["held_quaternion"]
+    q, qd = controller.home, 0 * controller.home
+    wanted = [0.5, 0.1, 0.4, *held]
+    for number in range(40):
+        command = controller.step(q, qd, wanted, number * controller.period)
+        q, qd = command, (command - q) / controller.period
+    assert controller.problem == ""
+    assert controller.goal_joints is not None
+    for number in range(40, 80):
+        controller.step(q, qd, [*(controller.goal_box[1] + 0.09), *held], number * controller.period)
+    assert "out of reach" in controller.problem
+    assert controller.braking
+
+
+def test_a_log_is_replayed_to_the_last_bit(precise: Path, tmp_path: Path) -> None:
+    controller = load_controller(precise).Controller(precise)
+    q, qd, random = controller.home, 0 * controller.home, np.random.default_rng(0)
+    for number in range(100):
+        told: Any = q if number % 7 else None
+        command = controller.step(
+            told, qd, random.uniform(0.3, 0.6, 3) if number > 50 else [0.5, 0, 0.4], 0.02 * number
+        )
+        q, qd = q + 0.5 * (command - q), 0.5 * (command - q) / 0.02
+    controller.save_log(tmp_path / "log.jsonl")
+    assert load_controller(precise).Controller(precise).replay(tmp_path / "log.jsonl") == 0.0
+
+
+def test_an_export_that_differs_from_its_policy_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lively_run(tmp_path / "run", "tutorial")
+    monkeypatch.setattr(weights, "OBSERVATION_CLIP", 0.3)  # the graph is built with it
+    assert cli.main(["export", str(tmp_path / "run"), "--out", str(tmp_path / "policy")]) == cli.WRONG_INPUT
+    assert "ONNX Runtime gives actions that differ" in capsys.readouterr().err
+    assert not (tmp_path / "policy").exists()
+
+
+def test_a_folder_that_is_not_empty_stays_as_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lively_run(tmp_path / "run", "tutorial")
+    assert cli.main(["export", str(tmp_path / "run"), "--out", str(tmp_path)]) == cli.WRONG_INPUT
+    assert "is not empty" in capsys.readouterr().err
+
+
+# --- in real time ---------------------------------------------------------------------------------
+
+
+def test_an_arm_whose_sensor_dies_is_brought_to_rest_in_real_time(precise: Path) -> None:
+    outcome = check(precise, sim=None, episodes=1, seed=1, faults=Faults(dead_after=0.6))
+    assert outcome.broken == 0
+    assert outcome.rest_s is not None
+    assert outcome.rest_s <= 0.3
+    assert "no measurement has come" in outcome.problems
+
+
+def test_measurements_may_come_late_and_damaged_in_real_time(precise: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["deploy", "check", str(precise), "--episodes", "2", "--delay", "0.02", "--jitter", "0.01", "--nan", "0.05"]
+    assert cli.main([*words, "--json"]) == cli.DONE
+    result = json.loads(capsys.readouterr().out)
+    assert (result["episodes"], result["broken"]) == (2, 0)
+    assert "the measurement is not finite" in result["problems"]
+
+
+def test_the_loop_runs_over_ros_2(precise: Path) -> None:
+    began = time.monotonic()
+    words = [sys.executable, "-m", "reachlab", "deploy", "check", str(precise), "--over-ros2", "--episodes", "2"]
+    done = subprocess.run([*words, "--json"], capture_output=True, text=True, check=False)
+    assert done.returncode == cli.DONE, done.stderr
+    result = json.loads(done.stdout)
+    assert result["broken"] == 0
+    assert result["in_time"] > 0.9
+    assert time.monotonic() - began > 4, "it is real time"
+
+
+# --- policies in ONNX -----------------------------------------------------------------------------
+
+
+def test_an_export_is_judged_like_its_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run = lively_run(tmp_path / "run", "tutorial")
+    export(run, tmp_path / "policy")
+    words = ["--episodes", "50", "--seed", "3", "--json"]
+    reports = []
+    for policy in (tmp_path / "run", tmp_path / "policy", tmp_path / "policy" / "policy.onnx"):
+        assert cli.main(["eval", str(policy), *words]) == cli.DONE
+        reports.append(json.loads(capsys.readouterr().out))
+    assert [report["agent"] for report in reports] == ["trained", "onnx", "onnx"]
+    assert len({report["success_rate"] for report in reports}) == 1
+    assert reports[1]["return_mean"] == pytest.approx(reports[0]["return_mean"], rel=1e-3)
+
+
+@pytest.fixture(scope="module")
+def foreign(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A policy of another trainer: a small network of PyTorch's exporter."""
+    torch = pytest.importorskip("torch")
+    file = tmp_path_factory.mktemp("foreign") / "net.onnx"
+    network = torch.nn.Sequential(torch.nn.Linear(6, 16), torch.nn.Tanh(), torch.nn.Linear(16, 3))
+    given = {"input_names": ["x"], "output_names": ["y"], "dynamic_axes": {"x": {0: "n"}, "y": {0: "n"}}}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # its newer exporter needs another package
+        torch.onnx.export(network, (torch.zeros(1, 6),), str(file), dynamo=False, **given)
+    return file
+
+
+def test_a_policy_of_another_trainer_gets_a_report(foreign: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["eval", str(foreign), "--task", "tutorial", "--episodes", "20", "--json"]) == cli.DONE
+    report = json.loads(capsys.readouterr().out)
+    assert report["agent"] == "onnx"
+    assert report["success_interval"][0] < report["success_interval"][1]
+
+
+def test_what_another_trainers_policy_observes_is_said_beside_it(
+    foreign: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["eval", str(foreign), "--task", "precise", "--episodes", "5"]) == cli.WRONG_INPUT
+    assert "takes [6], and the environment observes [40]" in capsys.readouterr().err
+    beside = foreign.with_name("policy.json")
+    beside.write_text(json.dumps({"settings": {"task": "tutorial", "targets": "box"}}))
+    try:
+        assert cli.main(["eval", str(foreign), "--episodes", "20", "--json"]) == cli.DONE
+        beside.write_text("{}")
+        assert cli.main(["eval", str(foreign), "--episodes", "20"]) == cli.WRONG_INPUT
+    finally:
+        beside.unlink()
+
+
+def test_a_file_that_is_no_policy_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "bad.onnx").write_bytes(b"nothing")
+    assert cli.main(["eval", str(tmp_path / "bad.onnx"), "--task", "precise"]) == cli.WRONG_INPUT
+    assert "cannot be read as a policy in ONNX" in capsys.readouterr().err
+
+
+def test_a_folder_without_a_controller_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"holds no controller\.py|cannot be read"):
+        check(tmp_path, sim=None, episodes=1, seed=1, faults=Faults())
