@@ -15,8 +15,9 @@ import jax
 import numpy as np
 import pytest
 
-from faults.controllers import FAULTS, exported, faulty, hostile_commands, lively_run
+from faults.controllers import FAULTS, exported, faulty, hostile_commands
 from reachlab.agents.acting import make_act
+from reachlab.bench.deploy import lively_run
 from reachlab.cli import main as cli
 from reachlab.deploy import weights
 from reachlab.deploy.bundle import controller_source
@@ -93,7 +94,8 @@ def test_the_controller_commands_what_the_environment_does(run: RunDirectory, fo
     policy, act, key = load_policy(run, env), make_act(env, "trained"), jax.random.key(0)
     state = env.compile_whole(env.init)(episode_keys(1, REPORT_STREAM, 0, EPISODES))
     step, alive = env.compile_whole(act), np.ones(EPISODES, bool)
-    controllers = [load_controller(folder).Controller(folder) for _ in range(EPISODES)]
+    runtimes = ("numpy", "onnx", "numpy")
+    controllers = [load_controller(folder).Controller(folder, runtime=runtime) for runtime in runtimes]
     for controller, q in zip(controllers, np.asarray(state.arm.q, float), strict=True):
         controller.reset(q)
     for number in range(STEPS):

@@ -13,6 +13,8 @@ from gymnasium.envs.registration import register
 
 if TYPE_CHECKING:
     from reachlab.agents.policy import Policy
+    from reachlab.deploy.export import Export, export
+    from reachlab.deploy.onboard.controller import Controller
     from reachlab.envs.core import Env
     from reachlab.envs.gymnasium_single import ReachEnv
     from reachlab.envs.gymnasium_vector import ReachVectorEnv
@@ -34,7 +36,9 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOMES = {
+    "Controller": "deploy.onboard.controller",
     "Env": "envs.core",
+    "Export": "deploy.export",
     "InputError": "settings.validation",
     "LoadedRun": "learn.load",
     "Policy": "agents.policy",
@@ -49,6 +53,7 @@ _HOMES = {
     "distil": "learn.train",
     "distillation": "settings.presets",
     "evaluate": "evaluation.report",
+    "export": "deploy.export",
     "forward_kinematics": "robots.kinematics",
     "inverse_kinematics": "robots.inverse_kinematics",
     "load": "learn.load",
@@ -60,7 +65,9 @@ _HOMES = {
 }
 
 __all__ = [
+    "Controller",
     "Env",
+    "Export",
     "InputError",
     "LoadedRun",
     "Policy",
@@ -75,6 +82,7 @@ __all__ = [
     "distil",
     "distillation",
     "evaluate",
+    "export",
     "forward_kinematics",
     "inverse_kinematics",
     "load",

@@ -4,21 +4,15 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
 from faults.saves import Trial
+from reachlab.bench.deploy import lively_run
 from reachlab.deploy.check import load_controller
 from reachlab.deploy.export import export
-from reachlab.envs.core import Env
-from reachlab.learn.learner import Learner
-from reachlab.learn.ppo_method import initial_state
-from reachlab.runs.directory import RunDirectory
-from reachlab.settings.presets import configure
 
 REST = 0.25
 """Time from the first sign of a fault in which the arm has to rest [s]."""
@@ -33,30 +27,6 @@ Call = tuple[Any, Any, Any, float]
 """What the controller is told: joints, speeds, goal and time."""
 
 Fault = Callable[[np.random.Generator, Call], Call]
-
-
-def lively_run(path: Path, task: str, **settings: Any) -> RunDirectory:
-    """A run whose policy has learnt nothing, and commands large actions all the same."""
-    config = configure(task, num_envs=8, hidden=(16, 16), **settings)
-    env, run = Env(config, 8), RunDirectory(path)
-    run.create(config)
-    state = env.compile_whole(lambda seed: initial_state(env, config, seed))(np.uint32(0))
-    learner: Learner = state.learner
-    policy, random = learner.policy, np.random.default_rng(0)
-    actor, size = policy.parameters.actor, policy.normaliser.mean.shape
-    mean, variance = (jnp.asarray(numbers, jnp.float32) for numbers in _moments(random, size))
-    lively = replace(
-        policy,
-        parameters=replace(policy.parameters, actor=[*actor[:-1], (60 * actor[-1][0], actor[-1][1] + 0.05)]),
-        normaliser=replace(policy.normaliser, mean=mean, variance=variance),
-    )
-    run.write_checkpoint(0, replace(state, learner=replace(learner, policy=lively)))
-    env.close()
-    return run
-
-
-def _moments(random: np.random.Generator, size: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
-    return 0.1 * random.normal(size=size), random.uniform(0.3, 2.0, size=size)
 
 
 def exported(place: Path, task: str = "precise", **settings: Any) -> Path:

@@ -52,6 +52,10 @@ SUITES: dict[str, Lazy] = {
         "The precise task on every robot of the catalogue, beside inverse kinematics: two hours.",
         "reachlab.bench.arms:arms_precise",
     ),
+    "deploy": Lazy(
+        "What exports compute on every arm beside their policies, and how long a control step takes.",
+        "reachlab.bench.deploy:deploy",
+    ),
     "scale": Lazy(
         "Rollouts by Ray workers and trials of sweeps, and what more workers would come to.",
         "reachlab.bench.scale:scale",

@@ -19,7 +19,7 @@ class Deploy(Checked):
 
     how: Annotated[Literal["check", "ros2"], tyro.conf.Positional]
     """`check`: its controller in a process of its own drives a simulated arm in real time. `ros2`: a node."""
-    policy: Annotated[Path, tyro.conf.Positional]
+    policy: Annotated[Path, tyro.conf.Positional] = Path("policy")
     """Folder that `reachlab export` wrote."""
     sim: Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")] = None
     """Check: simulator of the arm; by default the run's own."""

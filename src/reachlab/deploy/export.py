@@ -61,13 +61,14 @@ class Export:
     differences: dict[str, float]
 
 
-def export(run: RunDirectory, out: Path) -> Export:
-    """Write the policy of a run into a folder.
+def export(run: RunDirectory | str | Path, out: str | Path) -> Export:
+    """Write the policy of a run into a folder that does not exist or is empty.
 
     Raises:
         InputError: the folder exists and is not empty, the run cannot be read, the extra 'deploy' is missing, or what
             was written computes other actions than the policy.
     """
+    run, out = run if isinstance(run, RunDirectory) else RunDirectory(Path(run)), Path(out)
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError(f"'{out}' exists and is not empty: choose another --out, or remove it.")
     trained = run.read_config()

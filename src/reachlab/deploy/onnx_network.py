@@ -51,6 +51,11 @@ class OnnxNetwork:
         self.config = _settings(self.file.with_name(FACTS))
         self.checkpoint: dict[str, Any] = {"steps": None, "sha256": hashlib.sha256(content).hexdigest()}
 
+    @property
+    def inputs(self) -> int:
+        """Numbers that the only input of a graph with one takes."""
+        return int(next(iter(self._inputs.values())).shape[1])
+
     def check(self, schema: Schema) -> None:
         """Make sure that it takes the observations of a schema.
 

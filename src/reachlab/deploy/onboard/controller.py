@@ -11,7 +11,6 @@
 from __future__ import annotations
 
 import json
-from collections import deque
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,8 @@ import numpy as np
 
 from reachlab.deploy.onboard.arm import Arm, quaternion_of
 from reachlab.deploy.onboard.deciding import Decider, Goal, Situation
-from reachlab.deploy.onboard.network import Network, read_weights
+from reachlab.deploy.onboard.log import Log, read_log
+from reachlab.deploy.onboard.network import Network, onnx_network, read_weights
 from reachlab.deploy.onboard.scene import Obstacles
 from reachlab.deploy.onboard.solving import Solver
 from reachlab.deploy.onboard.watching import Watch
@@ -27,12 +27,6 @@ from reachlab.robots.motion_limits import MotionLimits
 
 SOLVED_A_STEP = 6
 """Steps that the solver of a goal's joints takes in a control step."""
-
-NOTED = ("q", "qd", "goal", "time", "velocity", "obstacles", "joints", "command", "problem")
-"""What is kept of a control step."""
-
-KEPT = 100_000
-"""Control steps that the log holds."""
 
 NEARBY = 0.1
 """How far outside the box of the goals that were trained a goal may be [m]."""
@@ -79,14 +73,14 @@ class Controller:
         self.home_quaternion = quaternion_of(self._arm.frames(self.home).rotation)
         self._decider, self._watch = Decider(self._arm, facts), Watch(facts)
         network = {"numpy": lambda: Network(read_weights(folder / "policy.safetensors"), facts["network"]).act}
-        network["onnx"] = lambda: _onnx(folder / "policy.onnx")
+        network["onnx"] = lambda: onnx_network(folder / "policy.onnx")
         if runtime not in network:
             raise ValueError(f"runtime must be numpy or onnx, got {runtime!r}.")
         self._act = network[runtime]()
         arm, joints = facts["arm"], facts["joints"]
         ramp, jerk = (np.array([joint[name] for joint in joints], float) for name in ("acceleration", "jerk"))
         self.limits = MotionLimits(arm["lower"], arm["upper"], arm["speed"], ramp, jerk, self.period)
-        self._log: deque[Any] = deque(maxlen=KEPT)
+        self._log = Log()
         self.reset(self.home)
 
     def reset(self, q: Any) -> None:
@@ -107,12 +101,12 @@ class Controller:
         self._solver: Solver | None = None
         self._goal_time = 0.0
         self._stopped = self.braking = False
-        self._log.append({"reset": q.tolist()})
+        self._log.add({"reset": q.tolist()})
 
     def stop(self) -> None:
         """Brake, and stay at rest until `reset`."""
         self._stopped = True
-        self._log.append({"stop": True})
+        self._log.add({"stop": True})
 
     def step(
         self,
@@ -152,7 +146,7 @@ class Controller:
         self.braking = bool(refused or brake or (self.braking and not at_rest))
         self.motion = self.limits.advance(self.motion, wanted, self.braking)
         command = self.motion.position
-        self._note(q, qd, goal, time, velocity, obstacles, joints, command)
+        self._log.add((q, qd, goal, time, velocity, obstacles, joints, command, self.problem))
         return command.copy()
 
     @property
@@ -250,21 +244,12 @@ class Controller:
 
     # --- log ----------------------------------------------------------------------------------------
 
-    def _note(self, *entry: Any) -> None:
-        kept = tuple(one.copy() if isinstance(one, np.ndarray) else one for one in entry)
-        self._log.append((*kept, self.problem))
-
     def save_log(self, file: str | Path) -> None:
         """Write the last control steps, a line of JSON each; `replay` takes them again.
 
         Pictures are not kept, so that a policy that gets some cannot be replayed.
         """
-        with Path(file).open("w", encoding="utf-8") as lines:
-            for entry in self._log:
-                named = entry
-                if not isinstance(entry, dict):
-                    named = {name: _plain(value) for name, value in zip(NOTED, entry)}
-                lines.write(json.dumps(named) + "\n")
+        self._log.save(Path(file))
 
     def replay(self, file: str | Path) -> float:
         """Take the control steps of a log again, and give the largest difference of a command [rad or m].
@@ -272,8 +257,7 @@ class Controller:
         The log has to begin with a `reset`, as it does unless it has grown too long.
         """
         worst = 0.0
-        for line in Path(file).read_text(encoding="utf-8").splitlines():
-            entry = json.loads(line)
+        for entry in read_log(Path(file)):
             if "reset" in entry:
                 self.reset(entry["reset"])
             elif "stop" in entry:
@@ -282,33 +266,3 @@ class Controller:
                 told, _ = entry.pop("command"), entry.pop("problem")
                 worst = max(worst, float(np.abs(self.step(**entry) - told).max()))
         return worst
-
-
-def _plain(value: Any) -> Any:
-    """What JSON can hold of a value; of what it cannot, nothing, which is as little a measurement."""
-    if isinstance(value, dict):
-        return {str(name): _plain(one) for name, one in value.items()}
-    if isinstance(value, (list, tuple, np.ndarray)):
-        return [_plain(one) for one in value]
-    if isinstance(value, np.generic):
-        return value.item()
-    return value if value is None or isinstance(value, (bool, int, float, str)) else None
-
-
-def _onnx(file: Path) -> Any:
-    """The network in ONNX Runtime."""
-    import onnxruntime
-
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
-    session: Any = onnxruntime.InferenceSession(str(file), options, providers=["CPUExecutionProvider"])
-    names = [one.name for one in session.get_inputs()]
-
-    def act(vector: np.ndarray | None, picture: np.ndarray | None) -> np.ndarray:
-        given = {}
-        for name in names:
-            part = picture if name == "picture" else vector
-            given[name] = np.asarray(part, np.uint8 if name == "picture" else np.float32)[None]
-        return session.run(None, given)[0][0]
-
-    return act

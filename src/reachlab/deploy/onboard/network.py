@@ -79,3 +79,28 @@ class Network:
 def _layers(weights: dict[str, np.ndarray], name: str) -> list[tuple[np.ndarray, np.ndarray]]:
     count = sum(key.startswith(f"{name}.") and key.endswith(".weight") for key in weights)
     return [(weights[f"{name}.{i}.weight"], weights[f"{name}.{i}.bias"]) for i in range(count)]
+
+
+def onnx_network(file: Path) -> Any:
+    """The same function of one observation, by ONNX Runtime.
+
+    Raises:
+        ModuleNotFoundError: it is not installed.
+    """
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    session: Any = onnxruntime.InferenceSession(str(file), options, providers=["CPUExecutionProvider"])
+    inputs = session.get_inputs()
+    vectors = [one for one in inputs if one.type == "tensor(float)"]
+    ends = np.cumsum([one.shape[1] for one in vectors])[:-1]
+
+    def act(vector: np.ndarray | None, picture: np.ndarray | None = None) -> np.ndarray:
+        given = {one.name: picture[None] for one in inputs if one not in vectors and picture is not None}
+        if vector is not None:
+            parts = np.split(vector.astype(np.float32), ends)
+            given.update({one.name: part[None] for one, part in zip(vectors, parts)})
+        return session.run(None, given)[0][0]
+
+    return act
