@@ -70,6 +70,11 @@ def precise(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return exported(tmp_path_factory.mktemp("precise"))
 
 
+@pytest.fixture(scope="module")
+def clutter(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return exported(tmp_path_factory.mktemp("clutter"), "clutter", robot="ur5e")
+
+
 # --- what it computes -----------------------------------------------------------------------------
 
 
@@ -201,6 +206,44 @@ def test_an_arm_that_was_stopped_waits_for_a_reset(precise: Path) -> None:
     play(10)
     assert controller.problem == ""
     assert np.abs(q - rest).max() > 1e-3
+
+
+HOSTILE: list[dict[str, Any]] = [
+    {"goal": "nowhere"},
+    {"goal": [0.5, 0.0]},
+    {"goal": [np.nan, 0.0, 0.4]},
+    {"goal": {"x": 1}},
+    {"time": "now"},
+    {"time": np.inf},
+    {"q": [[1, 2], [3]]},
+    {"qd": {}},
+]
+
+
+@pytest.mark.parametrize("nonsense", HOSTILE, ids=str)
+def test_nonsense_brakes_the_arm_and_raises_nothing(precise: Path, nonsense: dict[str, Any]) -> None:
+    controller = load_controller(precise).Controller(precise)
+    q, qd = controller.home, 0 * controller.home
+    for number in range(30):
+        call = {"q": q, "qd": qd, "goal": [0.5, 0.2, 0.4], "time": 0.02 * number} | (nonsense if number > 10 else {})
+        command = controller.step(**call)
+        q, qd = command, (command - q) / 0.02
+    assert controller.problem
+    assert controller.braking
+    assert np.abs(qd).max() < 1e-9
+
+
+@pytest.mark.parametrize(
+    "obstacles", [[{}], "wall", [{"position": [0.4, 0.0, 0.3], "half": [1.0]}], [{"position": [np.nan] * 3}]], ids=str
+)
+def test_obstacles_that_cannot_be_read_brake_the_arm(clutter: Path, obstacles: Any) -> None:
+    controller = load_controller(clutter).Controller(clutter)
+    q, qd, middle = controller.home, 0 * controller.home, controller.goal_box.mean(axis=0)
+    for number in range(60):
+        command = controller.step(q, qd, middle, 0.02 * number, obstacles=obstacles if number > 20 else [])
+        q, qd = command, (command - q) / 0.02
+    assert controller.problem
+    assert np.abs(qd).max() < 1e-9
 
 
 def test_a_lost_measurement_or_two_do_not_stop_the_arm(precise: Path) -> None:

@@ -35,8 +35,8 @@ KILLS, CORRUPTIONS, FAILING_SAVES = 50, 10_000, 20
 MINUTES, INTERVAL, WORKER_TRIALS, WORKER_STEPS = 5, 5.0, 12, 1_000_000
 """Minutes in which a training of a sweep is killed, and the time between two kills [s]; trials, and steps of each."""
 
-SWEEP_KILLS, SWEEP_TRIALS = 20, 8
-"""How often a sweep itself is killed, and its trials."""
+SWEEP_KILLS, SWEEP_TRIALS, SWEEP_STEPS = 20, 8, 400_000
+"""How often a sweep itself is killed; its trials, and steps of each."""
 
 HOSTILE_STEPS, FAULTS = 1_000_000, 1000
 """Control steps of an exported policy's controller among hostile measurements, and how often each fault is tried."""
@@ -55,7 +55,7 @@ TRIALS: dict[str, Callable[[], Trial]] = {
     "killed_workers_ray": lambda: killed_workers("ray", MINUTES * 60, INTERVAL, WORKER_TRIALS, WORKER_STEPS),
     "shared_weights": shared_weights,
     "lost_node": lost_node,
-    "killed_sweeps": lambda: killed_sweeps(SWEEP_KILLS, SWEEP_TRIALS, WORKER_STEPS),
+    "killed_sweeps": lambda: killed_sweeps(SWEEP_KILLS, SWEEP_TRIALS, SWEEP_STEPS),
 }
 
 

@@ -28,6 +28,9 @@ from reachlab.robots.motion_limits import MotionLimits
 SOLVED_A_STEP = 6
 """Steps that the solver of a goal's joints takes in a control step."""
 
+ASIDE = 0.01
+"""How far past its limits an arm may rest that is taken over; its commands begin at the limit [rad or m]."""
+
 NEARBY = 0.1
 """How far outside the box of the goals that were trained a goal may be [m]."""
 
@@ -89,11 +92,10 @@ class Controller:
         Raises:
             ValueError: they are not joints of this arm, within its limits.
         """
-        q = np.array(q, float)
-        arm = self._arm
-        if q.shape != (arm.n,) or not ((q >= arm.lower) & (q <= arm.upper)).all():
+        q, arm = np.array(q, float), self._arm
+        if q.shape != (arm.n,) or not ((q >= arm.lower - ASIDE) & (q <= arm.upper + ASIDE)).all():
             raise ValueError(f"reset takes {arm.n} joints within their limits, got {q.tolist()}.")
-        self.motion = self.limits.at_rest(q)
+        self.motion = self.limits.at_rest(np.clip(q, arm.lower, arm.upper))
         self._watch.reset(q)
         self._action, self.problem = np.zeros(self._decider.size), ""
         self._goal: Goal | None = None
@@ -136,14 +138,18 @@ class Controller:
         """
         before = self.motion.position
         problem, brake = self._watch.look(q, qd, time, before)
-        refused = "stop() was called" if self._stopped else self._take(goal, time, velocity, joints)
-        wanted = before
-        if self._goal is not None and not (refused or brake or self.braking):
-            wanted, failed = self._decide(self._goal, obstacles, picture)
-            problem, brake = (failed, True) if failed else (problem, brake)
-        self.problem = refused or problem
+        wanted, refused = before, "stop() was called" if self._stopped else ""
+        if not refused:
+            try:
+                refused = self._take(goal, time, velocity, joints)
+                if self._goal is not None and not (refused or brake or self.braking):
+                    wanted, refused = self._decide(self._goal, obstacles, picture)
+            except Exception as error:  # whatever it is, an arm in motion is brought to rest
+                refused = f"{type(error).__name__}: {error}"
         at_rest = bool((self.motion.stop_step >= self.limits.steps).all())
-        self.braking = bool(refused or brake or (self.braking and not at_rest))
+        was, now = self.braking and not at_rest, bool(refused or brake)
+        self.problem = refused or problem or (self.problem if was else "")
+        self.braking = now or was
         self.motion = self.limits.advance(self.motion, wanted, self.braking)
         command = self.motion.position
         self._log.add((q, qd, goal, time, velocity, obstacles, joints, command, self.problem))
@@ -194,7 +200,10 @@ class Controller:
         if asked != self._asked:
             self._asked, self._goal, self._solver = asked, None, None
             if joints is not None:
-                self._goal = self._goal_at(np.array(joints, float))
+                known = np.array(joints, float)
+                if known.shape != (self._arm.n,) or not np.isfinite(known).all():
+                    return f"the goal's joints must be {self._arm.n} finite numbers, got {joints!r}"
+                self._goal = self._goal_at(known)
                 return ""
             turned = None
             if self._goal_facts["orientation"]:
@@ -227,12 +236,7 @@ class Controller:
         rest = self.motion.position
         if self._pictured and (picture is None or np.shape(picture) != tuple(self._pictured)):
             return rest, f"the policy needs a picture of {self._pictured} pixels"
-        around = None
-        if self._decider.scene is not None:
-            try:
-                around = Obstacles(obstacles or [])
-            except (TypeError, ValueError, KeyError) as error:
-                return rest, f"the obstacles cannot be read: {error!r}"
+        around = None if self._decider.scene is None else Obstacles(obstacles or [])
         now = Situation(self._arm, self._watch.q, self._watch.qd, goal, rest, self._action, around)
         seen = self._decider.observe(now)
         action = np.asarray(self._act(seen, picture if self._pictured else None), float)

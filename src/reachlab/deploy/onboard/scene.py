@@ -19,12 +19,19 @@ class Obstacles:
     """
 
     def __init__(self, obstacles: Any) -> None:
-        """Of a list of dicts."""
+        """Of a list of dicts.
+
+        Raises:
+            ValueError: a number is missing, or is not finite.
+        """
         self.position = np.array([one["position"] for one in obstacles], float).reshape(-1, 3)
         turns = [rotation_of(np.array(one.get("quaternion", (1, 0, 0, 0)), float)) for one in obstacles]
         self.rotation = np.array(turns).reshape(-1, 3, 3)
         self.half = np.array([one.get("half", (0, 0, 0)) for one in obstacles], float).reshape(-1, 3)
         self.radius = np.array([one.get("radius", 0.0) for one in obstacles], float)
+        parts = (self.position, self.rotation, self.half, self.radius)
+        if len({len(part) for part in parts}) > 1 or not all(np.isfinite(part).all() for part in parts):
+            raise ValueError("every obstacle needs a position, and finite numbers")
 
     def off(self, place: np.ndarray) -> np.ndarray:
         """How far places `[K, ..., 3]`, each in an obstacle's frame, are out of its box."""
