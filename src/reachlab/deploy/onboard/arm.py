@@ -5,6 +5,7 @@ The same formulas as in training, where `reachlab.robots` has them for JAX, with
 
 from __future__ import annotations
 
+from copy import copy
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,12 @@ class Frames:
     def __init__(self, links: np.ndarray, tool: np.ndarray) -> None:
         """Frames of the links and the tool."""
         self.links, self.position, self.rotation = links, tool[..., :3, 3], tool[..., :3, :3]
+
+    def row(self, number: int) -> Frames:
+        """Those of one of several joint vectors."""
+        one = copy(self)
+        one.links, one.position, one.rotation = self.links[number], self.position[number], self.rotation[number]
+        return one
 
 
 class Arm:

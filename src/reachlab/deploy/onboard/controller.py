@@ -237,7 +237,7 @@ class Controller:
         if self._pictured and (picture is None or np.shape(picture) != tuple(self._pictured)):
             return rest, f"the policy needs a picture of {self._pictured} pixels"
         around = None if self._decider.scene is None else Obstacles(obstacles or [])
-        now = Situation(self._arm, self._watch.q, self._watch.qd, goal, rest, self._action, around)
+        now = Situation(self._arm, self._watch.q, self._watch.qd, goal, rest, self._action, around, self._decider.scene)
         seen = self._decider.observe(now)
         action = np.asarray(self._act(seen, picture if self._pictured else None), float)
         wanted = self._decider.command(now, action)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from reachlab.deploy.onboard.arm import Arm, quaternion_of, rotation_error, rotation_of
-from reachlab.deploy.onboard.scene import Scene
+from reachlab.deploy.onboard.scene import Nearest, Scene
 
 
 class Goal:
@@ -47,10 +47,17 @@ class Situation:
         command: np.ndarray,
         action: np.ndarray,
         obstacles: Any,
+        scene: Any,
     ) -> None:
-        """A situation; where the tool is follows."""
+        """A situation; where the tool is follows, and in a scene what is around the arm as it is and as it is sent."""
         self.q, self.qd, self.goal, self.command, self.action = q, qd, goal, command, action
-        self.obstacles, self.frames = obstacles, arm.frames(q)
+        self.obstacles = obstacles
+        if scene is None:
+            self.frames = arm.frames(q)
+        else:
+            both = arm.frames(np.stack([q, command]))
+            self.frames, self.sent = both.row(0), both.links[1]
+            self.around, self.around_sent = (Nearest(*row) for row in zip(*scene.nearest(both.links, obstacles)))
         self.way = goal.position - self.frames.position
         self.distance = float(np.sqrt(self.way @ self.way))
         self.turn = np.zeros(3) if goal.quaternion is None else rotation_error(self.frames.rotation, goal.rotation)
@@ -125,7 +132,7 @@ class Decider:
         return now.goal.velocity
 
     def _see_clearance(self, now: Situation) -> np.ndarray:
-        return self.scene.clearance(now.frames, now.obstacles)
+        return self.scene.clearance(now.around)
 
     def _see_scene(self, now: Situation) -> np.ndarray:
         return self.scene.basis(now.obstacles)
@@ -155,7 +162,7 @@ class Decider:
     def _joint_delta(self, now: Situation, action: np.ndarray) -> np.ndarray:
         step = action * self._scale
         if now.obstacles is not None:
-            step = self.scene.keep_clear(now.command, step, now.obstacles)
+            step = self.scene.keep_clear(now.sent, now.around_sent, step)
             step = np.minimum(np.maximum(step, -self._scale), self._scale)
         return np.minimum(np.maximum(now.command + step, self._arm.lower), self._arm.upper)
 

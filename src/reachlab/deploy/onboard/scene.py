@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from reachlab.deploy.onboard.arm import Arm, Frames, cross, rotation_of
+from reachlab.deploy.onboard.arm import Arm, cross, rotation_of
 
 LENGTH = 1e-9
 """Added to a length that divides [m]."""
@@ -34,14 +34,13 @@ class Obstacles:
             raise ValueError("every obstacle needs a position, and finite numbers")
 
     def off(self, place: np.ndarray) -> np.ndarray:
-        """How far places `[K, ..., 3]`, each in an obstacle's frame, are out of its box."""
-        half = self.half.reshape(-1, *[1] * (place.ndim - 2), 3)
-        return place - np.clip(place, -half, half)
+        """How far places `[K, P, 3]`, each in an obstacle's frame, are out of its box."""
+        half = self.half[:, None]
+        return place - np.minimum(np.maximum(place, -half), half)
 
     def inside(self, points: np.ndarray) -> np.ndarray:
-        """Points `[..., 3]` in the frame of each obstacle `[K, ..., 3]`."""
-        moved = points[None] - self.position.reshape(-1, *[1] * (points.ndim - 1), 3)
-        return np.einsum("k...i,kij->k...j", moved, self.rotation)
+        """Points `[P, 3]` in the frame of each obstacle `[K, P, 3]`."""
+        return (points[None] - self.position[:, None]) @ self.rotation
 
     def distance(self, points: np.ndarray) -> np.ndarray:
         """Distance `[P]` m from points `[P, 3]` to the nearest of them; far where there are none."""
@@ -49,6 +48,17 @@ class Obstacles:
             return np.full(len(points), np.inf)
         away = np.sqrt((self.off(self.inside(points)) ** 2).sum(axis=-1)) - self.radius[:, None]
         return away.min(axis=0)
+
+
+class Nearest(NamedTuple):
+    """What is nearest to an arm's capsules.
+
+    The distance `[..., C]` m from it, the direction from it and where on the capsule's axis `[..., C, 3]`.
+    """
+
+    distance: np.ndarray
+    normal: np.ndarray
+    point: np.ndarray
 
 
 class Scene:
@@ -66,22 +76,22 @@ class Scene:
         axes = [np.linspace(a, b, int(constants["BASIS"])) for a, b in zip(low, high)]
         self._basis = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
-    def nearest(self, frames: Frames, obstacles: Obstacles) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Of each capsule the distance `[C]` m from what is nearest, the way from it and where on its axis `[C, 3]`."""
-        links = frames.links[self._links - 1]
-        rotation, place = links[:, :3, :3], links[:, :3, 3]
-        start, end = (place + np.einsum("cij,cj->ci", rotation, side) for side in (self._starts, self._ends))
-        point = np.where((start[:, 2] < end[:, 2])[:, None], start, end)
-        distance, normal = point[:, 2] - self._floors, np.tile([0.0, 0.0, 1.0], (len(point), 1))
+    def nearest(self, links: np.ndarray, obstacles: Obstacles) -> Nearest:
+        """What is nearest to each capsule of arms whose links are at `[B, n, 4, 4]`."""
+        own = links[:, self._links - 1]
+        rotation, place = own[..., :3, :3], own[..., :3, 3]
+        start, end = (place + (rotation @ side[:, :, None])[..., 0] for side in (self._starts, self._ends))
+        point = np.where(start[..., 2:] < end[..., 2:], start, end)
+        distance, normal = point[..., 2] - self._floors, np.broadcast_to([0.0, 0.0, 1.0], point.shape)
         if len(obstacles.radius):
-            others, ways, points = self._beside(start, end, obstacles)
-            chosen, row = others.argmin(axis=0), np.arange(len(point))
-            other = others[chosen, row]
+            others, ways, points = self._beside(start.reshape(-1, 3), end.reshape(-1, 3), obstacles)
+            chosen, row = others.argmin(axis=0), np.arange(distance.size)
+            other = others[chosen, row].reshape(distance.shape)
             nearer = other < distance
             distance = np.where(nearer, other, distance)
-            normal = np.where(nearer[:, None], ways[chosen, row], normal)
-            point = np.where(nearer[:, None], points[chosen, row], point)
-        return distance - self._radii, normal, point
+            normal = np.where(nearer[..., None], ways[chosen, row].reshape(normal.shape), normal)
+            point = np.where(nearer[..., None], points[chosen, row].reshape(point.shape), point)
+        return Nearest(distance - self._radii, normal, point)
 
     def _beside(
         self, start: np.ndarray, end: np.ndarray, obstacles: Obstacles
@@ -96,15 +106,17 @@ class Scene:
         place = a + along * ((low + high) / 2)[..., None]
         way = obstacles.off(place)
         length = np.sqrt((way**2).sum(axis=-1))
-        turned = np.einsum("kij,kcj->kci", obstacles.rotation, way / (length + LENGTH)[..., None])
-        points = np.einsum("kij,kcj->kci", obstacles.rotation, place) + obstacles.position[:, None]
+        back = np.swapaxes(obstacles.rotation, 1, 2)
+        turned, points = (way / (length + LENGTH)[..., None]) @ back, place @ back + obstacles.position[:, None]
         return length - obstacles.radius[:, None], turned, points
 
-    def keep_clear(self, command: np.ndarray, step: np.ndarray, obstacles: Obstacles) -> np.ndarray:
-        """Joint displacement `[n]` that brings no capsule nearer to an obstacle than the dampers allow."""
-        k, frames = self._constants, self._arm.frames(command)
-        distance, normal, point = self.nearest(frames, obstacles)
-        axes, origins = frames.links[:, :3, 2], frames.links[:, :3, 3]
+    def keep_clear(self, links: np.ndarray, around: Nearest, step: np.ndarray) -> np.ndarray:
+        """Joint displacement `[n]` that brings no capsule nearer to an obstacle than the dampers allow.
+
+        From where the links are sent `[n, 4, 4]`, and what is `around` them.
+        """
+        k, (distance, normal, point) = self._constants, around
+        axes, origins = links[:, :3, 2], links[:, :3, 3]
         moves = cross(axes[None], point[:, None] - origins[None])
         moves = np.where(self._arm.slides[:, None], axes, moves)
         rows = (normal[:, None] * moves).sum(axis=-1) * (np.arange(self._arm.n) < self._links[:, None])
@@ -119,9 +131,9 @@ class Scene:
                     step = step + missing * change
         return step
 
-    def clearance(self, frames: Frames, obstacles: Obstacles) -> np.ndarray:
+    def clearance(self, around: Nearest) -> np.ndarray:
         """Of each capsule the direction away from what is nearest, shorter the further away, `[3 C]`."""
-        distance, normal, _ = self.nearest(frames, obstacles)
+        distance, normal, _ = around
         near = self._constants["CLOSE"] * self._scale
         close = near / (near + np.maximum(distance, 0.0))
         return (close * normal.T).ravel()
