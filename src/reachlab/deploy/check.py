@@ -125,12 +125,13 @@ class PipeLink:
         """Tell the controller a measurement."""
         self._pipe.send(measurement)
 
-    def receive(self) -> np.ndarray | None:
-        """The newest command, if one has come."""
-        command = None
+    def receive(self) -> list[np.ndarray]:
+        """The commands that have come."""
+        commands = []
         while self._pipe.poll():
             command, self._problem = self._pipe.recv()
-        return command
+            commands.append(command)
+        return commands
 
     def problem(self) -> str:
         """What the controller said last."""

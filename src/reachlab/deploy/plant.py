@@ -48,8 +48,8 @@ class Link(Protocol):
         """Tell the controller a measurement."""
         ...
 
-    def receive(self) -> np.ndarray | None:
-        """The command `[n]` that came since the last call; None without one. Never waits."""
+    def receive(self) -> list[np.ndarray]:
+        """The commands `[n]` that came since the last call, in their order. Never waits."""
         ...
 
     def problem(self) -> str:
@@ -195,10 +195,10 @@ def _episode(plant: Plant, link: Link, disturbed: Disturbed, outcome: Outcome) -
         if not disturbed.send(plant.measure(), step * plant.period) and dead is None:
             dead = step
         _wait(began + (step + 1) * plant.period, disturbed)
-        came = link.receive()
+        commands = link.receive()
         outcome.cycles += 1
-        outcome.in_time += came is not None
-        if came is not None:
+        outcome.in_time += bool(commands)
+        for came in commands:
             outcome.broken += not bool(np.isfinite(came).all() and (np.abs(came - command) <= most).all())
             if dead is not None and np.abs(came - command).max() > RESTS * plant.period:
                 outcome.rest_s = max(outcome.rest_s or 0.0, (step - dead + 1) * plant.period)

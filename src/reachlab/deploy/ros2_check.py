@@ -80,11 +80,11 @@ class RosLink:
         self._goals = node.create_publisher(PoseStamped, topics.goals, 1)
         self._resets = node.create_publisher(Empty, topics.reset, 1)
         node.create_subscription(Float64MultiArray, topics.commands, self._on_command, 1)
-        self._command: np.ndarray | None = None
+        self._commands: list[np.ndarray] = []
         self._asked: list[float] | None = None
 
     def _on_command(self, message: Any) -> None:
-        self._command = np.array(message.data)
+        self._commands.append(np.array(message.data))
 
     def begin(self, q: np.ndarray) -> None:
         """Tell where the arm rests until the policy's node has taken it over, and has no goal.
@@ -94,16 +94,17 @@ class RosLink:
         """
         from std_msgs.msg import Empty
 
-        self._asked, self._command = None, None
+        self._asked = None
         end, asked = time.monotonic() + PATIENCE, 0.0
         still = np.zeros_like(q)
         while time.monotonic() < end:
             if time.monotonic() - asked > ASKED_EVERY:
-                self._command, asked = None, time.monotonic()
+                asked = time.monotonic()
+                self.receive()
                 self._resets.publish(Empty())
             self._publish(q, still)
             time.sleep(TOLD_EVERY)
-            if self._command is not None and np.abs(self._command - q).max() < THERE:
+            if (commands := self.receive()) and np.abs(commands[-1] - q).max() < THERE:
                 return
         raise InputError(f"the policy's node does not take the arm over within {PATIENCE:g} s.")
 
@@ -128,10 +129,10 @@ class RosLink:
         state.header.stamp = self._node.get_clock().now().to_msg()
         self._states.publish(state)
 
-    def receive(self) -> np.ndarray | None:
-        """The newest command, if one has come."""
-        command, self._command = self._command, None
-        return command
+    def receive(self) -> list[np.ndarray]:
+        """The commands that have come."""
+        commands, self._commands = self._commands, []
+        return commands
 
     def problem(self) -> str:
         """Nothing: what the policy's node says is in its log."""
