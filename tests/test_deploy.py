@@ -184,6 +184,20 @@ def test_no_command_leaves_a_limit_whatever_is_measured(precise: Path) -> None:
     assert hostile_commands(precise, 4000).wrong == []
 
 
+def test_a_goals_velocity_is_found_from_its_places(tmp_path: Path) -> None:
+    folder = exported(tmp_path, "track")
+    module = load_controller(folder)
+    told, finds = module.Controller(folder), module.Controller(folder)
+    q, qd, middle, velocity = told.home, 0 * told.home, told.goal_box.mean(axis=0), np.array([0.1, -0.05, 0.0])
+    for number in range(60):
+        jumped = np.array([0.0, 0.0, 0.15]) * (number >= 40)
+        goal = middle + 0.02 * number * velocity + jumped
+        known = velocity if number not in (0, 40) else np.zeros(3)
+        command = told.step(q, qd, goal, 0.02 * number, velocity=known)
+        assert finds.step(q, qd, goal, 0.02 * number) == pytest.approx(command, abs=1e-9)
+        q, qd = command, (command - q) / 0.02
+
+
 def test_an_arm_that_was_stopped_waits_for_a_reset(precise: Path) -> None:
     controller = load_controller(precise).Controller(precise)
     q, qd, goal = controller.home, 0 * controller.home, [0.5, 0.2, 0.4]

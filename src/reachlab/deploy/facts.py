@@ -129,6 +129,7 @@ def _goal(setup: TaskSetup) -> dict[str, Any]:
         "tool": setup.robot.tool,
         "orientation": rules.asks_orientation,
         "moves": setup.task.move is not None,
+        "fastest": observations.FASTEST * rules.goal_speed[1],
         "joints": rules.asks_orientation or obstructed,
         "angle_weight": rules.angle_weight,
         "success_distance": rules.success_distance,

@@ -188,10 +188,8 @@ class Controller:
     def _set_goal(self, numbers: np.ndarray, time: float, velocity: np.ndarray | None, joints: Any) -> str:
         asked = (*numbers.tolist(), None if joints is None else tuple(joints))
         if self._goal_facts["moves"]:
-            if velocity is None:
-                last, passed = self._goal, time - self._goal_time
-                velocity = np.zeros(3) if last is None or passed <= 0 else (numbers[:3] - last.position) / passed
-            self._goal, self._goal_time = Goal(numbers[:3], velocity=velocity), time
+            known = self._seen_velocity(numbers[:3], time) if velocity is None else velocity
+            self._goal, self._goal_time = Goal(numbers[:3], velocity=known), time
             return ""
         if not self._goal_facts["joints"]:
             if asked != self._asked:
@@ -210,6 +208,14 @@ class Controller:
                 turned = Goal(numbers[:3], numbers[3:] / np.linalg.norm(numbers[3:])).rotation
             self._solver = Solver(self._arm, numbers[:3], turned, self.motion.position.copy())
         return self._look_for_joints()
+
+    def _seen_velocity(self, place: np.ndarray, time: float) -> np.ndarray:
+        """Velocity `[3]` m/s of a goal that is now at `[3]` m; nothing of one that has jumped."""
+        last, passed = self._goal, time - self._goal_time
+        if last is None or passed <= 0:
+            return np.zeros(3)
+        velocity = (place - last.position) / passed
+        return velocity if np.sqrt(velocity @ velocity) <= self._goal_facts["fastest"] else np.zeros(3)
 
     def _look_for_joints(self) -> str:
         solver = self._solver
