@@ -25,7 +25,7 @@ from reachlab.deploy.onboard.solving import Solver
 from reachlab.deploy.onboard.watching import Watch
 from reachlab.robots.motion_limits import MotionLimits
 
-SOLVED_A_STEP = 6
+SOLVED_A_STEP = 4
 """Steps that the solver of a goal's joints takes in a control step."""
 
 ASIDE = 0.01
