@@ -142,6 +142,15 @@ def test_the_controller_is_one_file_for_python_3_9() -> None:
     modules |= {str(node.module) for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
     outside = {module.partition(".")[0] for module in modules} - set(sys.stdlib_module_names)
     assert outside == {"numpy", "onnxruntime"}
+    defined = [node.name for node in tree.body if isinstance(node, (ast.ClassDef, ast.FunctionDef))]
+    defined += [
+        target.id
+        for node in tree.body
+        if isinstance(node, ast.Assign)
+        for target in node.targets
+        if isinstance(target, ast.Name)
+    ]
+    assert len(defined) == len(set(defined)), "modules that are joined have no name in common"
     assert "strict=" not in source
 
 
@@ -312,6 +321,21 @@ def test_an_export_that_differs_from_its_policy_is_refused(
     assert not (tmp_path / "policy").exists()
 
 
+@pytest.mark.parametrize(
+    ("words", "flag"),
+    [
+        (["ros2", "--episodes", "5"], "--episodes"),
+        (["ros2", "--drop", "0.1"], "--faults"),
+        (["check", "--trajectory"], "--trajectory"),
+    ],
+)
+def test_a_flag_that_does_not_go_with_it_is_refused(
+    words: list[str], flag: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["deploy", *words]) == cli.WRONG_INPUT
+    assert flag in capsys.readouterr().err
+
+
 def test_a_folder_that_is_not_empty_stays_as_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     lively_run(tmp_path / "run", "tutorial")
     assert cli.main(["export", str(tmp_path / "run"), "--out", str(tmp_path)]) == cli.WRONG_INPUT
@@ -325,7 +349,7 @@ def test_an_arm_whose_sensor_dies_is_brought_to_rest_in_real_time(precise: Path)
     outcome = check(precise, sim=None, episodes=1, seed=1, faults=Faults(dead_after=0.6))
     assert outcome.broken == 0
     assert outcome.rest_s is not None
-    assert outcome.rest_s <= 0.5, "0.24 s, where nothing else runs on this machine"
+    assert outcome.rest_s <= 0.3
     assert "no measurement has come" in outcome.problems
 
 
@@ -344,7 +368,7 @@ def test_the_loop_runs_over_ros_2(precise: Path) -> None:
     assert done.returncode == cli.DONE, done.stderr
     result = json.loads(done.stdout)
     assert result["broken"] == 0
-    assert result["in_time"] > 0.7, "all, where nothing else runs on this machine"
+    assert result["in_time"] > 0.9
     assert time.monotonic() - began > 4, "it is real time"
 
 

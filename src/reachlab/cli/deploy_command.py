@@ -7,9 +7,10 @@ import json as jsonlib
 from reachlab.cli.deploy_flags import Deploy
 from reachlab.cli.flags import Export
 from reachlab.cli.preparation import prepare
-from reachlab.deploy.plant_faults import Faults
-from reachlab.deploy.topics import Topics
 from reachlab.settings.validation import InputError
+
+NODE = {"topics", "trajectory"}
+"""Flags of the node; the others are of the check."""
 
 
 def export(arguments: Export) -> None:
@@ -39,15 +40,15 @@ def deploy(arguments: Deploy) -> None:
     Raises:
         InputError: a flag that does not go with what is done.
     """
+    usual = vars(Deploy(arguments.how, arguments.policy))
+    changed = {name for name, value in vars(arguments).items() if value != usual[name]}
+    if foreign := sorted(changed - NODE if arguments.how == "ros2" else changed & NODE):
+        raise InputError(f"deploy {arguments.how} makes no use of --{foreign[0].replace('_', '-')}: leave it out.")
     if arguments.how == "ros2":
-        if arguments.faults != Faults() or arguments.over_ros2 or arguments.sim or arguments.json:
-            raise InputError("deploy ros2 takes the names of topics and --trajectory; the other flags go with check.")
         from reachlab.deploy.ros2 import run_node
 
         run_node(arguments.policy, arguments.topics, trajectory=arguments.trajectory)
         return
-    if arguments.trajectory or arguments.topics != Topics():
-        raise InputError("--trajectory and the names of topics go with deploy ros2.")
     prepare()
     from reachlab.deploy.check import check
     from reachlab.deploy.ros2_check import check_over_ros2

@@ -85,8 +85,9 @@ def _sections(facts: dict[str, Any]) -> list[str]:
 
 def _limits(facts: dict[str, Any]) -> list[str]:
     rows = [
-        f"| `{one['name']}` | {one['lower']:.4g} to {one['upper']:.4g} {one['unit']} | {one['speed']:.4g} |"
-        f" {one['acceleration']:.4g} | {one['jerk']:.4g} | {', '.join(sorted(set(one['sources'].values())))} |"
+        f"| `{one['name']}` | {one['lower']:.4g} to {one['upper']:.4g} {one['unit']}, {one['sources']['position']} | "
+        + " | ".join(f"{one[what]:.4g}, {one['sources'][what]}" for what in ("speed", "acceleration", "jerk"))
+        + " |"
         for one in facts["joints"]
     ]
     return [
@@ -97,8 +98,8 @@ def _limits(facts: dict[str, Any]) -> list[str]:
             " measured or asked; a `default` was chosen by reachlab and is not the maker's."
         ),
         "",
-        "| joint | position | speed [/s] | acceleration [/s²] | jerk [/s³] | sources |",
-        "| --- " * 6 + "|",
+        "| joint | position | speed [/s] | acceleration [/s²] | jerk [/s³] |",
+        "| --- " * 5 + "|",
         *rows,
         "",
         "## Limits of use",
