@@ -6,7 +6,7 @@ RUN := runs/demo-$(shell date +%Y%m%d-%H%M%S)
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 GYMNAX_VENV := .venv-gymnax
 
-.PHONY: demo test lint types unit bench bench-viewer foreign fuzz trust gymnax clean
+.PHONY: demo test lint types unit bench bench-viewer foreign fuzz trust policies gymnax clean
 
 demo: $(VENV)/installed
 	@$(BIN)/reachlab train --out $(RUN)
@@ -33,6 +33,10 @@ fuzz: $(VENV)/installed-dev
 
 trust: $(VENV)/installed-dev
 	PYTHONPATH=tests $(BIN)/python -m faults
+
+# All that come with reachlab, or some: make policies NAMES='panda/precise ur5e/track'. REPLACE=--replace keeps the new ones.
+policies: $(VENV)/installed-dev
+	TF_CPP_MIN_LOG_LEVEL=3 PYTHONPATH=tests $(BIN)/python -m shipped_policies $(NAMES) $(REPLACE)
 
 # In an environment of its own: gymnax needs an older gymnasium than the other tests.
 gymnax: $(GYMNAX_VENV)/installed

@@ -260,7 +260,10 @@ WRONG = {
         "10.*4 minibatches",
     ),
     "existing out": ("train --out taken", "'taken' exists and is not overwritten"),
-    "eval without a run": ("eval", "agent 'trained' needs a run: name its directory, or choose --agent among random"),
+    "eval without a run": (
+        "eval",
+        "agent 'trained' needs a run: name its directory or a policy of `reachlab list`, or",
+    ),
     "eval of no run": ("eval nothing", "'nothing' does not exist: train one with"),
     "eval of an empty folder": ("eval taken", "config.json' is missing"),
     "eval of an unknown agent": ("eval taken --agent tained", "Did you mean 'trained'"),

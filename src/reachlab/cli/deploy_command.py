@@ -18,9 +18,8 @@ def export(arguments: Export) -> None:
     prepare()
     from reachlab.cli.console import say
     from reachlab.deploy.export import SITUATIONS, TOLERANCE, export
-    from reachlab.runs.directory import RunDirectory
 
-    done = export(RunDirectory(arguments.run), arguments.out)
+    done = export(arguments.run, arguments.out)
     if arguments.json:
         print(jsonlib.dumps({"folder": str(done.folder), "files": done.files, "differences": done.differences}))
         return

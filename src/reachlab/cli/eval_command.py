@@ -37,10 +37,10 @@ def evaluate(arguments: Eval) -> None:
     prepare()
     from reachlab.cli.console import note
     from reachlab.cli.progress import EvalDisplay
-    from reachlab.runs.directory import RunDirectory
+    from reachlab.runs.shipped import find_run
     from reachlab.sims import SIMULATORS
 
-    run = RunDirectory(arguments.run) if arguments.run and not _is_model(arguments.run) else None
+    run = find_run(arguments.run) if arguments.run and not _is_model(arguments.run) else None
     model = _model(arguments)
     trained, several = _settings(arguments, run, model), arguments.sim == "all"
     names = list(SIMULATORS) if several else [arguments.sim or trained.sim]
@@ -133,7 +133,10 @@ def _settings(arguments: Eval, run: RunDirectory | None, model: SavedModel | Onn
         return known
     if not model and (needing := [agent for agent in arguments.agent if AGENTS[agent].trained]):
         others = ", ".join(name for name, entry in AGENTS.items() if not entry.trained)
-        raise InputError(f"agent {needing[0]!r} needs a run: name its directory, or choose --agent among {others}.")
+        raise InputError(
+            f"agent {needing[0]!r} needs a run: name its directory or a policy of `reachlab list`, or choose --agent"
+            f" among {others}."
+        )
     config = preset(arguments.task or "tutorial")
     return override(config, **{name: value for name, value in arm.items() if value})
 
@@ -178,8 +181,8 @@ def _evaluated(
 ) -> Iterator[tuple[dict[str, Any], list[str]]]:
     """Report of each agent in one simulator, and where it could not be saved in the run a list with the reason.
 
-    Agent `trained` is the policy of a run, or a model, whose reports are not saved; nor are those on other goals than
-    the run's, which would stand in for those on its own.
+    Agent `trained` is the policy of a run, or a model, whose reports are not saved; nor are those of a policy that
+    comes with reachlab, or on other goals than the run's, which would stand in for those on its own.
 
     What is already `loaded` is used again: all simulators get the same checkpoint, even where a training writes newer
     ones meanwhile.
@@ -188,6 +191,7 @@ def _evaluated(
     from reachlab.evaluation.episodes import BATCH
     from reachlab.evaluation.report import examine
     from reachlab.learn.load import load_saved
+    from reachlab.runs.shipped import is_shipped
     from reachlab.sims import SIMULATORS
 
     name, episodes = config.sim, arguments.episodes
@@ -209,7 +213,7 @@ def _evaluated(
             rows = {"goal": played.goal, "distance": played.distance, "success": played.success}
             title = "-".join((name, agent, str(arguments.seed), *arguments.randomise))
             try:
-                if run and not _other_goals(arguments):
+                if run and not is_shipped(run) and not _other_goals(arguments):
                     run.write_report(title, report, rows)
             except InputError as error:
                 yield report, [str(error)]

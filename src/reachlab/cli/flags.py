@@ -86,7 +86,7 @@ class Distil(Checked):
     """Teach a policy that gets camera pictures, by one that gets the positions themselves."""
 
     teacher: Annotated[Path | None, tyro.conf.Positional] = None
-    """Run directory of the teacher."""
+    """Run directory of the teacher, or a policy of `reachlab list`."""
     observation: str = "image"
     """What the student observes, with a picture in it; see `reachlab list`."""
     sim: Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")] = None
@@ -153,7 +153,8 @@ class Eval(Checked):
     """Evaluate a run beside its baselines, or baselines alone, on held-out targets."""
 
     run: Annotated[Path | None, tyro.conf.Positional] = None
-    """Run directory, policy in ONNX (.onnx or an export) or model of Stable-Baselines3 (.zip); baselines need none."""
+    """Run directory, name of a policy in `reachlab list`, policy in ONNX (.onnx or an export) or model of
+    Stable-Baselines3 (.zip); baselines need none."""
     trust: bool = False
     """The model's file may run code: it is unpickled."""
     normaliser: Annotated[Path | None, Optional] = None
@@ -214,9 +215,9 @@ class Video(Checked):
     """Film held-out episodes of a run."""
 
     run: Annotated[Path, tyro.conf.Positional]
-    """Run directory."""
+    """Run directory, or a policy that comes with reachlab, as `panda/precise`; see `reachlab list`."""
     out: Annotated[Path | None, Optional] = None
-    """File to write (.webp, .gif, or .mp4 with the extra `video`); by default video.webp in the run."""
+    """File to write (.webp, .gif, or .mp4 with the extra `video`); by default video.webp in the run directory."""
     sim: Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")] = None
     """Simulator; by default the run's own."""
     agent: Agent = "trained"
@@ -237,7 +238,7 @@ class View(Checked):
     """Watch a run in the browser and move its target by hand."""
 
     run: Annotated[Path, tyro.conf.Positional]
-    """Run directory."""
+    """Run directory, or a policy that comes with reachlab, as `panda/precise`; see `reachlab list`."""
     sim: Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")] = None
     """Simulator; by default the run's own."""
     agent: Agent = "trained"
@@ -270,7 +271,7 @@ class Export(Checked):
     """Write a policy into a folder with all that a robot's computer needs."""
 
     run: Annotated[Path, tyro.conf.Positional]
-    """Run directory."""
+    """Run directory, or a policy that comes with reachlab, as `panda/precise`; see `reachlab list`."""
     out: Annotated[Path, Optional] = Path("policy")
     """Folder to make."""
     json: bool = False
@@ -290,7 +291,7 @@ class Bench(Checked):
 
 @dataclass(frozen=True)
 class List(Checked):
-    """Show tasks, robots, simulators, observations, actions, rewards, targets, agents and suites of `bench`."""
+    """Show tasks, robots, simulators, observations, actions, rewards, targets, agents, policies and suites of `bench`."""
 
     json: bool = False
     """Print them as one JSON object on standard output."""

@@ -31,6 +31,7 @@ def distil(arguments: Distil) -> None:
 def _distillation(arguments: Distil) -> RunConfig:
     """Settings of a distillation: of the run that is resumed, or of the teacher, with the changes of the flags."""
     from reachlab.runs.directory import RunDirectory
+    from reachlab.runs.shipped import find_run
 
     changes = {name: vars(arguments)[name] for name in LESSON} | vars(arguments.settings)
     if arguments.resume:
@@ -40,7 +41,7 @@ def _distillation(arguments: Distil) -> RunConfig:
         return override(config, **changes) if isinstance(config, DistilRunConfig) else config
     if arguments.teacher is None:
         raise InputError("distil needs a teacher: name the run directory of one, as `reachlab train` makes it.")
-    taught = RunDirectory(arguments.teacher).read_config()
+    taught = find_run(arguments.teacher).read_config()
     config = in_simulator(taught, arguments.sim or taught.sim)
     changes["randomise"] = arguments.randomise or taught.randomise
     return distillation(str(arguments.teacher), config, **changes)

@@ -42,6 +42,7 @@ def list_names(arguments: List) -> None:
     from reachlab.agents import AGENTS
     from reachlab.cli.console import asked, print_table
     from reachlab.robots.catalogue import ROBOTS
+    from reachlab.runs.shipped import shipped, told
     from reachlab.scale import ENGINES
     from reachlab.scale.goals import GOALS
     from reachlab.settings.presets import preset
@@ -73,6 +74,7 @@ def list_names(arguments: List) -> None:
         "engines": {name: engine.summary for name, engine in ENGINES.items()},
         "goals of a sweep": {name: "most" if goal.maximise else "least" for name, goal in GOALS.items()},
         "agents": {name: agent.summary for name, agent in AGENTS.items()},
+        "policies": {name: told(run) for name, run in shipped().items()},
         "suites": {name: suite.summary for name, suite in SUITES.items()},
     }
     if arguments.json:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json as jsonlib
 import webbrowser
 from functools import partial
+from pathlib import Path
 
 from reachlab.agents import AGENTS
 from reachlab.cli.flags import Plot, Video, View
@@ -28,18 +29,18 @@ def video(arguments: Video) -> None:
     from reachlab.cli.console import say
     from reachlab.envs.core import Env
     from reachlab.learn.load import load_policy
-    from reachlab.runs.directory import RunDirectory
+    from reachlab.runs.shipped import find_run, is_shipped
     from reachlab.watch.video import write_video
 
     agent = choose("agent", arguments.agent, AGENTS)
-    run = RunDirectory(arguments.run)
+    run = find_run(arguments.run)
     config = _as_it_is(run.read_config(), arguments.sim)
     env = Env(config, 1)
     clip = write_video(
         env,
         agent,
         load_policy(run, env),
-        arguments.out or run.path / "video.webp",
+        arguments.out or (Path(f"{config.robot}-{config.task}.webp") if is_shipped(run) else run.path / "video.webp"),
         seed=arguments.seed,
         episodes=arguments.episodes,
         fps=arguments.fps,
@@ -62,12 +63,12 @@ def view(arguments: View) -> None:
     from reachlab.envs.core import Env
     from reachlab.learn.interrupts import Interrupts
     from reachlab.learn.load import load_policy
-    from reachlab.runs.directory import RunDirectory
+    from reachlab.runs.shipped import find_run
     from reachlab.watch.saved_page import save_page
     from reachlab.watch.server import is_local
     from reachlab.watch.viewer import Viewer
 
-    run = RunDirectory(arguments.run)
+    run = find_run(arguments.run)
     config = _as_it_is(run.read_config(), arguments.sim)
     steps = run.checkpoint_steps()
     env = Env(config, 1)

@@ -27,6 +27,7 @@ from reachlab.envs.setup import in_evaluation
 from reachlab.learn.load import load_saved
 from reachlab.runs.directory import RunDirectory
 from reachlab.runs.files import read_json
+from reachlab.runs.shipped import find_run
 from reachlab.runs.versions import versions
 from reachlab.settings.validation import InputError
 from reachlab.tasks.actions import bounded
@@ -62,13 +63,13 @@ class Export:
 
 
 def export(run: RunDirectory | str | Path, out: str | Path) -> Export:
-    """Write the policy of a run into a folder that does not exist or is empty.
+    """Write the policy of a run, or one that comes with reachlab, into a folder that does not exist or is empty.
 
     Raises:
         InputError: the folder exists and is not empty, the run cannot be read, the extra 'deploy' is missing, or what
             was written computes other actions than the policy.
     """
-    run, out = run if isinstance(run, RunDirectory) else RunDirectory(Path(run)), Path(out)
+    run, out = run if isinstance(run, RunDirectory) else find_run(run), Path(out)
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError(f"'{out}' exists and is not empty: choose another --out, or remove it.")
     trained = run.read_config()

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import cast
 
 import jax
@@ -27,7 +26,7 @@ from reachlab.learn.learner import Learner, make_initial_policy, make_learner, m
 from reachlab.learn.load import load_policy
 from reachlab.learn.method import Finite, Method, Watched, all_finite
 from reachlab.robots.robot import Robot
-from reachlab.runs.directory import RunDirectory
+from reachlab.runs.shipped import find_run
 from reachlab.settings.config import DistilRunConfig, RunConfig
 from reachlab.settings.json_form import override
 from reachlab.settings.validation import InputError
@@ -233,7 +232,7 @@ def _load_teacher(config: RunConfig, resume: bool) -> Policy | None:
     checked = check_distillation(config)
     if resume:
         return None
-    run = RunDirectory(Path(checked.teacher))
+    run = find_run(checked.teacher)
     env = Env(run.read_config(), 1)
     try:
         return load_policy(run, env)

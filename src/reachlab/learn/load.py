@@ -13,6 +13,7 @@ from reachlab.envs.core import Env
 from reachlab.envs.setup import in_evaluation
 from reachlab.learn.learner import make_initial_policy
 from reachlab.runs.directory import RunDirectory
+from reachlab.runs.shipped import find_run
 from reachlab.settings.config import RunConfig
 
 POLICY = "learner/policy"
@@ -56,20 +57,20 @@ class LoadedRun:
 
 
 def load(run: str | Path, *, sim: str | None = None, num_envs: int = 1) -> LoadedRun:
-    """Policy, settings and environment of a run directory.
+    """Policy, settings and environment of a run, or of a policy that comes with reachlab.
 
     The environment is without what varied in training. To evaluate: `evaluate(loaded.env, "trained", loaded.policy,
     seed=1, episodes=100)`.
 
     Args:
-        run: the run directory, as `train` makes it.
+        run: the run directory, as `train` makes it, or a name of `reachlab list`, as `panda/precise`.
         sim: simulator; by default the run's own.
         num_envs: environments in the batch.
 
     Raises:
         InputError: no such run, or one without a checkpoint that can be used, or no such simulator.
     """
-    directory = RunDirectory(Path(run))
+    directory = find_run(run)
     trained = directory.read_config()
     config = in_evaluation(trained, sim or trained.sim)
     env = Env(config, num_envs)

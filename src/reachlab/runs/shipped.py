@@ -1,0 +1,47 @@
+"""Policies that come with reachlab, one for each arm and task: run directories without the state of training."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from reachlab.runs.directory import RunDirectory
+from reachlab.runs.files import read_json
+from reachlab.settings.validation import choose
+
+SHIPPED = Path(__file__).parent / "policies"
+"""Their folder: one for each arm, with one for each task."""
+
+
+def shipped() -> dict[str, RunDirectory]:
+    """The policies by name, as `panda/precise`; `make policies` trains them again."""
+    found = sorted(file.parent for file in SHIPPED.glob("*/*/config.json"))
+    return {folder.relative_to(SHIPPED).as_posix(): RunDirectory(folder) for folder in found}
+
+
+def find_run(run: str | Path) -> RunDirectory:
+    """Run directory at a path, or that of a policy which comes with reachlab, by its name.
+
+    Raises:
+        InputError: nothing is there, and the name is nearly that of a policy.
+    """
+    path = Path(run)
+    if path.exists() or len(path.parts) != 2 or not (SHIPPED / path.parts[0]).is_dir():
+        return RunDirectory(path)
+    of_arm = {name: policy for name, policy in shipped().items() if Path(name).parts[0] == path.parts[0]}
+    return of_arm[choose("policy", path.as_posix(), of_arm)]
+
+
+def is_shipped(run: RunDirectory) -> bool:
+    """Whether a run is one that comes with reachlab: nothing is written into it."""
+    return run.path.is_relative_to(SHIPPED)
+
+
+def told(run: RunDirectory) -> str:
+    """What a shipped policy reaches, the command that trained it, and its hash."""
+    config, report = run.read_config(), read_json(run.report_file)
+    error = report["tracking"] or {f"{name}_mm": value for name, value in report["final_error_mm"].items()}
+    return (
+        f"{100 * report['success_rate']:.4g} % of {report['episodes']:,} held-out goals of seed {report['seed']}, error"
+        f" {error['median_mm']:.2g} mm (median); reachlab train --task {config.task} --robot {config.robot}; sha256"
+        f" {report['checkpoint']['sha256'][:16]}"
+    )
