@@ -291,7 +291,7 @@ class Bench(Checked):
 
 @dataclass(frozen=True)
 class List(Checked):
-    """Show tasks, robots, simulators, observations, actions, rewards, targets, agents, policies and suites of `bench`."""
+    """Show tasks, robots, simulators, observations, actions, rewards, targets, agents, policies and suites of bench."""
 
     json: bool = False
     """Print them as one JSON object on standard output."""
