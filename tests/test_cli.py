@@ -28,6 +28,7 @@ from reachlab.envs.setup import make_setup, settled
 from reachlab.learn.ppo_method import initial_state
 from reachlab.robots.catalogue import ROBOTS
 from reachlab.runs.directory import RunDirectory
+from reachlab.runs.shipped import shipped
 from reachlab.scale import ENGINES
 from reachlab.scale.goals import GOALS
 from reachlab.settings.config import RunConfig
@@ -69,6 +70,7 @@ TABLES = {
     "engines": ENGINES,
     "goals of a sweep": GOALS,
     "agents": AGENTS,
+    "policies": shipped(),
     "suites": SUITES,
 }
 

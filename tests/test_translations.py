@@ -18,7 +18,6 @@ LONGEST = 150
 FENCED = re.compile(r"^```\w*\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
-
 def blocks(text: str) -> list[str]:
     """Blocks of commands, output and code, without their comments."""
     return [re.sub(r"\s*#.*", "", block) for block in FENCED.findall(text)]
