@@ -36,7 +36,9 @@ def target_of(env: ReachEnv) -> np.ndarray:
     return np.asarray(env.state.goal.position)[0]
 
 
-@pytest.mark.parametrize("settings", [{"task": task} for task in TASKS if task not in ("pose", "clutter")] + [{"sim": "mujoco"}])
+@pytest.mark.parametrize(
+    "settings", [*({"task": task} for task in TASKS if task not in ("pose", "clutter")), {"sim": "mujoco"}]
+)
 def test_a_target_is_where_it_was_put_until_the_next_reset(settings: dict[str, Any]) -> None:
     env = ReachEnv(**settings)
     low, high = env.target_box
