@@ -6,7 +6,7 @@ RUN := runs/demo-$(shell date +%Y%m%d-%H%M%S)
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 GYMNAX_VENV := .venv-gymnax
 
-.PHONY: demo test lint types unit bench bench-viewer foreign fuzz trust policies gymnax clean
+.PHONY: demo test lint types unit bench bench-viewer foreign fuzz trust policies gymnax dist clean
 
 demo: $(VENV)/installed
 	@$(BIN)/reachlab train --out $(RUN)
@@ -42,6 +42,9 @@ policies: $(VENV)/installed-dev
 gymnax: $(GYMNAX_VENV)/installed
 	$(GYMNAX_VENV)/bin/python -m pytest tests/gymnax
 
+dist: $(VENV)/installed-dev
+	$(BIN)/python tests/distribution.py
+
 bench: $(VENV)/installed
 	for suite in start speed kinematics learning; do $(BIN)/reachlab bench --suite $$suite; done
 
@@ -67,4 +70,4 @@ $(GYMNAX_VENV)/installed: $(GYMNAX_VENV)/bin/python pyproject.toml constraints.t
 	@touch $@
 
 clean:
-	rm -rf $(VENV) $(GYMNAX_VENV) .pytest_cache .ruff_cache
+	rm -rf $(VENV) $(GYMNAX_VENV) dist .pytest_cache .ruff_cache

@@ -1,4 +1,4 @@
-"""What README, CONTRIBUTING and docs/ say is true: examples run, commands parse, names and files exist."""
+"""What README, CONTRIBUTING, SECURITY and docs/ say is true: examples run, commands parse, names and files exist."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ ROOT = Path(__file__).parent.parent
 SOURCE = Path(reachlab.__file__).parent
 
 README, CONTRIBUTING = ROOT / "README.md", ROOT / "CONTRIBUTING.md"
-PAGES = (README, CONTRIBUTING, *sorted((ROOT / "docs").glob("*.md")))
+PAGES = (README, CONTRIBUTING, ROOT / "SECURITY.md", *sorted((ROOT / "docs").glob("*.md")))
 TEXTS = {page.relative_to(ROOT).as_posix(): page.read_text(encoding="utf-8") for page in PAGES}
 
 NUMBERS = {"N": "0", "$seed": "0"}

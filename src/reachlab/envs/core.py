@@ -117,13 +117,21 @@ class Env:
 
     # --- episodes ---------------------------------------------------------------------------------
 
-    def init(self, keys: Array) -> EnvState:
-        """State in which every environment begins an episode; `keys [B]`, see `random_streams`."""
-        return self._init(keys)
+    def init(self, keys: Array, goal: Goal | None = None) -> EnvState:
+        """State in which every environment begins an episode; `keys [B]`, see `random_streams`.
 
-    def reset(self, state: EnvState, mask: BatchArray, chained: float | None = None) -> EnvState:
-        """State in which those of `mask [B]` begin a new episode, a share `chained` of them where the arm is."""
-        return self._reset(state, mask, chained)
+        Its goal is sampled or, where one is given, that `goal [B, ...]`.
+        """
+        return self._init(keys, goal)
+
+    def reset(
+        self, state: EnvState, mask: BatchArray, chained: float | None = None, goal: Goal | None = None
+    ) -> EnvState:
+        """State in which those of `mask [B]` begin a new episode, a share `chained` of them where the arm is.
+
+        Its goal is that of `init`.
+        """
+        return self._reset(state, mask, chained, goal)
 
     def step(
         self, state: EnvState, action: BatchArray, times: int = 1, instead: Array | None = None
@@ -139,12 +147,15 @@ class Env:
         """State with the obstacles `[B, K, ...]` where these are, in a task that has some."""
         return replace(state, arm=self.simulator.rearrange(state.arm, obstacles), obstacles=obstacles)
 
-    def _init_all(self, keys: Array) -> EnvState:
-        begin = self._parts.sample_episode(keys)
+    def _init_all(self, keys: Array, goal: Goal | None) -> EnvState:
+        begin = self._parts.sample_episode(keys, goal)
         return self._parts.begin(self._reset_arms(None, begin, None), begin)
 
-    def _reset_some(self, state: EnvState, mask: BatchArray, chained: float | None) -> EnvState:
-        begin = self._sample_some(state.key, mask) if self._samples_few else self._parts.sample_episode(state.key)
+    def _reset_some(self, state: EnvState, mask: BatchArray, chained: float | None, goal: Goal | None) -> EnvState:
+        if self._samples_few and goal is None:
+            begin = self._sample_some(state.key, mask)
+        else:
+            begin = self._parts.sample_episode(state.key, goal)
         if chained is not None:
             begin = begin._replace(q=self._parts.chained_start(state, begin.q, chained))
         arm = self._reset_arms(state.arm, begin, mask)

@@ -22,6 +22,7 @@ from reachlab.robots.scalar_algebra import once
 from reachlab.settings.config import RunConfig
 from reachlab.sims import BatchArray
 from reachlab.tasks.schema import Observed
+from reachlab.tasks.task import Goal
 
 
 class Now(NamedTuple):
@@ -61,10 +62,11 @@ class EpisodeBatch(Protocol):
         """State of the environment, after the first reset."""
         ...
 
-    def reset(self, seeds: np.ndarray, seeded: np.ndarray, mask: np.ndarray) -> Now:
+    def reset(self, seeds: np.ndarray, seeded: np.ndarray, mask: np.ndarray, goal: Goal | None = None) -> Now:
         """Begin new episodes in the environments of `mask [B]`; the first time these are all.
 
-        Those that are `seeded [B]` begin the first episode of their seed, `seeds [B]` uint32, the others the next one.
+        Those that are `seeded [B]` begin the first episode of their seed, `seeds [B]` uint32, the others the next one,
+        all of them with the `goal` if one is given.
         """
         ...
 
@@ -100,9 +102,9 @@ class TracedBatch:
         """See `EpisodeBatch.state`."""
         return self._programs.state.taken(self._state, in_numpy=False)[0]
 
-    def reset(self, seeds: np.ndarray, seeded: np.ndarray, mask: np.ndarray) -> Now:
+    def reset(self, seeds: np.ndarray, seeded: np.ndarray, mask: np.ndarray, goal: Goal | None = None) -> Now:
         """See `EpisodeBatch.reset`."""
-        self._state, now = self._programs.reset(self._state, seeds, seeded, mask)
+        self._state, now = self._programs.reset(self._state, seeds, seeded, mask, goal)
         return self._programs.now.taken(now, self._in_numpy)
 
     def step(self, actions: BatchArray) -> Result:
@@ -122,7 +124,7 @@ class Programs:
     Attributes:
         state: how the environment's state is packed, and whose episode ended in the last step.
         now, result: how that is packed which `reset` and `step` give.
-        reset: packed state and `Now`, of packed state, seeds, `seeded` and a mask, see `EpisodeBatch.reset`.
+        reset: packed state and `Now`, of packed state, seeds, `seeded`, a mask and a goal, see `EpisodeBatch.reset`.
         step: packed state and `Result`, of packed state and actions.
     """
 
@@ -154,9 +156,9 @@ class Programs:
         state, result = function(*self.state.unpack(packed), *arguments)
         return self.state.pack(state), packing.pack(result)
 
-    def _reset(self, state: EnvState, ended: Array, seeds: Array, seeded: Array, mask: Array) -> Any:
+    def _reset(self, state: EnvState, ended: Array, seeds: Array, seeded: Array, mask: Array, goal: Goal | None) -> Any:
         keys = jnp.where(seeded & mask, gymnasium_keys(seeds), state.key)
-        state = self._env.reset(replace(state, key=keys), mask)
+        state = self._env.reset(replace(state, key=keys), mask, goal=goal)
         return (state, ended & ~mask), self._now(state)
 
     def _step(self, state: EnvState, actions: Array) -> Stepped:
@@ -229,14 +231,14 @@ class HostBatch:
         assert self._state is not None, "reset comes first"  # noqa: S101
         return self._state
 
-    def reset(self, seeds: np.ndarray, seeded: np.ndarray, mask: np.ndarray) -> Now:
+    def reset(self, seeds: np.ndarray, seeded: np.ndarray, mask: np.ndarray, goal: Goal | None = None) -> Now:
         """See `EpisodeBatch.reset`."""
         keys = gymnasium_keys(seeds)
         if self._state is None:
-            self._state = self._env.init(keys)
+            self._state = self._env.init(keys, goal)
         else:
             keys = jnp.where(seeded & mask, keys, self._state.key)
-            self._state = self._env.reset(replace(self._state, key=keys), mask)
+            self._state = self._env.reset(replace(self._state, key=keys), mask, goal=goal)
         self._ended = self._ended & ~mask
         return jax.tree.map(self._array, self._now())
 

@@ -135,21 +135,22 @@ class EnvFunctions:
     pictured: bool
     limits: MotionLimits | None = None
 
-    def sample_episode(self, keys: Array) -> Begin:
-        """What episodes begin with, and their next keys."""
+    def sample_episode(self, keys: Array, goal: Goal | None = None) -> Begin:
+        """What episodes begin with, those of a `goal` if one is given, and their next keys."""
         setup, task = self.setup, self.setup.task
         numbers = 2 * setup.robot.chain.n + 1 if "dynamics" in self.randomise else 0
 
-        def one(key: Array) -> Begin:
+        def one(key: Array, goal: Goal | None) -> Begin:
             of_episode, (key, for_goal, for_start, for_arm) = key, jax.random.split(key, PARTS)
-            start, goal = task.sample_start(setup, for_start), task.sample_goal(setup, for_goal)
+            start = task.sample_start(setup, for_start)
+            goal = task.sample_goal(setup, for_goal) if goal is None else goal
             dynamics = jax.random.uniform(for_arm, (numbers,), minval=-1.0) if numbers else None
             obstacles = None
             if task.sample_obstacles is not None:
                 obstacles = task.sample_obstacles(setup, jax.random.fold_in(of_episode, SCENE_STREAM), start, goal)
             return Begin(key, start, goal, obstacles, dynamics)
 
-        return jax.vmap(one)(keys)
+        return jax.vmap(one)(keys, goal)
 
     def chained_start(self, state: EnvState, start: Array, share: float) -> Array:
         """Starts `[B, n]`: where the last episodes ended, for a share of those whose tool is inside the workspace."""

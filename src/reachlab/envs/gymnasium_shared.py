@@ -14,12 +14,13 @@ from gymnasium.vector import AutoresetMode
 from reachlab.envs.core import Env
 from reachlab.envs.episode_batch import Now, Result, make_batch
 from reachlab.envs.functions import EnvState
+from reachlab.envs.placing import goal_at, make_place
 from reachlab.envs.setup import configure_env
 from reachlab.jax_setup import refuse_fork
 from reachlab.settings.json_form import to_json
 from reachlab.settings.validation import InputError, choose
 from reachlab.tasks.schema import Schema
-from reachlab.tasks.task import Bounds
+from reachlab.tasks.task import Bounds, Goal
 
 LARGEST_SEED = 2**32
 """Seeds are taken modulo this."""
@@ -45,6 +46,7 @@ class Episodes:
         self.env = Env(configure_env(task, settings), num_envs)
         self._batch, self._begun = make_batch(self.env, mode, in_numpy=in_numpy), False
         self._shape = (num_envs, len(self.env.action_bounds[0]))
+        self._place = make_place(self.env.setup)
         self._checked = checked_actions if in_numpy else _checked_in_jax
 
     @property
@@ -61,12 +63,26 @@ class Episodes:
         if not self._begun:
             raise InputError("the environment has no episode yet: call reset first.")
 
-    def reset(self, seeds: Sequence[int | None], mask: np.ndarray, random: np.random.Generator) -> Now:
-        """Begin new episodes in the environments of `mask [B]`: seeded, or the next of the environment's own stream."""
+    def goal_at(self, target: Any) -> Goal:
+        """Goal at a target that was asked for.
+
+        Raises:
+            InputError: see `placing.goal_at`.
+        """
+        return goal_at(self.env.setup, target, self._place)
+
+    def reset(
+        self, seeds: Sequence[int | None], mask: np.ndarray, random: np.random.Generator, goal: Goal | None = None
+    ) -> Now:
+        """Begin new episodes in the environments of `mask [B]`: seeded, or the next of the environment's own stream.
+
+        They are of the `goal`, if one is given.
+        """
         refuse_fork()
         seeded = np.array([seed is not None or not self._begun for seed in seeds])
         numbers = [int(random.integers(LARGEST_SEED)) if seed is None else seed % LARGEST_SEED for seed in seeds]
-        now = self._batch.reset(np.array(numbers, np.uint32), seeded, mask if self._begun else np.ones_like(mask))
+        mask = mask if self._begun else np.ones_like(mask)
+        now = self._batch.reset(np.array(numbers, np.uint32), seeded, mask, goal)
         self._begun = True
         return now
 

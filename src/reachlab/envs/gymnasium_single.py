@@ -19,6 +19,10 @@ from reachlab.envs.gymnasium_shared import (
     single,
     told,
 )
+from reachlab.settings.validation import choose
+
+OPTIONS = ("target",)
+"""Options of `reset`."""
 
 
 class ReachEnv(gymnasium.Env[Any, np.ndarray]):
@@ -41,10 +45,18 @@ class ReachEnv(gymnasium.Env[Any, np.ndarray]):
         self.action_space = action_space(self._episodes.env)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """First observation of a new episode, and info; equal seeds give equal episodes from there on."""
-        del options
+        """First observation of a new episode, and info; equal seeds give equal episodes from there on.
+
+        `options["target"]` puts the target at a point `[3]` m of `target_box` or, where an orientation is asked for,
+        in a pose `[7]`: position and quaternion wxyz. Without it the target is drawn.
+
+        Raises:
+            InputError: an option that does not exist, or a target that is misshapen or where the arm cannot be.
+        """
+        given = {choose("option of reset", name, OPTIONS): value for name, value in (options or {}).items()}
+        goal = self._episodes.goal_at(given["target"]) if "target" in given else None
         super().reset(seed=seed)
-        now = self._episodes.reset([seed], np.ones(1, bool), self.np_random)
+        now = self._episodes.reset([seed], np.ones(1, bool), self.np_random, goal)
         return single(now.observation, 0), _info(now)
 
     def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
@@ -59,6 +71,12 @@ class ReachEnv(gymnasium.Env[Any, np.ndarray]):
     def render(self) -> np.ndarray | None:
         """Picture of the arm, `[height, width, 3]` uint8, in render mode `rgb_array`."""
         return self._episodes.render(0) if self.render_mode == "rgb_array" else None
+
+    @property
+    def target_box(self) -> np.ndarray:
+        """Lower and upper corner `[2, 3]` m of the box of the task's targets; where they lie on a table it is flat."""
+        setup = self._episodes.env.setup
+        return np.stack(setup.task.goal_box(setup))
 
     @property
     def state(self) -> EnvState:

@@ -16,10 +16,10 @@ from reachlab.agents.acting import make_act
 from reachlab.agents.policy import Policy
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState, Transition
+from reachlab.envs.placing import make_place
 from reachlab.envs.random_streams import AGENT_STREAM, REPORT_STREAM, episode_keys
 from reachlab.jax_setup import jit
 from reachlab.tasks.task import TaskSetup
-from reachlab.watch.hand import make_place
 from reachlab.watch.moment import PATH_STEP, TRAIL_STEP, Moment, Trace
 
 Advance = Callable[[Policy | None, EnvState, Array, bool, np.ndarray], tuple[EnvState, Transition, Array]]
