@@ -6,7 +6,7 @@ RUN := runs/demo-$(shell date +%Y%m%d-%H%M%S)
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 GYMNAX_VENV := .venv-gymnax
 
-.PHONY: demo test lint types unit bench bench-viewer foreign fuzz trust gymnax clean
+.PHONY: demo test lint types unit bench bench-viewer foreign fuzz trust gymnax docs docs-blocks clean
 
 demo: $(VENV)/installed
 	@$(BIN)/reachlab train --out $(RUN)
@@ -33,6 +33,15 @@ fuzz: $(VENV)/installed-dev
 
 trust: $(VENV)/installed-dev
 	PYTHONPATH=tests $(BIN)/python -m faults
+
+# The site, in build/site; any warning ends the build.
+docs: $(VENV)/installed-dev
+	$(BIN)/sphinx-build -q -E -W --keep-going docs build/site
+	PYTHONPATH=tests $(BIN)/python -m browser.site build/site
+
+# Runs the commands of README and docs, shortened.
+docs-blocks: $(VENV)/installed-dev
+	PYTHONPATH=tests $(BIN)/python -m blocks
 
 # In an environment of its own: gymnax needs an older gymnasium than the other tests.
 gymnax: $(GYMNAX_VENV)/installed
@@ -63,4 +72,4 @@ $(GYMNAX_VENV)/installed: $(GYMNAX_VENV)/bin/python pyproject.toml constraints.t
 	@touch $@
 
 clean:
-	rm -rf $(VENV) $(GYMNAX_VENV) .pytest_cache .ruff_cache
+	rm -rf build/site $(VENV) $(GYMNAX_VENV) .pytest_cache .ruff_cache
