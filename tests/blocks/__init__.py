@@ -1,0 +1,1 @@
+"""The commands of README and docs are run as they stand, in one folder, with little to compute; see `make docs-blocks`."""
