@@ -36,6 +36,7 @@ trust: $(VENV)/installed-dev
 
 # The site, in build/site; any warning ends the build.
 docs: $(VENV)/installed-dev
+	rm -rf build/site
 	$(BIN)/sphinx-build -q -E -W --keep-going docs build/site
 	PYTHONPATH=tests $(BIN)/python -m browser.site build/site
 

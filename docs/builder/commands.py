@@ -69,7 +69,9 @@ def _value(value: Any) -> str:
         return "yes" if value else "no"
     if value is None or value is dataclasses.MISSING or value == ():
         return "–"
-    words = [f"{one:.6g}" if isinstance(one, float) else str(one) for one in (value if isinstance(value, tuple) else [value])]
+    words = [
+        f"{one:.6g}" if isinstance(one, float) else str(one) for one in (value if isinstance(value, tuple) else [value])
+    ]
     return code(" ".join(words))
 
 

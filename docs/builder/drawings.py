@@ -1,6 +1,7 @@
 """Drawings of how it works, `images/way.svg` and `images/rooms.svg`: `python docs/builder/drawings.py` draws them anew.
 
-Boxes bring their own ground, so that they can be read on a light page and on a dark one; 360 units are the width of a phone.
+Boxes bring their own ground, so that they can be read on a light page and on a dark one; 360 units are the width of a
+phone.
 """
 
 from __future__ import annotations
@@ -56,10 +57,12 @@ def drawing(height: float, label: str, body: str) -> str:
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {height:g}" role="img" aria-label="{label}"'
         f' width="{WIDTH * 1.3:g}">\n'
-        "<defs><marker id=\"head\" viewBox=\"0 0 8 8\" refX=\"7\" refY=\"4\" markerWidth=\"7\" markerHeight=\"7\" orient=\"auto\">"
+        '<defs><marker id="head" viewBox="0 0 8 8" refX="7" refY="4" markerWidth="7" markerHeight="7" orient="auto">'
         f'<path d="M0,0 L8,4 L0,8 z" fill="{ARROW}"/></marker></defs>\n'
-        f"<style>text {{ font: 12px sans-serif; fill: {INK}; text-anchor: middle }} .title {{ font: bold 14px sans-serif }}"
-        f" .left {{ text-anchor: start }} polyline {{ fill: none; stroke: {ARROW}; stroke-width: 2 }}</style>\n{body}</svg>\n"
+        f"<style>text {{ font: 12px sans-serif; fill: {INK}; text-anchor: middle }}"
+        f" .title {{ font: bold 14px sans-serif }}"
+        f" .left {{ text-anchor: start }} polyline {{ fill: none; stroke: {ARROW}; stroke-width: 2 }}</style>\n"
+        f"{body}</svg>\n"
     )
 
 

@@ -27,14 +27,18 @@ RECORDS = (
 
 def _entry(name: str, kind: str) -> str:
     """Heading and directive of one name, given below the package."""
-    members = "   :members:\n   :undoc-members:\n" if name == "RunConfig" else "   :members:\n" if kind == "class" else ""
+    members = (
+        "   :members:\n   :undoc-members:\n" if name == "RunConfig" else "   :members:\n" if kind == "class" else ""
+    )
     return f"### `{name.rpartition('.')[2]}`\n\n```{{eval-rst}}\n.. auto{kind}:: reachlab.{name}\n{members}```\n"
 
 
 def _reference() -> str:
     names = {name: getattr(reachlab, name) for name in reachlab.__all__}
     functions = [_entry(name, "function") for name, one in names.items() if not inspect.isclass(one)]
-    classes = [_entry(name, "class") for name, one in names.items() if inspect.isclass(one) and one is not reachlab.InputError]
+    classes = [
+        _entry(name, "class") for name, one in names.items() if inspect.isclass(one) and one is not reachlab.InputError
+    ]
     errors = [_entry("InputError", "exception")]
     records = [_entry(name, "class") for name in RECORDS]
     parts = {"Functions": functions, "Classes": classes + errors, "Records that they take and give": records}

@@ -87,7 +87,9 @@ VARIED = {
 def _tasks() -> str:
     configs = {name: preset(name) for name in TASKS}
     asks = table(["task", "asks the arm to"], [[code(name), asked(config)] for name, config in configs.items()])
-    choices = [[name, one.sim, one.rules.observation, one.rules.action, one.rules.reward] for name, one in configs.items()]
+    choices = [
+        [name, one.sim, one.rules.observation, one.rules.action, one.rules.reward] for name, one in configs.items()
+    ]
     heads = ["by default", "simulator", "observation", "action", "reward"]
     return f"{asks}\n{table(heads, [list(map(code, row)) for row in choices])}"
 
@@ -155,7 +157,16 @@ def _actions() -> str:
         low, high = design.bounds(setup)
         unit = f"{number(setup.rules.tool_scale)} m" if design.scale == "tool_scale" else _joint_unit(name)
         bounds = " × ".join(dict.fromkeys(span([a], [b]) for a, b in zip(low.tolist(), high.tolist(), strict=True)))
-        rows.append([code(name), design.summary, code(f"[{len(low)}]"), bounds, unit, code(f"--{design.scale}".replace("_", "-"))])
+        rows.append(
+            [
+                code(name),
+                design.summary,
+                code(f"[{len(low)}]"),
+                bounds,
+                unit,
+                code(f"--{design.scale}".replace("_", "-")),
+            ]
+        )
     return table(["action", "what it is", "shape", "bounds", "an action of 1", "set by"], rows)
 
 
@@ -175,7 +186,9 @@ def _rewards() -> str:
 
 
 def _randomised() -> str:
-    return table(["`--randomise`", "what varies from episode to episode"], [[code(name), VARIED[name]] for name in RANDOMISED])
+    return table(
+        ["`--randomise`", "what varies from episode to episode"], [[code(name), VARIED[name]] for name in RANDOMISED]
+    )
 
 
 def _robots() -> str:

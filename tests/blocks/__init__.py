@@ -1,1 +1,1 @@
-"""The commands of README and docs are run as they stand, in one folder, with little to compute; see `make docs-blocks`."""
+"""Commands of README and docs, run as they stand with little to compute; see `make docs-blocks`."""

@@ -2,9 +2,9 @@
 
 What differs from what a reader does: trainings take one iteration and are evaluated in few episodes, a sweep has two
 trials, an example takes 1,200 steps, what runs until Ctrl-C is interrupted when it is ready, and `pip install` is
-checked for the names of its extras. A command that was run before, on whatever page, is not run again. Whatever is
-not run is marked on its page, `<!-- not run: why -->` above the block or `<!-- not run (words): why -->` for the
-commands with these words, or is in `LEFT_OUT`.
+checked for the names of its extras. A command that was run before, on another page of the same lane, is not run
+again. Whatever is not run is marked on its page, `<!-- not run: why -->` above the block or
+`<!-- not run (words): why -->` for the commands with these words, or is in `LEFT_OUT`.
 """
 
 from __future__ import annotations
@@ -14,20 +14,22 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterable
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from blocks.pages import ROOT, Block, blocks, fenced, pages
+from blocks.pages import ROOT, Block, blocks, fenced, lanes
 from blocks.stand_in import install
+from reachlab.cli.console import say
 
-PATIENCE = 180
+PATIENCE = 300
 """Time that a block may take [s]."""
 
 
 @dataclass
 class Tally:
-    """What became of the commands so far."""
+    """What became of the commands of a lane so far."""
 
     seen: set[str] = field(default_factory=set)
     left_out: list[str] = field(default_factory=list)
@@ -70,24 +72,35 @@ def run(block: Block, folder: Path, env: dict[str, str], tally: Tally) -> None:
         said = f"it takes more than {PATIENCE} s"
     if said:
         tally.failures.append(f"{block.page}:\n{script}\n{said}")
-    print(f"{time.monotonic() - begin:5.1f} s  {block.page}: {new[0] if new else 'nothing new'}", flush=True)
+    say(f"{time.monotonic() - begin:5.1f} s  {block.page}: {new[0] if new else 'nothing new'}")
 
 
-def main(chosen: Iterable[Path]) -> int:
-    """Exit status: 1 where a command fails."""
+def run_lane(pages: Sequence[Path]) -> Tally:
+    """What became of the commands of pages, run one after the other in a new folder."""
     tally = Tally()
     with tempfile.TemporaryDirectory() as place:
         env = prepare(Path(place))
-        for page in chosen:
+        for page in pages:
             for block in blocks(page.name, page.read_text(encoding="utf-8")):
                 run(block, Path(place), env, tally)
-    print("", *tally.left_out, "", *tally.failures, sep="\n")
-    print(
-        f"{tally.blocks} blocks, {tally.blocks - tally.without} run, {tally.without} left out as a whole;"
-        f" {len(tally.seen)} different commands run, {len(tally.left_out)} left out; {len(tally.failures)} blocks failed."
+    return tally
+
+
+def main(lanes: Sequence[Sequence[Path]]) -> int:
+    """Exit status: 1 where a command fails."""
+    with ThreadPoolExecutor(len(lanes)) as pool:
+        tallies = list(pool.map(run_lane, lanes))
+    left_out = [line for tally in tallies for line in tally.left_out]
+    failures = [line for tally in tallies for line in tally.failures]
+    total, without = sum(tally.blocks for tally in tallies), sum(tally.without for tally in tallies)
+    commands = set[str]().union(*(tally.seen for tally in tallies))
+    say("\n".join(["", *left_out, "", *failures]))
+    say(
+        f"{total} blocks, {total - without} run, {without} left out as a whole; {len(commands)} different commands run,"
+        f" {len(left_out)} left out; {len(failures)} blocks failed."
     )
-    return int(bool(tally.failures))
+    return int(bool(failures))
 
 
 if __name__ == "__main__":
-    sys.exit(main([ROOT / word for word in sys.argv[1:]] or pages()))
+    sys.exit(main([[ROOT / word for word in sys.argv[1:]]] if sys.argv[1:] else lanes()))

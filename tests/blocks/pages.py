@@ -9,10 +9,14 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 
-ORDER = ("start", "tutorial", "own-arm", "precise", "pose", "track", "clutter", "camera", "learners")
-"""Pages that come first, after the README: what they train is used by others."""
+LANES = (
+    ("README.md", "docs/results.md", "docs/precise.md", "docs/clutter.md", "docs/camera.md", "docs/deploy.md"),
+    ("docs/start.md", "docs/tutorial.md", "docs/own-arm.md", "docs/pose.md", "docs/track.md", "docs/learners.md"),
+)
+"""Pages that are run one after the other in a folder of their own, because they use the same runs; lanes are run at the
+same time. Pages that are not named are run at the end of the last one."""
 
-BLOCK = re.compile(r"((?:^<!-- not run.*? -->\n+)*)^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+BLOCK = re.compile(r"((?:^<!-- not run.*? -->\n+)*)^```([\w{}-]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 MARK = re.compile(r"<!-- not run(?: \((.+?)\))?: (.+?) -->")
 
@@ -44,11 +48,11 @@ class Block:
         return next((why for words, why in said if words in command), None)
 
 
-def pages() -> list[Path]:
-    """README and docs, in the order in which their commands are run."""
-    docs = sorted((ROOT / "docs").glob("*.md"), key=lambda page: (page.stem not in ORDER, page.stem))
-    first = [ROOT / "docs" / f"{name}.md" for name in ORDER]
-    return [ROOT / "README.md", *first, *(page for page in docs if page.stem not in ORDER)]
+def lanes() -> list[list[Path]]:
+    """README and docs, in the order in which the commands of each lane are run."""
+    found = [[ROOT / name for name in lane] for lane in LANES]
+    others = sorted(page for page in (ROOT / "docs").glob("*.md") if all(page not in lane for lane in found))
+    return [*found[:-1], [*found[-1], *others]]
 
 
 def fenced(text: str, language: str) -> Iterator[tuple[str, tuple[tuple[str, str], ...]]]:

@@ -8,13 +8,16 @@ import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from importlib.metadata import metadata
 from pathlib import Path
 
+from reachlab.cli.console import note
+
 FEW = {
     "train": {"--total-steps": "1", "--report-episodes": "4"},
-    "distil": {"--total-steps": "1", "--report-episodes": "2"},
+    "distil": {"--total-steps": "1", "--guided": "0", "--report-episodes": "2"},
     "sweep": {"--total-steps": "1", "--report-episodes": "4", "--trials": "2"},
     "eval": {"--episodes": "4"},
     "video": {"--episodes": "1", "--fps": "4"},
@@ -22,8 +25,6 @@ FEW = {
     "view": {"--episodes": "1"},
 }
 """Flags that every command of a kind is given, in place of its own."""
-
-ONE_ITERATION = "--total-steps"
 
 ENDLESS = {("view",): 60.0, ("deploy", "ros2"): 8.0}
 """Commands that run until they are interrupted, and after how long they are at the latest [s]."""
@@ -38,7 +39,7 @@ def shortened(words: list[str]) -> list[str]:
     few = dict(FEW.get(kind, {}))
     if "--resume" in words:
         few = {flag: value for flag, value in few.items() if flag == "--trials"}
-    if kind == "deploy" and "check" not in words or kind == "view" and "--save" not in words:
+    if words[:2] == ["deploy", "ros2"] or (kind == "view" and "--save" not in words):
         few = {}
     for flag, value in few.items():
         if flag in words:
@@ -61,15 +62,13 @@ def run_reachlab(words: list[str]) -> int:
 
 def _interrupted(command: list[str], patience: float) -> int:
     """0 if a command runs until it is interrupted, and ends in order."""
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=os.environ | {"PYTHONUNBUFFERED": "1"})
-    assert process.stdout is not None
-    os.set_blocking(process.stdout.fileno(), False)
-    said, end = "", time.monotonic() + patience
-    while READY not in said and process.poll() is None and time.monotonic() < end:
-        time.sleep(0.1)
-        said += process.stdout.read() or ""
+    with tempfile.NamedTemporaryFile() as said:
+        process = subprocess.Popen(command, stdout=said, env=os.environ | {"PYTHONUNBUFFERED": "1"})
+        end = time.monotonic() + patience
+        while process.poll() is None and time.monotonic() < end and READY not in Path(said.name).read_text("utf-8"):
+            time.sleep(0.1)
     if process.poll() is not None:
-        print(f"it ended by itself: {said}", file=sys.stderr)
+        note("it ended by itself")
         return 1
     process.send_signal(signal.SIGINT)
     return 0 if process.wait(30) in (0, 130) else 1
@@ -87,7 +86,7 @@ def check_pip(words: list[str]) -> int:
     found = re.fullmatch(r"(?:\.|reachlab)(?:\[([\w,]+)\])?", words[-1])
     known = words[0] == "install" and found is not None and set(filter(None, (found[1] or "").split(","))) <= offered
     if not known:
-        print(f"pip {' '.join(words)} names no extra of this package: {', '.join(sorted(offered))}", file=sys.stderr)
+        note(f"pip {' '.join(words)} names no extra of this package: {', '.join(sorted(offered))}")
     return int(not known)
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 from browser.driver import chromium, executable, opened, traffic
+from reachlab.cli.console import say
 
 PHONE = 390, 844
 """Width and height of a phone's screen [pixels]."""
@@ -69,7 +70,7 @@ def main(site: Path) -> int:
         faults += misfits(site)
     elif os.environ.get("CI"):
         faults.append("there is no Chromium to look at the pages with: apt install chromium")
-    print("\n".join(faults) or f"{len(list(site.rglob('*.html')))} pages: no link leads nowhere, all fit a phone.")
+    say("\n".join(faults) or f"{len(list(site.rglob('*.html')))} pages: no link leads nowhere, all fit a phone.")
     return int(bool(faults))
 
 
