@@ -6,7 +6,7 @@ RUN := runs/demo-$(shell date +%Y%m%d-%H%M%S)
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 GYMNAX_VENV := .venv-gymnax
 
-.PHONY: demo test lint types unit bench bench-viewer foreign fuzz trust policies gymnax dist clean
+.PHONY: demo test lint types unit bench bench-viewer foreign fuzz trust policies docs docs-blocks gymnax dist clean
 
 demo: $(VENV)/installed
 	@$(BIN)/reachlab train --out $(RUN)
@@ -37,6 +37,16 @@ trust: $(VENV)/installed-dev
 # All that come with reachlab, or some: make policies NAMES='panda/precise ur5e/track'. REPLACE=--replace keeps the new ones.
 policies: $(VENV)/installed-dev
 	TF_CPP_MIN_LOG_LEVEL=3 PYTHONPATH=tests $(BIN)/python -m shipped_policies $(NAMES) $(REPLACE)
+
+# The site, in build/site; any warning ends the build.
+docs: $(VENV)/installed-dev
+	rm -rf build/site
+	$(BIN)/sphinx-build -q -E -W --keep-going docs build/site
+	PYTHONPATH=tests $(BIN)/python -m browser.site build/site
+
+# Runs the commands of README and docs, shortened.
+docs-blocks: $(VENV)/installed-dev
+	PYTHONPATH=tests $(BIN)/python -m blocks
 
 # In an environment of its own: gymnax needs an older gymnasium than the other tests.
 gymnax: $(GYMNAX_VENV)/installed
@@ -70,4 +80,4 @@ $(GYMNAX_VENV)/installed: $(GYMNAX_VENV)/bin/python pyproject.toml constraints.t
 	@touch $@
 
 clean:
-	rm -rf $(VENV) $(GYMNAX_VENV) dist .pytest_cache .ruff_cache
+	rm -rf build/site $(VENV) $(GYMNAX_VENV) dist .pytest_cache .ruff_cache

@@ -15,6 +15,10 @@ from pathlib import Path
 import pytest
 
 import reachlab
+from blocks.__main__ import main as run_pages
+from blocks.pages import BLOCK, MARK, fenced, lanes
+from blocks.pages import blocks as commands_of
+from blocks.stand_in import check_pip, shortened
 from reachlab.agents import AGENTS
 from reachlab.bench import SUITES
 from reachlab.cli import main as cli
@@ -36,7 +40,7 @@ TEXTS = {page.relative_to(ROOT).as_posix(): page.read_text(encoding="utf-8") for
 NUMBERS = {"N": "0", "$seed": "0"}
 """What stands for a number in a command."""
 
-FENCED = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+FENCED = re.compile(r"^```([\w{}-]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 SPAN = re.compile(r"`([^`]+)`")
 
 
@@ -123,18 +127,71 @@ def test_the_folders_of_the_layout_are_those_of_the_package_in_their_order() -> 
 
 
 def test_the_table_of_public_names_is_complete() -> None:
-    _, table = TEXTS["README.md"].split("| name | what it gives |\n")
+    _, table = TEXTS["docs/python.md"].split("| name | what it gives |\n")
     names = [re.findall(r"\w+", row)[0] for row in table.split("\n\n")[0].splitlines()[1:]]
     assert sorted(names) == sorted(reachlab.__all__)
 
 
-def test_the_examples_of_the_readme_run(tmp_path: Path) -> None:
+# --- what is run ----------------------------------------------------------------------------------
+
+PYTHON = [page for page, text in TEXTS.items() if any(not marks for _, marks in fenced(text, "python"))]
+
+
+@pytest.mark.parametrize("page", PYTHON)
+def test_the_python_of_a_page_runs_from_top_to_bottom(page: str, tmp_path: Path) -> None:
     # Unless it is told, only the command line keeps compiled programs.
     cache = {"JAX_COMPILATION_CACHE_DIR": str(Path.home() / ".cache" / "reachlab" / "jax")} | dict(os.environ)
-    script = "\n".join(blocks(TEXTS["README.md"], "python"))
+    script = "\n".join(body for body, marks in fenced(TEXTS[page], "python") if not marks)
     done = subprocess.run(
         [sys.executable, "-c", script], cwd=tmp_path, env=cache, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
-    assert (tmp_path / "curve.png").is_file()
-    assert (tmp_path / "film.webp").is_file()
+    written = set(re.findall(r'Path\("([\w.]+)"\)', script))
+    assert not [file for file in written if not (tmp_path / file).is_file()]
+
+
+@pytest.mark.parametrize("page", TEXTS)
+def test_what_is_marked_as_not_run_is_there(page: str) -> None:
+    for block in commands_of(page, TEXTS[page]):
+        for words, why in block.marks:
+            assert why
+            assert any(words in command for command in block.commands)
+    told = sum(len(MARK.findall(marks)) for marks, _, _ in BLOCK.findall(TEXTS[page]))
+    assert told == TEXTS[page].count("<!-- not run")
+
+
+def test_every_page_is_in_one_lane() -> None:
+    found = [page for lane in lanes() for page in lane]
+    assert sorted(found) == sorted(page for page in PAGES if page != CONTRIBUTING)
+
+
+def test_a_command_that_fails_is_reported_and_a_marked_one_is_not_run(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page = tmp_path / "page.md"
+    page.write_text("<!-- not run (false): it fails -->\n```console\n$ true\n$ false\n```\n", encoding="utf-8")
+    assert run_pages([[page]]) == 0
+    assert "page.md: false  (it fails)" in capsys.readouterr().out
+    page.write_text("```console\n$ false\n```\n", encoding="utf-8")
+    assert run_pages([[page]]) == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "short"),
+    [
+        ("train --seed 3", "train --seed 3 --total-steps 1 --report-episodes 4"),
+        ("eval runs/first --episodes 300 --seed 1", "eval runs/first --seed 1 --episodes 4"),
+        ("train --resume runs/first", "train --resume runs/first"),
+        ("view runs/first", "view runs/first"),
+        ("view runs/first --save a.html", "view runs/first --save a.html --episodes 1"),
+        ("list", "list"),
+    ],
+)
+def test_a_command_is_shortened(words: str, short: str) -> None:
+    assert shortened(words.split()) == short.split()
+
+
+def test_only_extras_that_exist_can_be_installed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert check_pip(["install", "."]) == check_pip(["install", "reachlab[viewer,video]"]) == 0
+    assert check_pip(["install", ".[viewers]"]) == 1
+    assert "viewers" in capsys.readouterr().err

@@ -106,6 +106,13 @@ class Policy:
 
     Networks work on normalised observations and on actions in halves of their box: the action is
     `centre + half · output`. The schema says what an observation is made of.
+
+    Attributes:
+        parameters: what is trained, of actor and critic.
+        normaliser: mean and variance of the observations.
+        centre: middle of the action's box `[a]`.
+        half: half of its width `[a]`.
+        schema: what an observation is made of.
     """
 
     parameters: Parameters

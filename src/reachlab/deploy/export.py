@@ -65,6 +65,10 @@ class Export:
 def export(run: RunDirectory | str | Path, out: str | Path) -> Export:
     """Write the policy of a run, or one that comes with reachlab, into a folder that does not exist or is empty.
 
+    Args:
+        run: the run directory.
+        out: the folder.
+
     Raises:
         InputError: the folder exists and is not empty, the run cannot be read, the extra 'deploy' is missing, or what
             was written computes other actions than the policy.

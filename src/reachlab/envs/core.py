@@ -75,6 +75,7 @@ class Env:
         setup: the task on the arm.
         schema: what an observation is made of.
         action_bounds: lower and upper bounds of an action `[a]`.
+        pictured: whether an observation holds a picture.
         traced: whether JAX can trace everything.
         simulator: who moves the arms.
     """

@@ -29,6 +29,11 @@ class ReachEnv(gymnasium.Env[Any, np.ndarray]):
     """One arm that has to reach a target.
 
     `info` holds `is_success`, `distance` [m], `elapsed_steps` and, where an orientation is asked for, `angle` [rad].
+
+    Attributes:
+        observation_space: what `reset` and `step` give.
+        action_space: the box of actions.
+        render_mode: `rgb_array`, or None.
     """
 
     metadata = METADATA

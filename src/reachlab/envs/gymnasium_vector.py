@@ -28,7 +28,15 @@ ARRAYS = {
 
 
 class ReachVectorEnv(VectorEnv[Any, Any, Any]):
-    """A batch of arms, stepped together; environment i of seed s is `ReachEnv` with seed s + i."""
+    """A batch of arms, stepped together; environment i of seed s is `ReachEnv` with seed s + i.
+
+    Attributes:
+        num_envs: environments in the batch.
+        observation_space, action_space: of the batch.
+        single_observation_space, single_action_space: of one environment.
+        render_mode: `rgb_array`, or None.
+        metadata: render modes, and the mode in which episodes begin anew.
+    """
 
     def __init__(
         self,

@@ -121,6 +121,15 @@ def evaluate(
     """Report of an agent on held-out targets; see `examine`.
 
     A policy of any other library is evaluated as a function: `evaluate(env, lambda observation: actions)`.
+
+    Args:
+        env: the environment.
+        agent: name in `AGENTS`, or a function that gives actions `[B, a]` for observations with the batch in front.
+        policy: the trained policy, for agent `trained`.
+        seed: seed of the targets; equal for all agents and simulators.
+        episodes: how many.
+        runner: of `make_runner`, if there is one already compiled.
+        checkpoint: what names the policy in the report.
     """
     return examine(env, agent, policy, seed=seed, episodes=episodes, runner=runner, checkpoint=checkpoint)[0]
 

@@ -49,7 +49,13 @@ def _template(env: Env) -> Policy:
 
 @dataclass(frozen=True)
 class LoadedRun:
-    """A finished run: its policy, its settings, and an environment in which the policy acts."""
+    """A finished run: its policy, its settings, and an environment in which the policy acts.
+
+    Attributes:
+        policy: what was learnt, of the newest checkpoint.
+        config: the settings of the training.
+        env: the environment; without what varied in training.
+    """
 
     policy: Policy
     config: RunConfig

@@ -127,6 +127,13 @@ def distil(
 ) -> TrainResult:
     """Result of learning to act on pictures from the teacher in the run directory `config.teacher`; see `train`.
 
+    Args:
+        config: every setting, as `distillation` gives them.
+        out: run directory, made here; with `resume` one that is there.
+        watch: called after every iteration.
+        resume: continue from the newest checkpoint of `out`.
+        sinks: where the numbers go too, as for `train`.
+
     Raises:
         InputError: see `train`; or a teacher, observation or simulator that cannot be learnt with.
     """

@@ -45,7 +45,12 @@ class Frames(NamedTuple):
 
 
 def forward_kinematics(chain: Chain, q: Array) -> Pose:
-    """Pose of the tool at joint vectors `q [..., n]`."""
+    """Pose of the tool at joint vectors `q [..., n]`.
+
+    Args:
+        chain: the arm's joints, as `Robot.chain`.
+        q: joints [rad or m].
+    """
     frames = frames_at(chain, components(q))
     return Pose(stack(frames.position, q), stack(quaternion_from_rotation(frames.rotation), q))
 

@@ -103,7 +103,7 @@ class Robot:
 
     @functools.cached_property
     def capsules(self) -> Capsules:
-        """Capsules that contain its links, found when they are first asked for: in a second or two, once."""
+        """Capsules that contain its links, found when they are first asked for, once, in a second or two."""
         from reachlab.robots.capsules import find_capsules
 
         return find_capsules(self)

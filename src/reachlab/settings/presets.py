@@ -198,6 +198,10 @@ def preset_of(config: RunConfig, **changed: str) -> RunConfig:
 def configure(task: str = "tutorial", **settings: Any) -> RunConfig:
     """Preset with the named settings changed, e.g. `configure("tutorial", reward="sparse", seed=3)`.
 
+    Args:
+        task: name of the task.
+        settings: settings by name, as the flags of `reachlab train` with underscores.
+
     Raises:
         InputError: a name that is no setting, or a value that is not allowed.
     """
@@ -217,6 +221,11 @@ def in_simulator(config: Config, sim: str) -> Config:
 
 def distillation(teacher: str, taught: RunConfig, **settings: Any) -> DistilRunConfig:
     """Configuration of a student of the teacher in the run directory `teacher`, which was trained as `taught`.
+
+    Args:
+        teacher: run directory of the teacher.
+        taught: its settings, as `load(teacher).config`.
+        settings: settings of the student by name, where they differ.
 
     Raises:
         InputError: a name that is no setting, or a value that is not allowed.

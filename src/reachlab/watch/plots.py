@@ -34,6 +34,10 @@ def plot(runs: Sequence[str | Path], out: str | Path) -> list[str]:
     Runs that differ by their seeds alone are one curve, their mean with its 95 % interval. What there is no room for is
     given back, in a sentence each.
 
+    Args:
+        runs: run directories.
+        out: picture to write, its ending one of `ENDINGS`.
+
     Raises:
         InputError: a run without metrics, or an ending that cannot be drawn.
     """

@@ -47,6 +47,7 @@ class Controller:
         joints: names of the joints, in the order of all vectors.
         home: joints `[n]` in which episodes began in training [rad or m].
         period: time from one control step to the next [s].
+        limits: of position, speed, acceleration and jerk.
         problem: what is wrong, in words; empty where nothing is.
         braking: the arm is brought to rest, or rests because it has to.
         asks_orientation: goals are poses.

@@ -1,0 +1,52 @@
+"""Sphinx extension: parts of pages that are made from the package's own tables, so that they cannot be out of date.
+
+Where a page says `<!-- made at the build: NAME -->`, what `PARTS[NAME]` gives stands on the site.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from builder.commands import COMMANDS
+from builder.reference import REFERENCE
+from builder.tables import TABLES
+
+if TYPE_CHECKING:
+    from sphinx.application import Sphinx
+
+PARTS: dict[str, Callable[[], str]] = {**TABLES, **COMMANDS, **REFERENCE}
+"""Functions that give Markdown, by the name under which pages ask for it."""
+
+PAGES = {"../CHANGELOG.md": "changelog.md", "../CONTRIBUTING.md": "contributing.md"}
+"""Pages of the site that stand for files beside the folder of the docs."""
+
+MARK = re.compile(r"^<!-- made at the build: (.+?) -->$", re.MULTILINE)
+
+
+def filled(text: str) -> str:
+    """A page's Markdown with its parts, and with links that hold on the site.
+
+    Raises:
+        KeyError: it asks for one that there is not.
+    """
+    for file, page in PAGES.items():
+        text = text.replace(f"]({file}", f"]({page}")
+    return MARK.sub(lambda mark: PARTS[mark[1]](), text)
+
+
+def _fill(_app: Sphinx, _page: str, source: list[str]) -> None:
+    source[0] = filled(source[0])
+
+
+def _skip(_app: Sphinx, _kind: str, _name: str, obj: object, _skipped: bool, _options: object) -> bool | None:
+    """Leave out the fields of a NamedTuple, which its docstring tells of; None leaves the choice to autodoc."""
+    return True if str(getattr(obj, "__doc__", "")).startswith("Alias for field number") else None
+
+
+def setup(app: Sphinx) -> dict[str, Any]:
+    """Register the extension."""
+    app.connect("source-read", _fill)
+    app.connect("autodoc-skip-member", _skip)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
