@@ -42,6 +42,8 @@ class Decider {
     this.k = facts.constants;
     this.period = facts.control_period;
     this.lag = facts.arm.lag;
+    // No faster than the joints can follow, where they take time to move.
+    this.most = Math.max(...this.lag) > 0 ? times(facts.arm.speed, this.period) : null;
     this.fields = facts.observation.fields.map((field) => OBSERVED[field.name]);
     Object.assign(this, { low: facts.action.low, high: facts.action.high, clips: facts.network.clip_actions });
     const joint = facts.action.name.startsWith("joint");
@@ -68,7 +70,9 @@ class Decider {
 
   /** Joint command `[n]` that a bounded action `[a]` asks for. */
   command(now, action) {
-    return this.design.command(this, now, action);
+    const wanted = this.design.command(this, now, action);
+    if (!this.most) return wanted;
+    return wanted.map((x, i) => clip(x, now.command[i] - this.most[i], now.command[i] + this.most[i]));
   }
 
   /** The tool's command displaced, its orientation held. */

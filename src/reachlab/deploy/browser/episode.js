@@ -18,7 +18,7 @@ const AGENTS = {
 };
 
 /**
- * An episode in the kinematic simulator: joints follow their commands exactly.
+ * An episode in a simulator without dynamics: joints follow their commands at once or, if they have a lag, after it.
  *
  * After a step `done` tells that it has ended, `success` that the task is solved, `outside` that the tool has left the
  * workspace.
@@ -55,15 +55,23 @@ class Episode {
 
   /** Take a control step with an agent of `AGENTS`; a command `instead [n]` is taken in place of its own. */
   step(agent, instead = null) {
-    const { decider, rules, arm, facts, goals } = this.run, now = this.situation();
+    const { decider, rules, arm, goals } = this.run, now = this.situation();
     const action = decider.bounded(AGENTS[agent](this.run, now));
     const rests = rules.at_goal === "hold" && this.near();
     const command = instead ?? (rests ? this.command : decider.command(now, action));
-    this.qd = command.map((x, i) => (x - this.q[i]) / facts.control_period);
-    Object.assign(this, { q: command, command, action, frames: arm.frames(command), clock: this.clock + 1 });
+    this.move(command);
+    Object.assign(this, { command, action, frames: arm.frames(this.q), clock: this.clock + 1 });
     if (this.goal.path) this.goal = goals.onPath(this.goal.path, this.clock);
     this.remember();
     this.judge();
+  }
+
+  /** Move the joints for a control period: at once to a command `[n]`, or after it by the time of their lag. */
+  move(command) {
+    const { control_period: period } = this.run.facts, { lag } = this.run.decider;
+    const q = command.map((x, i) => (lag[i] ? x + (this.q[i] - x) * Math.exp(-period / lag[i]) : x));
+    this.qd = q.map((x, i) => (lag[i] ? (command[i] - x) / lag[i] : (x - this.q[i]) / period));
+    this.q = q;
   }
 
   /** Take note of the errors after this step. */

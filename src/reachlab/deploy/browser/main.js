@@ -131,9 +131,9 @@ async function begin() {
   requestAnimationFrame(frame);
   window.reachlab = {
     live,
-    /** What became of episodes of a run that begin as given, see `playEpisode`. */
-    play({ run: number, agent, episodes }) {
-      const run = live.run(number);
+    /** What became of episodes of a run that begin as given, see `playEpisode`; with another `lag [n]` s than its own. */
+    play({ run: number, agent, episodes, lag = null }) {
+      const { arm } = live.sent[number], run = lag ? new Run({ ...live.sent[number], arm: { ...arm, lag } }) : live.run(number);
       return episodes.map(({ start, goal }) => playEpisode(run, agent, { start, goal: goalOf(run, goal) }));
     },
     /** What the page shows now. */
@@ -147,7 +147,6 @@ async function begin() {
 }
 
 begin().catch((error) => {
-  console.error(error);
   const said = document.getElementById("hint");
   said.textContent = `This page cannot be shown here: ${error.message}`;
   said.className = "failed";

@@ -52,18 +52,28 @@ RULES += ("settle_steps",)
 GOAL = ("low", "high", "orientation", "moves", "angle_weight")
 """And of its goal."""
 
-NOTE = "Trained under full dynamics; on this page the joints follow their commands at once and exactly."
-"""Said of a policy that was trained in another simulator than the page's."""
+NOTE = (
+    "Trained under full dynamics, which this page has not: each joint follows its command {lag:.2g} s late, without"
+    " gravity and inertia."
+)
+"""Said of a policy that was trained so. Where joints followed at once, it would be in an arm that it does not know."""
 
 
 @dataclass(frozen=True)
 class Shown:
-    """A policy of a page: its run's directory, its environment in the page's simulator, and where it was trained."""
+    """A policy of a page.
+
+    Attributes:
+        name: of its run's directory.
+        env: its environment in the page's simulator.
+        policy: the policy.
+        lag: time by which each joint follows its command `[n]` [s]: of the arm that it was trained on.
+    """
 
     name: str
     env: Env
     policy: Policy
-    trained_in: str
+    lag: tuple[float, ...]
 
 
 def write_page(runs: Sequence[Path], out: Path) -> int:
@@ -92,7 +102,15 @@ def load_shown(path: Path) -> Shown:
     trained = run.read_config()
     _refuse(path, trained)
     env = Env(override(in_evaluation(trained, SIMULATOR), shaping=False), 1)
-    return Shown(path.name, env, load_policy(run, env), trained.sim)
+    return Shown(path.name, env, load_policy(run, env), _lag(trained, env))
+
+
+def _lag(trained: RunConfig, env: Env) -> tuple[float, ...]:
+    if not SIMULATORS[trained.sim].dynamics:
+        return env.setup.lag
+    there = Env(in_evaluation(trained, trained.sim), 1)
+    there.close()
+    return there.setup.lag
 
 
 def _refuse(path: Path, config: RunConfig) -> None:
@@ -153,10 +171,11 @@ def _facts(one: Shown) -> dict[str, Any]:
     low, high = setup.robot.workspace
     return {
         **{name: all_facts[name] for name in TOLD},
+        "arm": all_facts["arm"] | {"lag": one.lag},
         "robot": setup.robot.name,
         "title": _title(one),
         "asks": all_facts["goal"]["asks"],
-        "note": "" if one.trained_in == SIMULATOR or not SIMULATORS[one.trained_in].dynamics else NOTE,
+        "note": NOTE.format(lag=max(one.lag)) if any(one.lag) else "",
         "goal": {name: all_facts["goal"][name] for name in GOAL},
         "observation": {"fields": [{"name": field.name} for field in one.policy.schema.fields]},
         "rules": {name: getattr(setup.rules, name) for name in RULES},
