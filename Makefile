@@ -6,7 +6,7 @@ RUN := runs/demo-$(shell date +%Y%m%d-%H%M%S)
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 GYMNAX_VENV := .venv-gymnax
 
-.PHONY: demo test lint types unit bench bench-viewer foreign fuzz trust policies docs docs-blocks gymnax dist clean
+.PHONY: demo test lint types unit bench bench-viewer foreign fuzz trust policies docs docs-blocks three gymnax dist clean
 
 demo: $(VENV)/installed
 	@$(BIN)/reachlab train --out $(RUN)
@@ -60,6 +60,16 @@ bench: $(VENV)/installed
 
 bench-viewer: $(VENV)/installed-dev
 	TF_CPP_MIN_LOG_LEVEL=3 PYTHONPATH=tests $(BIN)/python -m browser.viewer
+
+# The bundle of three.js in the live page: it is part of the repository, and made anew only for another version of it.
+BROWSER := src/reachlab/deploy/browser
+three:
+	rm -rf build/three && mkdir -p build/three && cp $(BROWSER)/three.entry.js build/three/
+	cd build/three && npm install --silent --no-save three@0.187.0 esbuild@0.28.2
+	cd build/three && npx esbuild three.entry.js --bundle --minify --format=iife --global-name=THREE \
+		--legal-comments=none --log-level=warning --outfile=three.min.js
+	cp build/three/three.min.js $(BROWSER)/three.min.js
+	cp build/three/node_modules/three/LICENSE $(BROWSER)/three.LICENSE
 
 $(VENV)/bin/python $(GYMNAX_VENV)/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "reachlab needs Python 3.11 or newer; this is " + sys.version.split()[0] + ". Name another: make PYTHON=python3.12")'

@@ -163,6 +163,20 @@ def _chain(chain: Chain) -> dict[str, Any]:
     }
 
 
+def link_capsules(robot: Robot) -> dict[str, Any]:
+    """All capsules of an arm, by link, and which pairs of them may not meet; a floor as in `_capsules`."""
+    capsules, floors = robot.capsules, iter(robot.floors)
+    heights = [next(floors) if link else -np.inf for link in capsules.links]
+    return {
+        "links": list(capsules.links),
+        "starts": [list(start) for start in capsules.starts],
+        "ends": [list(end) for end in capsules.ends],
+        "radii": list(capsules.radii),
+        "floors": [floor if np.isfinite(floor) else None for floor in heights],
+        "pairs": [list(pair) for pair in capsules.pairs],
+    }
+
+
 def _capsules(robot: Robot) -> dict[str, Any]:
     """The capsules that joints move; a floor of None is one that nothing is above."""
     capsules = robot.capsules

@@ -96,11 +96,7 @@ def link_shapes(robot: Robot) -> list[np.ndarray]:
     data = mujoco.MjData(model)
     data.qpos[model.jnt_qposadr[: robot.chain.n]] = robot.home
     mujoco.mj_kinematics(model, data)
-    link_of = np.zeros(model.nbody, int)
-    for body in range(1, model.nbody):  # bodies follow those that hold them
-        joints = model.body_jntadr[body] + model.body_jntnum[body]
-        link_of[body] = joints if model.body_jntnum[body] else link_of[model.body_parentid[body]]
-    to_links, shapes = np.linalg.inv(robot.chain.links_at(robot.home)), []
+    link_of, to_links, shapes = links_of_bodies(model), np.linalg.inv(robot.chain.links_at(robot.home)), []
     for link, to_link in enumerate(to_links):
         geoms = [geom for geom in range(model.ngeom) if link_of[model.geom_bodyid[geom]] == link]
         geoms = [geom for geom in geoms if mujoco.mjtGeom(model.geom_type[geom]) in SHAPES]
@@ -109,6 +105,15 @@ def link_shapes(robot: Robot) -> list[np.ndarray]:
         corners = np.concatenate(parts) if parts else np.zeros((0, 3, 3))
         shapes.append(corners @ to_link[:3, :3].T + to_link[:3, 3])
     return shapes
+
+
+def links_of_bodies(model: mujoco.MjModel) -> np.ndarray:
+    """Number of the link to which each body belongs `[nbody]`, of a robot's model; see `Chain.links_at`."""
+    link_of = np.zeros(model.nbody, int)
+    for body in range(1, model.nbody):  # bodies follow those that hold them
+        joints = model.body_jntadr[body] + model.body_jntnum[body]
+        link_of[body] = joints if model.body_jntnum[body] else link_of[model.body_parentid[body]]
+    return link_of
 
 
 def _only_drawn(model: mujoco.MjModel, geom: int) -> bool:

@@ -58,9 +58,9 @@ class Player:
         self._env, self._seed = env, seed
         self._advances: dict[str, Advance] = {}
         self._init = env.compile_whole(env.init)
-        setup, rules = env.setup, env.setup.rules
+        setup = env.setup
         self._place, self._begin_task = make_place(setup), jit(partial(setup.task.begin, setup))
-        self._knows_home_alone = not (rules.hold_steps or rules.start_noise or env.config.loop.chained_starts)
+        self._knows_home_alone = knows_home_alone(env)
         self._nothing = np.full(env.setup.robot.chain.n, np.nan, np.float32)
         self._following = False
         self.steps = self.episodes = self.successes = 0
@@ -254,6 +254,12 @@ def make_advance(env: Env, agent: str) -> Advance:
         return act(policy, state, key, instead=instead)
 
     return env.compile_whole(advance)
+
+
+def knows_home_alone(env: Env) -> bool:
+    """Whether all episodes of a policy's training began at home, so that it knows no way from anywhere else."""
+    rules = env.setup.rules
+    return not (rules.hold_steps or rules.start_noise or env.config.loop.chained_starts)
 
 
 def target_box(setup: TaskSetup) -> np.ndarray:

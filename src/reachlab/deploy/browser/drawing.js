@@ -1,0 +1,234 @@
+/** Colours of the page behind the scene, of the light from above and below, and of the workspace's edges. */
+const BACKGROUND = 0xf4f6f9, SKY = 0xffffff, GROUND = 0xb9c0cc, EDGES = 0x8d97a8;
+
+/** Strength of the light from all sides, of the lamp and of the one across from it. */
+const SKY_LIGHT = 1.7, LAMP_LIGHT = 1.9, FILL_LIGHT = 0.5;
+
+/** Where the lamp and the one across from it stand from the middle of the workspace, in sizes of the workspace. */
+const LAMP_AT = [0.9, -1.1, 2.2], FILL_AT = [-1.2, 0.8, 0.8];
+
+/** The table's colour above and at its sides, and how dark the shadow on it is and how far it lies above it, in sizes of the workspace. */
+const TABLE = 0xd5dbe4, TABLE_SIDES = 0xaab3c1, SHADOW_OPACITY = 0.16, SHADOW_ABOVE = 0.0015;
+
+/** Where the graphics are computed in software, as the browser calls that: pictures are drawn without smooth edges. */
+const SOFTWARE = /swiftshader|llvmpipe|software|basic render/i;
+
+/** Mean time between pictures [ms], of so many, above which the scene becomes simpler. */
+const SLOW = 42, PICTURES = 12;
+
+/** Pixels of the drawing for one of the page, at most, and at least where it is slow. */
+const FINEST = 2, COARSEST = 0.75;
+
+/** How surfaces shine: a little, in a wide spot. */
+const SHINE = { specular: 0x2a2a2a, shininess: 28 };
+
+/** Sides of a drawn ball. */
+const SIDES = 32;
+
+/** Draws one arm, its goal and its workspace with three.js. */
+class Drawing {
+  /** A drawing on a canvas, of marks in these colours and lengths; empty until an arm is shown. */
+  constructor(canvas, marks) {
+    this.marks = marks;
+    this.renderer = new THREE.WebGLRenderer({ canvas, antialias: !inSoftware(), stencil: true });
+    this.renderer.setClearColor(BACKGROUND);
+    this.camera = new THREE.PerspectiveCamera();
+    this.camera.up.set(0, 0, 1);
+    this.ratio = Math.min(window.devicePixelRatio, FINEST);
+    Object.assign(this, { simple: false, since: null, pictures: 0 });
+  }
+
+  /** Show an arm in place of another: what the page holds of it, its run, and its meshes by `geometries`. */
+  show(scene, run, shapes) {
+    this.scene?.traverse((one) => { one.geometry?.dispose(); one.material?.dispose(); });
+    Object.assign(this, { scene: new THREE.Scene(), shown: scene, size: scene.scale });
+    this.links = [null, ...run.arm.slides].map(() => this.added(new THREE.Group(), { matrixAutoUpdate: false }));
+    this.shadows = this.added(new THREE.Group(), { matrixAutoUpdate: false, visible: !this.simple });
+    flatten(this.shadows.matrix, scene);
+    scene.parts.forEach((part, i) => this.addPart(part, shapes[i]));
+    this.light();
+    this.added(new THREE.LineSegments(lines(scene.edges), new THREE.LineBasicMaterial({ color: EDGES })));
+    this.goal = this.added(this.makeGoal(run));
+    this.axes = run.facts.goal.orientation ? this.added(this.makeAxes(this.marks.tool_axes)) : null;
+    this.path = this.added(polyline(this.marks.path));
+    this.trail = this.added(polyline(this.marks.trail));
+  }
+
+  added(one, settings = {}) {
+    this.scene.add(one);
+    return Object.assign(one, settings);
+  }
+
+  /** Add what is drawn of a link in one colour and, but for the table's, its shadow. */
+  addPart({ link, colour, table }, geometry) {
+    if (table) {
+      this.links[link].add(tableTop(geometry));
+      return;
+    }
+    this.links[link].add(solid(colour, geometry));
+    const shadow = new THREE.Mesh(geometry, SHADOW()), place = new THREE.Group();
+    // It moves as the link does.
+    this.shadows.add(Object.assign(place, { matrixAutoUpdate: false, matrix: this.links[link].matrix }));
+    place.add(Object.assign(shadow, { renderOrder: 1 }));
+  }
+
+  /** Light from all sides, and a lamp with one across from it. */
+  light() {
+    const { middle } = this.shown, at = (place) => add(middle, times(place, this.size));
+    this.added(new THREE.HemisphereLight(SKY, GROUND, SKY_LIGHT)).position.set(0, 0, 1);
+    for (const [place, strength] of [[LAMP_AT, LAMP_LIGHT], [FILL_AT, FILL_LIGHT]]) {
+      const lamp = this.added(new THREE.DirectionalLight(SKY, strength));
+      lamp.position.set(...at(place));
+      lamp.target.position.set(...middle);
+      this.scene.add(lamp.target);
+    }
+  }
+
+  /** The goal: a ball, around it the one in which the tool is near enough, and axes where it has an orientation. */
+  makeGoal(run) {
+    const near = run.rules.success_distance, core = Math.min(near, this.marks.radius * this.size);
+    const goal = new THREE.Group(), shell = { transparent: true, opacity: this.marks.opacity, depthWrite: false };
+    goal.add(ball(core, { ...SHINE }));
+    if (near > core) goal.add(ball(near, shell));
+    this.balls = goal.children.map((one) => one.material);
+    if (run.facts.goal.orientation) goal.add(this.makeAxes(this.marks.goal_axes));
+    return goal;
+  }
+
+  /** Red, green and blue rods along x, y and z, of a length and a radius [m] for the tutorial's arm. */
+  makeAxes([length, radius]) {
+    const axes = new THREE.Group(), rod = [radius * this.size, radius * this.size, length * this.size, 12];
+    this.marks.axes.forEach((colour, i) => {
+      const geometry = new THREE.CylinderGeometry(...rod).translate(0, rod[2] / 2, 0);
+      if (i === 0) geometry.rotateZ(-Math.PI / 2);
+      if (i === 2) geometry.rotateX(Math.PI / 2);
+      axes.add(new THREE.Mesh(geometry, new THREE.MeshPhongMaterial({ color: rgb(colour), ...SHINE })));
+    });
+    return axes;
+  }
+
+  /** Draw a player's moment. */
+  draw({ episode, path, trail }) {
+    const { frames, goal } = episode;
+    frames.links.forEach(({ rotation, position }, i) => placed(this.links[i + 1], rotation, position));
+    this.goal.position.set(...goal.position);
+    if (goal.rotation) {
+      placed(this.axes, frames.rotation, frames.position);
+      placed(this.goal, goal.rotation, goal.position);
+    }
+    const colour = episode.reached() ? this.marks.reached : this.marks.waiting;
+    this.balls.forEach((material) => material.color.copy(rgb(colour)));
+    extend(this.path, path.points);
+    extend(this.trail, trail.points);
+    this.renderer.render(this.scene, this.camera);
+  }
+
+  /** Fit the picture to its place on the page; true where that has changed. */
+  fit() {
+    const { clientWidth: width, clientHeight: height } = this.renderer.domElement.parentElement;
+    if (this.width === width && this.height === height) return false;
+    Object.assign(this, { width, height });
+    this.renderer.setPixelRatio(this.ratio);
+    this.renderer.setSize(width, height);
+    this.camera.aspect = width / height;
+    this.camera.updateProjectionMatrix();
+    return true;
+  }
+
+  /** Draw more simply where pictures take long, as without a graphics card: first no shadow, then fewer pixels. */
+  keepPace(now) {
+    this.since ??= now;
+    this.pictures++;
+    if (this.pictures < PICTURES) return;
+    const mean = (now - this.since) / this.pictures;
+    Object.assign(this, { since: now, pictures: 0 });
+    if (mean < SLOW) return;
+    if (!this.simple) {
+      this.simple = true;
+      this.shadows.visible = false;
+    } else if (this.ratio > COARSEST) {
+      this.ratio = Math.max(COARSEST, 0.8 * this.ratio);
+      this.width = 0;
+    }
+  }
+}
+
+/** Whether the browser has no graphics card to draw with. */
+function inSoftware() {
+  const asked = document.createElement("canvas").getContext("webgl2");
+  const told = asked?.getExtension("WEBGL_debug_renderer_info");
+  const name = told ? asked.getParameter(told.UNMASKED_RENDERER_WEBGL) : asked?.getParameter(asked.RENDERER);
+  asked?.getExtension("WEBGL_lose_context")?.loseContext();
+  return SOFTWARE.test(name);
+}
+
+/** A colour of three numbers from 0 to 1, as they are on the screen. */
+function rgb(colour) {
+  return new THREE.Color().setRGB(...colour, THREE.SRGBColorSpace);
+}
+
+/** What is drawn of a link in one colour. */
+function solid([red, green, blue, opacity], geometry) {
+  const material = new THREE.MeshPhongMaterial({ color: rgb([red, green, blue]), ...SHINE });
+  return new THREE.Mesh(geometry, Object.assign(material, { opacity, transparent: opacity < 1 }));
+}
+
+/** The table is marked where it is seen; a shadow darkens what is marked, and takes the mark away. */
+const MARK = { stencilWrite: true, stencilRef: 1 };
+const LET_SHADOWS_IN = { ...MARK, stencilZPass: THREE.ReplaceStencilOp };
+const SHADOW = () => new THREE.MeshBasicMaterial({
+  ...MARK,
+  color: 0,
+  transparent: true,
+  opacity: SHADOW_OPACITY,
+  depthWrite: false,
+  stencilFunc: THREE.EqualStencilFunc,
+  stencilZPass: THREE.ZeroStencilOp,
+});
+
+/** The table, which fills much of the picture: in colours that no light has to be computed for. */
+function tableTop(geometry) {
+  const { normal } = geometry.attributes, colours = new Float32Array(3 * normal.count);
+  for (let i = 0; i < normal.count; i++) {
+    new THREE.Color(normal.getZ(i) > 0.5 ? TABLE : TABLE_SIDES).toArray(colours, 3 * i);
+  }
+  geometry.setAttribute("color", new THREE.BufferAttribute(colours, 3));
+  return new THREE.Mesh(geometry, new THREE.MeshBasicMaterial({ vertexColors: true, ...LET_SHADOWS_IN }));
+}
+
+/** Set a matrix that brings everything to the table's top along the lamp's light. */
+function flatten(matrix, { top, scale }) {
+  const [x, y, z] = LAMP_AT, above = top + SHADOW_ABOVE * scale;
+  matrix.set(1, 0, -x / z, (above * x) / z, 0, 1, -y / z, (above * y) / z, 0, 0, 0, above, 0, 0, 0, 1);
+}
+
+function ball(radius, settings) {
+  return new THREE.Mesh(new THREE.SphereGeometry(radius, SIDES, SIDES / 2), new THREE.MeshPhongMaterial(settings));
+}
+
+/** Lines from one point `[3]` to another each. */
+function lines(pairs) {
+  return new THREE.BufferGeometry().setFromPoints(pairs.flat().map((point) => new THREE.Vector3(...point)));
+}
+
+/** A line with room for the points of a `Trace`. */
+function polyline(colour) {
+  const geometry = new THREE.BufferGeometry();
+  geometry.setAttribute("position", new THREE.BufferAttribute(new Float32Array(3 * PATH_POINTS), 3));
+  const line = new THREE.Line(geometry, new THREE.LineBasicMaterial({ color: rgb(colour) }));
+  return Object.assign(line, { frustumCulled: false });
+}
+
+function extend({ geometry }, points) {
+  const { position } = geometry.attributes;
+  points.forEach((point, i) => position.setXYZ(i, ...point));
+  position.needsUpdate = true;
+  geometry.setDrawRange(0, points.length);
+}
+
+/** Put something where a rotation `[3, 3]` and a position `[3]` m say. */
+function placed(one, [x, y, z], position) {
+  one.matrixAutoUpdate = false;
+  one.matrix.set(...x, position[0], ...y, position[1], ...z, position[2], 0, 0, 0, 1);
+  one.matrixWorldNeedsUpdate = true;
+}

@@ -1,0 +1,153 @@
+/** Time for which the end of an episode stays in view [s]. */
+const PAUSE = 0.8;
+
+/** Time that is made up for where pictures take longer than they should [s]; the rest is dropped. */
+const MOST_BEHIND = 0.25;
+
+/** Time of a picture in which steps are taken at the fastest speed [ms]. */
+const FASTEST = 12;
+
+/** Updates of the panel's figures in a second [1/s]. */
+const TEXT_RATE = 10;
+
+/** The page: the runs that it holds, and the loop that plays one of them. */
+class Live {
+  constructor({ runs, scenes, marks }) {
+    Object.assign(this, { sent: runs, scenes, runs: [], shapes: {}, random: new Random(Date.now()) });
+    this.drawing = new Drawing(document.getElementById("scene"), marks);
+    this.view = new View(this.drawing);
+    this.hand = new Hand(this.view, () => this.goal());
+    this.panel = new Panel(runs.map(({ label }) => label), {
+      picked: (number) => this.pick(number),
+      agent: () => Object.assign(this.player, { episodes: 0, successes: 0 }),
+      reset: () => this.reset(),
+    });
+    Object.assign(this, { owed: 0, rest: 0, pictures: 0, steps: 0, reachable: true, rate: 0, told: 0, counted: 0 });
+  }
+
+  /** Show one of the runs. */
+  async pick(number) {
+    const { robot } = this.sent[number], scene = this.scenes[robot], run = this.run(number);
+    this.picked = number;
+    this.shapes[robot] ??= geometries(scene);
+    const shapes = (await this.shapes[robot]).map((one) => one.clone());
+    if (this.picked !== number) return;
+    this.drawing.show(scene, run, shapes);
+    this.drawing.fit();
+    this.view.begin();
+    this.panel.head(this.sent[number]);
+    this.player = new Player(run, this.random);
+    this.reset();
+  }
+
+  /** One of the runs, made when it is first asked for. */
+  run(number) {
+    return (this.runs[number] ??= new Run(this.sent[number]));
+  }
+
+  /** What the hand has to know of the goal. */
+  goal() {
+    const { episode, run } = this.player, { low, high } = run.facts.goal;
+    return { position: episode.goal.position, low, high, radius: run.rules.success_distance };
+  }
+
+  /** Begin a new episode. */
+  reset() {
+    this.player.begin();
+    Object.assign(this, { owed: 0, rest: PAUSE, reachable: true });
+    this.told = 0;
+  }
+
+  /** Play the time since the last picture, and draw. */
+  frame(now) {
+    const elapsed = Math.min((now - (this.before ?? now)) / 1000, MOST_BEHIND);
+    this.before = now;
+    const place = this.hand.take(), { player, panel } = this;
+    if (place) this.reachable = player.moveGoal(place);
+    player.follow(this.hand.holds || panel.endless);
+    if (!panel.paused) this.play(elapsed);
+    this.view.update();
+    this.drawing.draw(player);
+    this.drawing.keepPace(now);
+    this.pictures++;
+    this.tell(now);
+  }
+
+  /** Take the control steps that are due, or rest where the episode has ended. */
+  play(elapsed) {
+    const { speed } = this.panel;
+    if (speed === Infinity) return this.hurry();
+    if (this.player.over) {
+      this.rest -= elapsed;
+      if (this.rest <= 0) this.next();
+      return undefined;
+    }
+    const period = this.player.run.facts.control_period;
+    for (this.owed += speed * elapsed; this.owed >= period && !this.player.over; this.owed -= period) this.step();
+    if (this.player.over) Object.assign(this, { owed: 0, rest: PAUSE });
+    return undefined;
+  }
+
+  /** Take as many control steps as fit into a picture, one episode after the other. */
+  hurry() {
+    for (const end = performance.now() + FASTEST; performance.now() < end; ) {
+      if (this.player.over) this.next();
+      this.step();
+    }
+  }
+
+  step() {
+    this.player.step(this.panel.agent);
+    this.steps++;
+  }
+
+  next() {
+    this.player.proceed();
+    this.reachable = true;
+  }
+
+  tell(now) {
+    const passed = (now - this.told) / 1000;
+    if (passed < 1 / TEXT_RATE) return;
+    this.rate = this.told ? (this.steps - this.counted) / passed : 0;
+    Object.assign(this, { told: now, counted: this.steps });
+    this.panel.tell(this.player, this.rate, this.reachable);
+  }
+}
+
+/** A goal as a page is asked about it: a position [m], and what else its task needs. */
+function goalOf(run, { position, quaternion, joints, path }) {
+  return path ? run.goals.onPath(path, 0) : makeGoal(position, { quaternion, joints });
+}
+
+/** Begin, and let scripts ask the page what it does. */
+async function begin() {
+  const live = new Live(JSON.parse(document.getElementById("facts").textContent));
+  await live.pick(0);
+  const frame = (now) => {
+    live.frame(now);
+    requestAnimationFrame(frame);
+  };
+  requestAnimationFrame(frame);
+  window.reachlab = {
+    live,
+    /** What became of episodes of a run that begin as given, see `playEpisode`; with another `lag [n]` s than its own. */
+    play({ run: number, agent, episodes, lag = null }) {
+      const { arm } = live.sent[number], run = lag ? new Run({ ...live.sent[number], arm: { ...arm, lag } }) : live.run(number);
+      return episodes.map(({ start, goal }) => playEpisode(run, agent, { start, goal: goalOf(run, goal) }));
+    },
+    /** What the page shows now. */
+    moment() {
+      const { episode, failed, successes, episodes, path } = live.player, { position: goal } = episode.goal;
+      const [x, y] = live.hand.onScreen(goal), tool = episode.frames.position, { distance, clock } = episode;
+      const reached = episode.reached(), { steps, pictures } = live;
+      return { tool, goal, x, y, distance, clock, reached, failed, successes, episodes, steps, pictures, path: path.points };
+    },
+  };
+}
+
+begin().catch((error) => {
+  const said = document.getElementById("hint");
+  said.textContent = `This page cannot be shown here: ${error.message}`;
+  said.className = "failed";
+});

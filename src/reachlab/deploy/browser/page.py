@@ -1,0 +1,203 @@
+"""A page in which policies themselves run: one file, without server and network."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from reachlab.agents.policy import Policy
+from reachlab.deploy.browser.shapes import scene
+from reachlab.deploy.facts import describe, link_capsules
+from reachlab.deploy.weights import named_weights
+from reachlab.envs.core import Env
+from reachlab.envs.setup import in_evaluation
+from reachlab.learn.load import load_policy
+from reachlab.render import marks
+from reachlab.robots.catalogue import ROBOTS
+from reachlab.runs.directory import RunDirectory
+from reachlab.settings.config import RunConfig
+from reachlab.settings.json_form import override
+from reachlab.settings.validation import InputError
+from reachlab.sims import SIMULATORS
+from reachlab.tasks import TASKS
+from reachlab.tasks.observations import OBSERVATIONS
+from reachlab.watch.player import knows_home_alone
+from reachlab.watch.server import TITLE
+
+SIMULATOR = "kinematic"
+"""The simulator that the page has."""
+
+SCRIPTS = (
+    *("vectors", "random", "arm", "network", "deciding", "clearance", "paths", "goals", "episode", "player"),
+    *("solids", "drawing", "view", "hand", "panel", "main"),
+)
+"""The page's scripts, each after those that it needs when it is read."""
+
+TOLD = ("task", "control_period", "action", "network", "arm", "constants")
+"""What a page has to know of the facts of `describe`, beside goal and observation."""
+
+RULES = ("success_distance", "success_angle", "hold_steps", "hold_speed", "max_steps", "at_goal", "ends_outside")
+RULES += ("start_noise", "targets", "target_turn", "goal_paths", "goal_speed", "goal_jump", "goal_velocity")
+RULES += ("settle_steps",)
+"""And of a task's rules."""
+
+GOAL = ("low", "high", "orientation", "moves", "angle_weight")
+"""And of its goal."""
+
+NOTE = (
+    "Trained under full dynamics, which this page has not: each joint follows its command {lag:.2g} s late, without"
+    " gravity and inertia."
+)
+"""Said of a policy that was trained so. Where joints followed at once, it would be in an arm that it does not know."""
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A policy of a page.
+
+    Attributes:
+        name: of its run's directory.
+        env: its environment in the page's simulator.
+        policy: the policy.
+        lag: time by which each joint follows its command `[n]` [s]: of the arm that it was trained on.
+    """
+
+    name: str
+    env: Env
+    policy: Policy
+    lag: tuple[float, ...]
+
+
+def write_page(runs: Sequence[Path], out: Path) -> int:
+    """Write a page in which the policies of runs can be chosen, and give its size [bytes].
+
+    Raises:
+        InputError: a run cannot be read or shown so, or the file cannot be written.
+    """
+    if not out.parent.is_dir():
+        raise InputError(f"page '{out}' cannot be written: there is no folder '{out.parent}'.")
+    page = live_page([load_shown(run) for run in runs]).encode()
+    try:
+        out.write_bytes(page)
+    except OSError as error:
+        raise InputError(f"page '{out}' cannot be written: {error.strerror}.") from None
+    return len(page)
+
+
+def load_shown(path: Path) -> Shown:
+    """The newest policy of a run, in the page's simulator.
+
+    Raises:
+        InputError: the run cannot be read, or its policy needs pictures or obstacles.
+    """
+    run = RunDirectory(path)
+    trained = run.read_config()
+    _refuse(path, trained)
+    env = Env(override(in_evaluation(trained, SIMULATOR), shaping=False), 1)
+    return Shown(path.name, env, load_policy(run, env), _lag(trained, env))
+
+
+def _lag(trained: RunConfig, env: Env) -> tuple[float, ...]:
+    if not SIMULATORS[trained.sim].dynamics:
+        return env.setup.lag
+    there = Env(in_evaluation(trained, trained.sim), 1)
+    there.close()
+    return there.setup.lag
+
+
+def _refuse(path: Path, config: RunConfig) -> None:
+    pictured = OBSERVATIONS[config.rules.observation].pictured
+    if pictured or TASKS[config.task].load().sample_obstacles is not None:
+        what = "pictures" if pictured else "obstacles"
+        raise InputError(
+            f"'{path}' needs {what}, which a live page does not have: view it without --live, or record it with --save."
+        )
+
+
+def live_page(shown: Sequence[Shown]) -> str:
+    """The page's HTML."""
+    robots = {one.env.setup.robot.name: one.env.setup.robot for one in shown}
+    labels = [f"{_title(one)} · {one.env.config.task}" for one in shown]
+    counts = Counter(labels)
+    facts = {
+        "runs": [
+            _facts(one) | {"label": f"{label} · {one.name}" if counts[label] > 1 else label}
+            for one, label in zip(shown, labels, strict=True)
+        ],
+        "scenes": {name: scene(robot) for name, robot in robots.items()},
+        "marks": _marks(),
+    }
+    parts = {
+        "title": f"{_title(shown[0])} · {shown[0].env.config.task} · {TITLE}",
+        "style": _file("page.css"),
+        "licence": _file("three.LICENSE"),
+        "three": _file("three.min.js"),
+        # No `<` ends a script too early.
+        "facts": json.dumps(facts, separators=(",", ":")).replace("<", "\\u003c"),
+        "script": script(),
+    }
+    before, *rest = _file("page.html").split("{{")
+    return before + "".join(parts[name] + after for name, after in (part.split("}}", 1) for part in rest))
+
+
+def script() -> str:
+    """The page's own scripts as one, whose names nothing else sees."""
+    joined = "\n".join(_file(f"{name}.js") for name in SCRIPTS)
+    return f'(() => {{\n"use strict";\n\n{joined}}})();\n'
+
+
+def _file(name: str) -> str:
+    return (files(__package__) / name).read_text(encoding="utf-8")
+
+
+def _title(one: Shown) -> str:
+    """Maker and type of an arm of the catalogue, else its name."""
+    name = one.env.setup.robot.name
+    return ROBOTS[name].title if name in ROBOTS else name
+
+
+def _facts(one: Shown) -> dict[str, Any]:
+    """What the page has to know of a policy."""
+    env = one.env
+    all_facts, setup = describe(env, one.policy), env.setup
+    low, high = setup.robot.workspace
+    return {
+        **{name: all_facts[name] for name in TOLD},
+        "arm": all_facts["arm"] | {"lag": one.lag},
+        "robot": setup.robot.name,
+        "title": _title(one),
+        "asks": all_facts["goal"]["asks"],
+        "note": NOTE.format(lag=max(one.lag)) if any(one.lag) else "",
+        "goal": {name: all_facts["goal"][name] for name in GOAL},
+        "observation": {"fields": [{"name": field.name} for field in one.policy.schema.fields]},
+        "rules": {name: getattr(setup.rules, name) for name in RULES},
+        "workspace": {"low": low, "high": high},
+        "knows_home_alone": knows_home_alone(env),
+        "free": link_capsules(setup.robot) if setup.rules.asks_orientation else None,
+        "weights": {
+            name: {"shape": array.shape, "data": base64.b64encode(np.asarray(array, "<f4").tobytes()).decode()}
+            for name, array in named_weights(one.policy, env.action_bounds).items()
+        },
+    }
+
+
+def _marks() -> dict[str, Any]:
+    return {
+        "waiting": marks.WAITING,
+        "reached": marks.REACHED,
+        "path": marks.PATH,
+        "trail": marks.TRAIL,
+        "axes": marks.AXES,
+        "tool_axes": marks.TOOL_AXES,
+        "goal_axes": marks.TARGET_AXES,
+        "radius": marks.TARGET_RADIUS,
+        "opacity": marks.BALL_OPACITY,
+    }
