@@ -22,7 +22,7 @@ from reachlab.envs.setup import in_evaluation
 from reachlab.learn.load import load_policy
 from reachlab.render import marks
 from reachlab.robots.catalogue import ROBOTS
-from reachlab.runs.directory import RunDirectory
+from reachlab.runs.shipped import find_run
 from reachlab.settings.config import RunConfig
 from reachlab.settings.json_form import override
 from reachlab.settings.validation import InputError
@@ -37,7 +37,7 @@ SIMULATOR = "kinematic"
 
 SCRIPTS = (
     *("vectors", "random", "arm", "network", "deciding", "clearance", "paths", "goals", "episode", "player"),
-    *("solids", "drawing", "view", "hand", "panel", "main"),
+    *("solids", "light", "drawing", "view", "hand", "panel", "main"),
 )
 """The page's scripts, each after those that it needs when it is read."""
 
@@ -98,7 +98,7 @@ def load_shown(path: Path) -> Shown:
     Raises:
         InputError: the run cannot be read, or its policy needs pictures or obstacles.
     """
-    run = RunDirectory(path)
+    run = find_run(path)
     trained = run.read_config()
     _refuse(path, trained)
     env = Env(override(in_evaluation(trained, SIMULATOR), shaping=False), 1)

@@ -25,7 +25,7 @@ NORMAL_STEPS = 4
 
 
 def scene(robot: Robot) -> dict[str, Any]:
-    """All that a page draws of an arm: parts in the frames of its links, see `geometries` in solids.js, and its view."""
+    """All that a page draws of an arm: parts in the frames of its links, see `geometries` in solids.js, and a view."""
     model = scene_spec(robot).compile()
     data, links = mujoco.MjData(model), links_of_bodies(model)
     data.qpos[model.jnt_qposadr[: robot.chain.n]] = robot.home
