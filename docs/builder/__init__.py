@@ -7,16 +7,18 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from builder.commands import COMMANDS
+from builder.live import FRAMES, write_pages
 from builder.reference import REFERENCE
 from builder.tables import TABLES
 
 if TYPE_CHECKING:
     from sphinx.application import Sphinx
 
-PARTS: dict[str, Callable[[], str]] = {**TABLES, **COMMANDS, **REFERENCE}
+PARTS: dict[str, Callable[[], str]] = {**TABLES, **COMMANDS, **REFERENCE, **FRAMES}
 """Functions that give Markdown, by the name under which pages ask for it."""
 
 PAGES = {"../CHANGELOG.md": "changelog.md", "../CONTRIBUTING.md": "contributing.md"}
@@ -45,8 +47,14 @@ def _skip(_app: Sphinx, _kind: str, _name: str, obj: object, _skipped: bool, _op
     return True if str(getattr(obj, "__doc__", "")).startswith("Alias for field number") else None
 
 
+def _finish(app: Sphinx, error: Exception | None) -> None:
+    if error is None:
+        write_pages(Path(app.outdir))
+
+
 def setup(app: Sphinx) -> dict[str, Any]:
     """Register the extension."""
     app.connect("source-read", _fill)
     app.connect("autodoc-skip-member", _skip)
+    app.connect("build-finished", _finish)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
