@@ -1,7 +1,7 @@
 """Run the commands of README and docs; prints what was run, and what was not and why.
 
-What differs from what a reader does: trainings take one iteration and are evaluated in few episodes, a sweep has two
-trials, an example takes 1,200 steps, what runs until Ctrl-C is interrupted when it is ready, and `pip install` is
+What differs from what a reader does: trainings take one iteration, evaluations have few and short episodes, a sweep has
+two trials, an example takes 1,200 steps, what runs until Ctrl-C is interrupted when it is ready, and `pip install` is
 checked for the names of its extras. A command that was run before, on another page of the same lane, is not run
 again. Whatever is not run is marked on its page, `<!-- not run: why -->` above the block or
 `<!-- not run (words): why -->` for the commands with these words, or is in `LEFT_OUT`.
@@ -10,6 +10,7 @@ again. Whatever is not run is marked on its page, `<!-- not run: why -->` above 
 from __future__ import annotations
 
 import os
+import resource
 import subprocess
 import sys
 import tempfile
@@ -23,7 +24,7 @@ from blocks.pages import ROOT, Block, blocks, fenced, lanes
 from blocks.stand_in import install
 from reachlab.cli.console import say
 
-PATIENCE = 300
+PATIENCE = 600
 """Time that a block may take [s]."""
 
 
@@ -94,10 +95,12 @@ def main(lanes: Sequence[Sequence[Path]]) -> int:
     failures = [line for tally in tallies for line in tally.failures]
     total, without = sum(tally.blocks for tally in tallies), sum(tally.without for tally in tallies)
     commands = set[str]().union(*(tally.seen for tally in tallies))
+    computed = resource.getrusage(resource.RUSAGE_CHILDREN)
     say("\n".join(["", *left_out, "", *failures]))
     say(
         f"{total} blocks, {total - without} run, {without} left out as a whole; {len(commands)} different commands run,"
         f" {len(left_out)} left out; {len(failures)} blocks failed."
+        f" It took {computed.ru_utime + computed.ru_stime:.0f} s of processor time."
     )
     return int(bool(failures))
 

@@ -16,9 +16,9 @@ from pathlib import Path
 from reachlab.cli.console import note
 
 FEW = {
-    "train": {"--total-steps": "1", "--report-episodes": "4"},
+    "train": {"--total-steps": "1", "--report-episodes": "4", "--max-steps": "60"},
     "distil": {"--total-steps": "1", "--guided": "0", "--report-episodes": "2"},
-    "sweep": {"--total-steps": "1", "--report-episodes": "4", "--trials": "2"},
+    "sweep": {"--total-steps": "1", "--report-episodes": "4", "--max-steps": "60", "--trials": "2"},
     "eval": {"--episodes": "4"},
     "video": {"--episodes": "1", "--fps": "4"},
     "deploy": {"--episodes": "1"},
