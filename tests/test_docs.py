@@ -33,8 +33,8 @@ from test_imports import FOLDERS
 ROOT = Path(__file__).parent.parent
 SOURCE = Path(reachlab.__file__).parent
 
-README, CONTRIBUTING = ROOT / "README.md", ROOT / "CONTRIBUTING.md"
-PAGES = (README, CONTRIBUTING, ROOT / "SECURITY.md", *sorted((ROOT / "docs").glob("*.md")))
+README, CONTRIBUTING, SECURITY = (ROOT / f"{name}.md" for name in ("README", "CONTRIBUTING", "SECURITY"))
+PAGES = (README, CONTRIBUTING, SECURITY, *sorted((ROOT / "docs").glob("*.md")))
 TEXTS = {page.relative_to(ROOT).as_posix(): page.read_text(encoding="utf-8") for page in PAGES}
 
 NUMBERS = {"N": "0", "$seed": "0"}
@@ -162,7 +162,7 @@ def test_what_is_marked_as_not_run_is_there(page: str) -> None:
 
 def test_every_page_is_in_one_lane() -> None:
     found = [page for lane in lanes() for page in lane]
-    assert sorted(found) == sorted(page for page in PAGES if page != CONTRIBUTING)
+    assert sorted(found) == sorted(page for page in PAGES if page not in (CONTRIBUTING, SECURITY))
 
 
 def test_a_command_that_fails_is_reported_and_a_marked_one_is_not_run(
