@@ -28,7 +28,6 @@ nitpick_ignore_regex = [
     ("py:.*", r"reachlab\.(?!(" + "|".join(reachlab.__all__) + r")$).*"),
 ]
 
-myst_enable_extensions = ["deflist"]
 myst_heading_anchors = 3
 
 autodoc_member_order = "bysource"
