@@ -336,6 +336,7 @@ def run(words: list[str], *, whole: bool) -> Outcome:
         stack.enter_context(mock.patch("reachlab.scale.sweep.Trials", built))
         stack.enter_context(mock.patch("reachlab.scale.cluster.Cluster._connect", built))
         stack.enter_context(mock.patch.object(viewer.Viewer, "run"))
+        stack.enter_context(mock.patch.object(viewer.Viewer, "await_picture"))
         stack.enter_context(mock.patch("reachlab.cli.verbs.run_suite", return_value=[]))
         stack.enter_context(mock.patch.object(logging.getLogger("reachlab"), "handlers", [handler]))
         stack.enter_context(contextlib.redirect_stdout(out))

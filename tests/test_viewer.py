@@ -8,10 +8,12 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Any, cast
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -36,6 +38,7 @@ from reachlab.settings.rules import Rules
 from reachlab.settings.validation import InputError
 from reachlab.tasks import TASKS
 from reachlab.watch import panel
+from reachlab.watch import server as server_module
 from reachlab.watch.moment import PATH_STEP
 from reachlab.watch.player import TOUCHED
 from reachlab.watch.saved_page import save_page
@@ -371,6 +374,32 @@ def test_a_handle_outside_comes_back_to_where_targets_lie(viewer: Viewer) -> Non
 def test_the_server_prints_nothing_when_it_starts_and_stops(capfd: pytest.CaptureFixture[str]) -> None:
     start_server(LOCAL, free_port()).stop()
     assert capfd.readouterr() == ("", "")
+
+
+@dataclass
+class Visited:
+    """A server to which a browser comes at the third look."""
+
+    looks: int = 0
+
+    def get_clients(self) -> list[int]:
+        self.looks += 1
+        return [1] * (self.looks >= 3)
+
+
+def test_the_processor_is_left_to_a_browser_that_comes_but_not_for_long(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server_module, "DRAWING", 0.3)
+    visited, begun = cast("Any", Visited()), time.perf_counter()
+    server_module.await_picture(visited, lambda: False)
+    assert visited.looks == 3
+    assert 0.3 <= time.perf_counter() - begun < server_module.ARRIVAL
+    monkeypatch.setattr(server_module, "ARRIVAL", 0.1)
+    alone = cast("Any", Visited(looks=-1000))
+    server_module.await_picture(alone, lambda: False)
+    assert alone.looks < 0
+    gone = cast("Any", Visited())
+    server_module.await_picture(gone, lambda: True)
+    assert gone.looks == 0
 
 
 def test_the_scene_is_never_shared_through_the_makers_server() -> None:

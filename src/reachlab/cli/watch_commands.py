@@ -73,7 +73,6 @@ def view(arguments: View) -> None:
     from reachlab.learn.interrupts import Interrupts
     from reachlab.learn.load import load_policy
     from reachlab.runs.shipped import find_run
-    from reachlab.watch.saved_page import save_page
     from reachlab.watch.server import is_local
     from reachlab.watch.viewer import Viewer
 
@@ -82,6 +81,8 @@ def view(arguments: View) -> None:
     steps = run.checkpoint_steps()
     env = Env(config, 1)
     if arguments.save:
+        from reachlab.watch.saved_page import save_page
+
         save_page(env, arguments.agent, load_policy(run, env), arguments.seed, arguments.episodes, arguments.save)
         env.close()
         say(f"Written: {arguments.save}")
@@ -99,8 +100,13 @@ def view(arguments: View) -> None:
             )
         if arguments.open:
             webbrowser.open(viewer.url)
+
+        def ended() -> bool:
+            return interrupts.received is not None
+
+        viewer.await_picture(ended)
         viewer.prepare(arguments.seed)
-        viewer.run(lambda: interrupts.received is not None)
+        viewer.run(ended)
     env.close()
 
 

@@ -7,7 +7,6 @@ from concurrent.futures import ThreadPoolExecutor
 
 import mujoco
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from reachlab.render.offscreen import gl_context
 from reachlab.render.scene import add_table, drawn_spec
@@ -104,6 +103,8 @@ class _Painter:
 
     def paint(self, q: np.ndarray, target: np.ndarray, views: Views, out: np.ndarray) -> None:
         """Fill `out [m, SIZE, SIZE]` with the pictures of joints `q [m, n]` and targets `[m, 3]`."""
+        from scipy.spatial.transform import Rotation
+
         model, data, scene = self._model, self._data, self._scene
         if not len(q):
             return

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from reachlab.robots.robot import TUTORIAL_WORKSPACE, Robot
 from reachlab.tasks.schema import SIZE
@@ -99,6 +98,8 @@ class Views(NamedTuple):
 
 def make_views(samples: np.ndarray, robot: Robot) -> Views:
     """Views on a robot of `samples [B, SAMPLES]` in -1 to 1; zeros are the tutorial's view."""
+    from scipy.spatial.transform import Rotation
+
     ends = np.cumsum(list(SAMPLED.values()))
     parts = np.split(np.asarray(samples, np.float64), ends[:-1], axis=1)
     sampled = dict(zip(SAMPLED, parts, strict=True))

@@ -1,6 +1,7 @@
 """Triangle meshes of the geoms of a compiled MuJoCo model.
 
-Importing trimesh, which could make the primitives, takes longer than all the rest of drawing the arm (0.2 s).
+Importing trimesh, which could make the primitives, takes longer than all the rest of drawing the arm (0.2 s); importing
+scipy's rotations takes as long.
 """
 
 from __future__ import annotations
@@ -9,7 +10,6 @@ from collections.abc import Callable
 
 import mujoco
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 SHOWN_GROUPS = (0, 1, 2)
 """Groups of geoms that MuJoCo shows at first."""
@@ -24,8 +24,9 @@ Mesh = tuple[np.ndarray, np.ndarray]
 def mesh_of(model: mujoco.MjModel, geom: int) -> Mesh:
     """The mesh of a geom, of a type in `SHAPES`, in the frame of its body."""
     vertices, faces = SHAPES[mujoco.mjtGeom(model.geom_type[geom])](model, geom)
-    turn = Rotation.from_quat(model.geom_quat[geom], scalar_first=True)
-    return turn.apply(vertices) + model.geom_pos[geom], faces
+    turn = np.empty(9)
+    mujoco.mju_quat2Mat(turn, model.geom_quat[geom])
+    return vertices @ turn.reshape(3, 3).T + model.geom_pos[geom], faces
 
 
 def _split(quads: np.ndarray) -> np.ndarray:

@@ -6,7 +6,6 @@ import functools
 from dataclasses import dataclass
 from pathlib import Path
 
-import matplotlib as mpl
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
@@ -121,4 +120,6 @@ def _stamp(draw: ImageDraw.ImageDraw, end: tuple[int, int], verdict: str) -> Non
 
 @functools.cache
 def _font(style: str, size: int) -> ImageFont.FreeTypeFont:
+    import matplotlib as mpl
+
     return ImageFont.truetype(str(Path(mpl.get_data_path()) / "fonts" / "ttf" / FONTS[style]), size)

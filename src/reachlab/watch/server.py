@@ -6,6 +6,8 @@ import contextlib
 import io
 import ipaddress
 import socket
+import time
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from reachlab.settings.validation import InputError
@@ -18,6 +20,12 @@ LOCAL = "127.0.0.1"
 
 TITLE = "reachlab"
 """Title of the panel and the page."""
+
+ARRIVAL, DRAWING = 3.0, 1.5
+"""Time in which a browser comes that was opened at once, and from then until it has drawn the scene [s]."""
+
+POLL = 0.02
+"""Time between two looks for a browser [s]."""
 
 
 def start_server(host: str, port: int) -> viser.ViserServer:
@@ -50,6 +58,18 @@ def start_server(host: str, port: int) -> viser.ViserServer:
     # `verbose` does not switch off the box with addresses.
     with contextlib.redirect_stdout(io.StringIO()):
         return LocalServer(host=host, port=port, label=TITLE, verbose=False)
+
+
+def await_picture(server: viser.ViserServer, ended: Callable[[], bool]) -> None:
+    """Return once a browser has had time for its first picture, or none has come, or it has ended.
+
+    What is computed beside it takes the processor from it: on two cores the picture would come later.
+    """
+    there, until = False, time.perf_counter() + ARRIVAL
+    while time.perf_counter() < until and not ended():
+        if not there and server.get_clients():
+            there, until = True, time.perf_counter() + DRAWING
+        time.sleep(POLL)
 
 
 def is_local(host: str) -> bool:

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from reachlab.render import view_randomisation as views
 from reachlab.render.marks import PATH, TARGET_AXES, TOOL_AXES, TRAIL, Block, Colour, Marks
@@ -186,6 +185,8 @@ class Stage:
 
     def _show_observation(self, picture: np.ndarray) -> None:
         if self.camera is None:
+            from scipy.spatial.transform import Rotation
+
             position, rotation = views.tutorial_pose(self._robot)
             down_and_ahead = rotation * (1, -1, -1)
             self.camera = self._scene.add_camera_frustum(

@@ -15,7 +15,7 @@ from reachlab.envs.core import Env
 from reachlab.settings.validation import InputError, choose
 from reachlab.watch.panel import PLAYABLE, Panel
 from reachlab.watch.player import TRAINED, Player, target_box
-from reachlab.watch.server import start_server
+from reachlab.watch.server import await_picture, start_server
 from reachlab.watch.stage import FRAME_RATE, PAUSE, Stage, errors_text
 
 if TYPE_CHECKING:
@@ -93,6 +93,10 @@ class Viewer:
     ) -> None:
         """Stop the server."""
         self._server.stop()
+
+    def await_picture(self, ended: Callable[[], bool]) -> None:
+        """Leave the processor to a browser that comes at once, until its first picture; see `server.await_picture`."""
+        await_picture(self._server, ended)
 
     def prepare(self, seed: int) -> None:
         """Compile what playing takes and show the first held-out target of a seed."""
