@@ -94,6 +94,7 @@ RUNS = ("young", "precise", "empty", "nowhere")
 PATHS: dict[str, Sequence[str]] = {
     "out": ["a.png", "b.webp", "c.svg", "no/d.png", ".", "", "/", "..", "young", "x" * 300, "new"],
     "save": ["page.html", "no/page.html", "."],
+    "live": ["page.html", "no/page.html", "."],
     "resume": [*RUNS, "."],
     "teacher": [*RUNS],
     "normaliser": ["gone.pkl", "."],
@@ -107,6 +108,7 @@ PATHS: dict[str, Sequence[str]] = {
 SOUND_PATHS: dict[str, Sequence[str]] = {
     "out": ["new.webp"],
     "save": ["page.html"],
+    "live": ["page.html"],
     "resume": RUNS[:2],
     "space": ["space.toml"],
     "config": ["young/config.json"],
@@ -211,7 +213,7 @@ def command(chance: random.Random, verbs: Sequence[str]) -> list[str]:
     for name in chance.sample(free, min(chance.choice([0, 1, 2, 3, 5, 8]), len(free))):
         flag, value = f"--{name.replace('_', '-')}", values(name, kinds[name], chance, sound=sound)
         words += [chance.choice([flag, f"--no-{flag[2:]}"])] if value is None else [flag, *value]
-    if verb in ("eval", "video") or (verb == "view" and "--save" in words):
+    if verb in ("eval", "video") or (verb == "view" and "--save" in words and "--live" not in words):
         words += ["--episodes", "2"] if "--episodes" not in words else []
     return words
 

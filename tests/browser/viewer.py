@@ -21,6 +21,7 @@ from playwright.sync_api import Page
 
 from browser.driver import chromium, executable, open_scene, opened, traffic
 from browser.follow import follow
+from browser.live import live
 from reachlab.bench.table import Row, row
 from reachlab.cli.console import print_table
 from reachlab.envs.core import Env
@@ -56,7 +57,7 @@ DRAGS, FOLLOWED = 20, 300.0
 def viewer() -> Iterator[Row]:
     """Time to the first picture, updates in a second, and the policy's time against the clock's.
 
-    And how the presets' default runs, which are trained here, follow a target that is dragged.
+    And how the presets' default runs, which are trained here, follow a target that is dragged, and play in a live page.
     """
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder, chromium() as browser:
         for task in TASKS:
@@ -66,6 +67,8 @@ def viewer() -> Iterator[Row]:
             for measure in (_starts, _live, _followed):
                 with opened(browser, *SIZE) as page:
                     yield from measure(page, run, config)
+            if TASKS[task].load().sample_obstacles is None:
+                yield from live(browser, [run.path], task, Path(folder))
 
 
 @contextlib.contextmanager

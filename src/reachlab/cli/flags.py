@@ -236,8 +236,8 @@ class Video(Checked):
 class View(Checked):
     """Watch a run in the browser and move its target by hand."""
 
-    run: Annotated[Path, tyro.conf.Positional]
-    """Run directory."""
+    runs: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """Run directory; with --live as many as shall be chosen from."""
     sim: Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")] = None
     """Simulator; by default the run's own."""
     agent: Agent = "trained"
@@ -253,6 +253,8 @@ class View(Checked):
     """Write recorded episodes as one page that needs no server and no network, and end."""
     episodes: Count = 5
     """Episodes of the saved page."""
+    live: Annotated[Path | None, Optional] = None
+    """Write one page in which the policies themselves run, without server and network, and end."""
 
 
 @dataclass(frozen=True)

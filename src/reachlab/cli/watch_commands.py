@@ -5,6 +5,7 @@ from __future__ import annotations
 import json as jsonlib
 import webbrowser
 from functools import partial
+from pathlib import Path
 
 from reachlab.agents import AGENTS
 from reachlab.cli.flags import Plot, Video, View
@@ -56,7 +57,16 @@ def video(arguments: Video) -> None:
 
 
 def view(arguments: View) -> None:
-    """Run `reachlab view`."""
+    """Run `reachlab view`.
+
+    Raises:
+        InputError: no run or several where one is needed, or a flag that does not go with `--live`.
+    """
+    if arguments.live:
+        _view_live(arguments, arguments.live)
+        return
+    if len(arguments.runs) != 1:
+        raise InputError(f"view needs one run directory, got {len(arguments.runs)}: several go with --live.")
     prepare()
     from reachlab.cli.console import note, say
     from reachlab.envs.core import Env
@@ -67,7 +77,7 @@ def view(arguments: View) -> None:
     from reachlab.watch.server import is_local
     from reachlab.watch.viewer import Viewer
 
-    run = RunDirectory(arguments.run)
+    run = RunDirectory(arguments.runs[0])
     config = _as_it_is(run.read_config(), arguments.sim)
     steps = run.checkpoint_steps()
     env = Env(config, 1)
@@ -92,6 +102,20 @@ def view(arguments: View) -> None:
         viewer.prepare(arguments.seed)
         viewer.run(lambda: interrupts.received is not None)
     env.close()
+
+
+def _view_live(arguments: View, out: Path) -> None:
+    """Run `reachlab view --live`."""
+    if not arguments.runs:
+        raise InputError("view needs at least one run directory.")
+    usual = vars(View(arguments.runs, live=out))
+    if foreign := sorted(name for name, value in vars(arguments).items() if value != usual[name]):
+        raise InputError(f"view --live makes no use of --{foreign[0]}: leave it out.")
+    prepare()
+    from reachlab.cli.console import say
+    from reachlab.deploy.browser.page import write_page
+
+    say(f"Written: {out}, {write_page(arguments.runs, out) / 1e6:.2f} MB")
 
 
 def plot(arguments: Plot) -> None:

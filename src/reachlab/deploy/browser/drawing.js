@@ -1,13 +1,10 @@
-/** Colours of the page behind the scene, of the light from above and below, and of the workspace's edges. */
-const BACKGROUND = 0xf4f6f9, SKY = 0xffffff, GROUND = 0xb9c0cc, EDGES = 0x8d97a8;
+/** Colours of the page behind the scene, and of the workspace's edges. */
+const BACKGROUND = 0xf4f6f9, EDGES = 0x8d97a8;
 
-/** Strength of the light from all sides, of the lamp and of the one across from it. */
-const SKY_LIGHT = 1.7, LAMP_LIGHT = 1.9, FILL_LIGHT = 0.5;
-
-/** Where the lamp and the one across from it stand from the middle of the workspace, in sizes of the workspace. */
-const LAMP_AT = [0.9, -1.1, 2.2], FILL_AT = [-1.2, 0.8, 0.8];
-
-/** The table's colour above and at its sides, and how dark the shadow on it is and how far it lies above it, in sizes of the workspace. */
+/**
+ * The table's colour above and at its sides, and how dark the shadow on it is and how far it lies above it, in sizes of
+ * the workspace.
+ */
 const TABLE = 0xd5dbe4, TABLE_SIDES = 0xaab3c1, SHADOW_OPACITY = 0.16, SHADOW_ABOVE = 0.0015;
 
 /** Where the graphics are computed in software, as the browser calls that: pictures are drawn without smooth edges. */
@@ -16,11 +13,8 @@ const SOFTWARE = /swiftshader|llvmpipe|software|basic render/i;
 /** Mean time between pictures [ms], of so many, above which the scene becomes simpler. */
 const SLOW = 42, PICTURES = 12;
 
-/** Pixels of the drawing for one of the page, at most, and at least where it is slow. */
-const FINEST = 2, COARSEST = 0.75;
-
-/** How surfaces shine: a little, in a wide spot. */
-const SHINE = { specular: 0x2a2a2a, shininess: 28 };
+/** Pixels of the drawing for one of the page, at most. Less than one take longer: the page has to enlarge them. */
+const FINEST = 2;
 
 /** Sides of a drawn ball. */
 const SIDES = 32;
@@ -46,7 +40,6 @@ class Drawing {
     this.shadows = this.added(new THREE.Group(), { matrixAutoUpdate: false, visible: !this.simple });
     flatten(this.shadows.matrix, scene);
     scene.parts.forEach((part, i) => this.addPart(part, shapes[i]));
-    this.light();
     this.added(new THREE.LineSegments(lines(scene.edges), new THREE.LineBasicMaterial({ color: EDGES })));
     this.goal = this.added(this.makeGoal(run));
     this.axes = run.facts.goal.orientation ? this.added(this.makeAxes(this.marks.tool_axes)) : null;
@@ -65,31 +58,19 @@ class Drawing {
       this.links[link].add(tableTop(geometry));
       return;
     }
-    this.links[link].add(solid(colour, geometry));
+    this.links[link].add(new THREE.Mesh(geometry, shaded(colour, colour[3])));
     const shadow = new THREE.Mesh(geometry, SHADOW()), place = new THREE.Group();
     // It moves as the link does.
     this.shadows.add(Object.assign(place, { matrixAutoUpdate: false, matrix: this.links[link].matrix }));
     place.add(Object.assign(shadow, { renderOrder: 1 }));
   }
 
-  /** Light from all sides, and a lamp with one across from it. */
-  light() {
-    const { middle } = this.shown, at = (place) => add(middle, times(place, this.size));
-    this.added(new THREE.HemisphereLight(SKY, GROUND, SKY_LIGHT)).position.set(0, 0, 1);
-    for (const [place, strength] of [[LAMP_AT, LAMP_LIGHT], [FILL_AT, FILL_LIGHT]]) {
-      const lamp = this.added(new THREE.DirectionalLight(SKY, strength));
-      lamp.position.set(...at(place));
-      lamp.target.position.set(...middle);
-      this.scene.add(lamp.target);
-    }
-  }
-
   /** The goal: a ball, around it the one in which the tool is near enough, and axes where it has an orientation. */
   makeGoal(run) {
     const near = run.rules.success_distance, core = Math.min(near, this.marks.radius * this.size);
-    const goal = new THREE.Group(), shell = { transparent: true, opacity: this.marks.opacity, depthWrite: false };
-    goal.add(ball(core, { ...SHINE }));
-    if (near > core) goal.add(ball(near, shell));
+    const goal = new THREE.Group();
+    goal.add(ball(core, 1));
+    if (near > core) goal.add(ball(near, this.marks.opacity));
     this.balls = goal.children.map((one) => one.material);
     if (run.facts.goal.orientation) goal.add(this.makeAxes(this.marks.goal_axes));
     return goal;
@@ -102,7 +83,7 @@ class Drawing {
       const geometry = new THREE.CylinderGeometry(...rod).translate(0, rod[2] / 2, 0);
       if (i === 0) geometry.rotateZ(-Math.PI / 2);
       if (i === 2) geometry.rotateX(Math.PI / 2);
-      axes.add(new THREE.Mesh(geometry, new THREE.MeshPhongMaterial({ color: rgb(colour), ...SHINE })));
+      axes.add(new THREE.Mesh(geometry, shaded(colour)));
     });
     return axes;
   }
@@ -117,7 +98,7 @@ class Drawing {
       placed(this.goal, goal.rotation, goal.position);
     }
     const colour = episode.reached() ? this.marks.reached : this.marks.waiting;
-    this.balls.forEach((material) => material.color.copy(rgb(colour)));
+    this.balls.forEach((material) => material.uniforms.colour.value.copy(rgb(colour)));
     extend(this.path, path.points);
     extend(this.trail, trail.points);
     this.renderer.render(this.scene, this.camera);
@@ -146,8 +127,8 @@ class Drawing {
     if (!this.simple) {
       this.simple = true;
       this.shadows.visible = false;
-    } else if (this.ratio > COARSEST) {
-      this.ratio = Math.max(COARSEST, 0.8 * this.ratio);
+    } else if (this.ratio > 1) {
+      this.ratio = Math.max(1, 0.7 * this.ratio);
       this.width = 0;
     }
   }
@@ -160,17 +141,6 @@ function inSoftware() {
   const name = told ? asked.getParameter(told.UNMASKED_RENDERER_WEBGL) : asked?.getParameter(asked.RENDERER);
   asked?.getExtension("WEBGL_lose_context")?.loseContext();
   return SOFTWARE.test(name);
-}
-
-/** A colour of three numbers from 0 to 1, as they are on the screen. */
-function rgb(colour) {
-  return new THREE.Color().setRGB(...colour, THREE.SRGBColorSpace);
-}
-
-/** What is drawn of a link in one colour. */
-function solid([red, green, blue, opacity], geometry) {
-  const material = new THREE.MeshPhongMaterial({ color: rgb([red, green, blue]), ...SHINE });
-  return new THREE.Mesh(geometry, Object.assign(material, { opacity, transparent: opacity < 1 }));
 }
 
 /** The table is marked where it is seen; a shadow darkens what is marked, and takes the mark away. */
@@ -202,8 +172,8 @@ function flatten(matrix, { top, scale }) {
   matrix.set(1, 0, -x / z, (above * x) / z, 0, 1, -y / z, (above * y) / z, 0, 0, 0, above, 0, 0, 0, 1);
 }
 
-function ball(radius, settings) {
-  return new THREE.Mesh(new THREE.SphereGeometry(radius, SIDES, SIDES / 2), new THREE.MeshPhongMaterial(settings));
+function ball(radius, opacity) {
+  return new THREE.Mesh(new THREE.SphereGeometry(radius, SIDES, SIDES / 2), shaded([1, 1, 1], opacity));
 }
 
 /** Lines from one point `[3]` to another each. */

@@ -8,6 +8,7 @@ class Hand {
     Object.assign(this, { view, goal, camera: view.drawing.camera, canvas: view.drawing.renderer.domElement });
     this.held = null;
     this.asked = null;
+    this.ring = document.getElementById("ring");
     const listen = (name, heard) => this.canvas.addEventListener(name, heard, { capture: true });
     listen("pointerdown", (event) => this.grab(event));
     listen("pointermove", (event) => this.move(event));
@@ -56,6 +57,13 @@ class Hand {
     this.held = null;
     this.canvas.style.cursor = "";
     this.view.controls.enabled = true;
+  }
+
+  /** Draw a ring where the goal is taken, also behind the arm, in the colour of one that is `reached`. */
+  mark(reached) {
+    const [x, y] = this.onScreen(this.goal().position), box = this.canvas.getBoundingClientRect();
+    this.ring.style.transform = `translate(${x - box.left}px, ${y - box.top}px)`;
+    this.ring.className = `${reached ? "reached" : ""} ${this.holds ? "held" : ""}`;
   }
 
   /** Whether a pointer is over the goal. */

@@ -64,10 +64,12 @@ class Live {
     this.before = now;
     const place = this.hand.take(), { player, panel } = this;
     if (place) this.reachable = player.moveGoal(place);
+    if (place || this.view.chosen) document.getElementById("hint").hidden = true;
     player.follow(this.hand.holds || panel.endless);
     if (!panel.paused) this.play(elapsed);
     this.view.update();
     this.drawing.draw(player);
+    this.hand.mark(player.episode.reached());
     this.drawing.keepPace(now);
     this.pictures++;
     this.tell(now);
@@ -131,17 +133,24 @@ async function begin() {
   requestAnimationFrame(frame);
   window.reachlab = {
     live,
-    /** What became of episodes of a run that begin as given, see `playEpisode`; with another `lag [n]` s than its own. */
-    play({ run: number, agent, episodes, lag = null }) {
-      const { arm } = live.sent[number], run = lag ? new Run({ ...live.sent[number], arm: { ...arm, lag } }) : live.run(number);
+    /** What became of episodes of a run that begin as given, see `playEpisode`; with a `lag [n]` s or its own. */
+    play({ run: number, agent, episodes, lag }) {
+      const sent = live.sent[number], run = lag ? new Run({ ...sent, arm: { ...sent.arm, lag } }) : live.run(number);
       return episodes.map(({ start, goal }) => playEpisode(run, agent, { start, goal: goalOf(run, goal) }));
+    },
+    /** A goal at `[3]` m. */
+    goal: makeGoal,
+    /** So many random begins of episodes of a run. */
+    draw(number, count) {
+      const random = new Random(0);
+      return Array.from({ length: count }, () => live.run(number).goals.draw(random));
     },
     /** What the page shows now. */
     moment() {
-      const { episode, failed, successes, episodes, path } = live.player, { position: goal } = episode.goal;
+      const { episode, failed, successes, episodes } = live.player, { position: goal } = episode.goal;
       const [x, y] = live.hand.onScreen(goal), tool = episode.frames.position, { distance, clock } = episode;
-      const reached = episode.reached(), { steps, pictures } = live;
-      return { tool, goal, x, y, distance, clock, reached, failed, successes, episodes, steps, pictures, path: path.points };
+      const reached = episode.reached(), { steps, pictures } = live, box = live.player.run.facts.goal;
+      return { tool, goal, box, x, y, distance, clock, reached, failed, successes, episodes, steps, pictures };
     },
   };
 }

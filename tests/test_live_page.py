@@ -1,0 +1,409 @@
+"""The page in which policies run by themselves: it computes what the environment does, and follows a hand."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from playwright.sync_api import Browser, Page
+
+from browser.driver import chromium, executable, opened, traffic, wait_until
+from browser.live import SIZES, arrived, moment, open_live
+from reachlab.agents.acting import make_act
+from reachlab.cli import main as cli
+from reachlab.deploy.browser import page as pages
+from reachlab.deploy.browser.page import load_shown, write_page
+from reachlab.envs.core import Env
+from reachlab.envs.functions import EnvState
+from reachlab.envs.random_streams import REPORT_STREAM, episode_keys
+from reachlab.learn.ppo_method import TrainState, initial_state
+from reachlab.learn.train import train
+from reachlab.runs.directory import RunDirectory
+from reachlab.settings.config import RunConfig
+from reachlab.settings.presets import configure
+from reachlab.sims import SIMULATORS, ArmState, BatchArray, Moved
+from reachlab.sims.kinematic import KinematicSimulator
+from reachlab.watch.player import Player
+
+EPISODES = 200
+"""Held-out episodes that are compared."""
+
+SAME = 1e-4
+"""Distance within which two ways of a tool are the same [m]."""
+
+FEW_STEPS = 300_000
+"""Training after which some episodes of the tutorial's task succeed, and some do not."""
+
+DRAGGED = 80
+"""How far the pointer moves in a drag [pixels]."""
+
+
+def unlearnt(config: RunConfig, path: Path) -> Path:
+    """A run whose policy has random weights, and so corrects inverse kinematics at random."""
+    env = Env(config, config.loop.num_envs)
+    run = RunDirectory(path)
+    run.create(config)
+    state: TrainState = env.compile_whole(lambda seed: initial_state(env, config, seed))(np.uint32(0))
+    random, policy = np.random.default_rng(0), state.learner.policy
+    moved = jax.tree.map(lambda x: (x + 0.1 * random.normal(size=x.shape)).astype(x.dtype), policy.parameters)
+    learner = replace(state.learner, policy=replace(policy, parameters=moved))
+    run.write_checkpoint(0, replace(state, learner=learner))
+    env.close()
+    return path
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("live")
+
+
+@pytest.fixture(scope="module")
+def tutorial(folder: Path) -> Path:
+    config = configure(
+        "tutorial", total_steps=FEW_STEPS, stop_early=False, report_episodes=10, validation_interval=1000
+    )
+    train(config, folder / "tutorial")
+    return folder / "tutorial"
+
+
+@pytest.fixture(scope="module")
+def precise(folder: Path) -> Path:
+    return unlearnt(configure("precise", robot="panda", num_envs=8, hidden=(16,)), folder / "precise")
+
+
+@pytest.fixture(scope="module")
+def both(folder: Path, tutorial: Path, precise: Path) -> Path:
+    write_page([tutorial, precise], folder / "both.html")
+    return folder / "both.html"
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    if executable() is None:
+        if "CI" in os.environ:
+            pytest.fail("there is no Chromium here; CI needs one")
+        pytest.skip("needs Chromium: apt install chromium")
+    with chromium() as browser:
+        yield browser
+
+
+@pytest.fixture
+def page(browser: Browser) -> Iterator[Page]:
+    """A page that says nothing on its console and asks nobody for anything."""
+    said: list[str] = []
+    with opened(browser, *SIZES[0]) as page:
+        page.on("console", lambda message: said.append(message.text))
+        page.on("pageerror", lambda error: said.append(str(error)))
+        seen = traffic(page)
+        yield page
+        assert not said
+        assert all(url.startswith(("file:", "data:", "blob:")) for url in seen.requests)
+
+
+# --- what it computes -----------------------------------------------------------------------------
+
+
+def played(env: Env, policy: Any, agent: str) -> tuple[list[dict[str, Any]], np.ndarray, np.ndarray, np.ndarray]:
+    """How held-out episodes begin, and their successes, lengths and ways of the tool `[T, B, 3]` m."""
+    state: EnvState = env.compile_whole(env.init)(episode_keys(1, REPORT_STREAM, 0, env.num_envs))
+    begins = [
+        {"start": np.array(q, float).tolist(), "goal": {"position": np.array(place, float).tolist()}}
+        for q, place in zip(state.arm.q, state.goal.position, strict=True)
+    ]
+    act, key, tools = env.compile_whole(make_act(env, agent)), jax.random.key(0), [np.asarray(state.arm.tool_position)]
+    success, steps = np.zeros(env.num_envs, bool), np.zeros(env.num_envs, int)
+    while not steps.all():
+        state, transition, key = act(policy, state, key)
+        tools.append(np.asarray(state.arm.tool_position))
+        ended = np.asarray(transition.done) & (steps == 0)
+        success[ended], steps[ended] = np.asarray(transition.terms["success"])[ended], len(tools) - 1
+    return begins, success, steps, np.stack(tools)
+
+
+def compared(page: Page, env: Env, policy: Any, number: int, agent: str, **given: Any) -> np.ndarray:
+    """Successes `[B]` of an agent, which are those that the page computes, on the same ways of the tool."""
+    begins, success, steps, tools = played(env, policy, agent)
+    asked = json.dumps({"run": number, "agent": agent, "episodes": begins, **given})
+    # As texts: many numbers take long to hand over one by one.
+    found = json.loads(page.evaluate("asked => JSON.stringify(reachlab.play(JSON.parse(asked)))", asked))
+    np.testing.assert_array_equal([one["success"] for one in found], success)
+    for i, one in enumerate(found):
+        common = min(one["steps"], steps[i]) + 1
+        assert abs(one["steps"] - steps[i]) <= 1
+        assert np.linalg.norm(np.array(one["tools"])[:common] - tools[:common, i], axis=1).max() < SAME
+    return success
+
+
+def test_the_page_plays_episodes_as_the_kinematic_simulator_does(
+    page: Page, both: Path, tutorial: Path, precise: Path
+) -> None:
+    open_live(page, both)
+    page.evaluate("reachlab.live.panel.pause(true)")
+    shown = load_shown(tutorial)
+    env = Env(shown.env.config, EPISODES)
+    learnt = compared(page, env, shown.policy, 0, "trained")
+    assert 0.05 < learnt.mean() < 0.999, "not all the same"
+    assert compared(page, env, shown.policy, 0, "ik").mean() > 0.9
+    other = load_shown(precise)
+    exact = {"lag": [0.0] * len(other.lag)}
+    assert compared(page, Env(other.env.config, EPISODES), other.policy, 1, "ik", **exact).mean() > 0.9
+
+
+def test_joints_of_a_policy_that_was_trained_under_dynamics_follow_after_their_lag(
+    page: Page, both: Path, precise: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shown = load_shown(precise)
+    assert min(shown.lag) > 0.05
+
+    class Lagging(KinematicSimulator):
+        """Its joints follow as those of the page."""
+
+        def __init__(self, *words: Any, **named: Any) -> None:
+            super().__init__(*words, **named)
+            self.lag = shown.lag
+
+        def step(self, state: ArmState | Moved, target_q: BatchArray) -> Moved:
+            lag, asked = jnp.array(self.lag), jnp.asarray(target_q)
+            q = asked + (state.q - asked) * jnp.exp(-self._period / lag)
+            return Moved(q, (asked - q) / lag)
+
+    monkeypatch.setattr("reachlab.sims.kinematic.KinematicSimulator", Lagging)
+    monkeypatch.setitem(SIMULATORS, "kinematic", replace(SIMULATORS["kinematic"], real_time=True))
+    env = Env(shown.env.config, EPISODES)
+    open_live(page, both)
+    page.evaluate("reachlab.live.panel.pause(true)")
+    assert compared(page, env, shown.policy, 1, "ik").mean() > 0.9
+    compared(page, env, shown.policy, 1, "trained")
+
+
+def test_a_goal_that_is_moved_is_followed_as_in_the_viewer(page: Page, both: Path, tutorial: Path) -> None:
+    shown = load_shown(tutorial)
+    player = Player(Env(shown.env.config, 1), seed=1)
+    start, first = (np.array(row, float).tolist() for row in (player.moment.q, player.moment.target))
+    other = [0.55, 0.2, first[2]]
+    told: list[list[Any]] = []
+
+    def play(steps: int) -> None:
+        for _ in range(steps):
+            if player.over:
+                player.proceed()
+            player.step("trained", shown.policy)
+            told.append([*np.array(player.moment.tool, float).tolist(), player.clock, player.failed, player.over])
+
+    player.follow(True)
+    play(200)
+    player.move_target(np.array(other))
+    play(400)
+    player.follow(False)
+    play(50)
+    open_live(page, both)
+    found = page.evaluate(
+        """([start, first, other]) => {
+            const { player } = reachlab.live, told = [], draw = player.run.goals.draw;
+            reachlab.live.panel.pause(true);
+            const play = (steps) => {
+                for (let i = 0; i < steps; i++) {
+                    if (player.over) player.proceed();
+                    player.step("trained");
+                    const { frames, clock } = player.episode;
+                    told.push([...frames.position, clock, player.failed, player.over]);
+                }
+            };
+            player.begin({ start, goal: reachlab.goal(first) });
+            player.follow(true);
+            play(200);
+            player.moveGoal(other);
+            play(400);
+            player.follow(false);
+            play(50);
+            return told;
+        }""",
+        [start, first, other],
+    )
+    before = next((i for i, row in enumerate(told) if row[-1]), len(told))  # then begins another random episode
+    assert before > 400
+    assert [row[3:] for row in found[:before]] == [row[3:] for row in told[:before]]
+    ways = np.array([row[:3] for row in found[:before]]), np.array([row[:3] for row in told[:before]])
+    assert np.linalg.norm(ways[0] - ways[1], axis=1).max() < SAME
+
+
+# --- by hand --------------------------------------------------------------------------------------
+
+
+def choose_precise(page: Page, agent: str = "ik") -> None:
+    page.locator("#policy").select_option(index=1)
+    page.wait_for_function("document.title.startsWith('Franka')")
+    page.get_by_role("button", name=agent).click()
+
+
+def apart(one: list[float], other: list[float]) -> float:
+    return float(np.linalg.norm(np.subtract(one, other)))
+
+
+def test_the_arm_follows_the_mouse_and_rests_there(page: Page, both: Path) -> None:
+    open_live(page, both)
+    choose_precise(page)
+    arrived(page)
+    before = moment(page)
+    page.mouse.move(before["x"], before["y"])
+    page.mouse.down()
+    page.mouse.move(before["x"] + DRAGGED, before["y"] - DRAGGED, steps=5)
+    wait_until(lambda: apart(moment(page)["goal"], before["goal"]) > 0.03, "the goal's move")
+    arrived(page)
+    held = moment(page)
+    assert apart(held["tool"], held["goal"]) < 0.01
+    assert apart(held["tool"], before["tool"]) > 0.02
+    low, high = (np.array(held["box"][side]) for side in ("low", "high"))
+    page.mouse.move(before["x"], -2000, steps=3)
+    wait_until(lambda: bool(np.isclose(moment(page)["goal"], [low, high]).any()), "the box's end")
+    assert (np.array(moment(page)["goal"]) <= high + 1e-9).all()
+    page.mouse.up()
+    assert moment(page)["episodes"] == held["episodes"]
+
+
+def test_the_arm_follows_a_finger(browser: Browser, both: Path) -> None:
+    width, height = SIZES[1]
+    page = browser.new_page(viewport={"width": width, "height": height}, has_touch=True, is_mobile=True)
+    open_live(page, both)
+    choose_precise(page)
+    before = moment(page)
+    touch = page.context.new_cdp_session(page)
+
+    def finger(kind: str, *place: float) -> None:
+        points = [{"x": place[0], "y": place[1]}] if place else []
+        touch.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+
+    finger("touchStart", before["x"], before["y"])
+    for share in (0.5, 1.0):
+        finger("touchMove", before["x"] - share * DRAGGED, before["y"] - share * DRAGGED)
+    wait_until(lambda: apart(moment(page)["goal"], before["goal"]) > 0.03, "the goal's move")
+    arrived(page)
+    finger("touchEnd")
+    page.close()
+
+
+def test_a_drag_elsewhere_turns_the_view_and_the_goal_stays(page: Page, both: Path) -> None:
+    open_live(page, both)
+    page.get_by_role("button", name="Pause").click()
+    before, camera = moment(page), page.evaluate("reachlab.live.drawing.camera.position.toArray()")
+    page.mouse.move(60, 60)
+    page.mouse.down()
+    page.mouse.move(260, 90, steps=5)
+    page.mouse.up()
+    wait_until(lambda: page.evaluate("reachlab.live.drawing.camera.position.toArray()") != camera, "another view")
+    after = moment(page)
+    assert after["goal"] == before["goal"]
+    assert (after["x"], after["y"]) != (before["x"], before["y"])
+
+
+def test_every_control_does_what_it_says(page: Page, both: Path) -> None:
+    open_live(page, both)
+    assert page.title() == "KUKA LBR iiwa 14 R820 · tutorial · reachlab"
+    assert not page.locator("#note").is_visible()
+    page.get_by_role("button", name="ik").click()
+    page.get_by_role("button", name="max").click()
+    wait_until(lambda: moment(page)["successes"] > 5, "episodes")
+    page.get_by_role("button", name="Pause").click()
+    page.wait_for_timeout(100)
+    still = moment(page)
+    page.get_by_role("button", name="Reset").click()
+    page.wait_for_timeout(100)
+    begun = moment(page)
+    assert begun["steps"] == still["steps"]
+    assert begun["clock"] == 0
+    assert begun["goal"] != still["goal"]
+    choose_precise(page)
+    assert page.locator("#note").inner_text() == pages.NOTE.format(lag=0.1)
+    page.get_by_label("Endless").check()
+    page.get_by_role("button", name="Continue").click()
+    wait_until(lambda: moment(page)["clock"] > 150, "time beyond an episode's")
+    assert moment(page)["episodes"] == 0
+
+
+@pytest.mark.parametrize("size", SIZES, ids=["computer", "telephone"])
+def test_the_arm_is_in_view_and_the_panel_beside_it(browser: Browser, both: Path, size: tuple[int, int]) -> None:
+    with opened(browser, *size) as page:
+        open_live(page, both)
+        assert page.evaluate("[document.documentElement.scrollWidth, document.documentElement.scrollHeight]") == [*size]
+        scene, panel = page.locator("#scene").bounding_box(), page.locator("aside").bounding_box()
+        assert scene
+        assert panel
+        # Half a pixel is that of a browser that rounds.
+        right, below = panel["x"] - scene["x"] - scene["width"], panel["y"] - scene["y"] - scene["height"]
+        assert max(right, below) > -0.5
+        corners = page.evaluate("reachlab.live.drawing.shown.points.map(point => reachlab.live.hand.onScreen(point))")
+        x, y, _ = np.transpose(corners)
+        assert (x > scene["x"]).all()
+        assert (x < scene["x"] + scene["width"]).all()
+        assert (y > scene["y"]).all()
+        assert (y < scene["y"] + scene["height"]).all()
+
+
+# --- what is drawn and what is drawn at random ----------------------------------------------------
+
+
+def test_random_goals_are_those_of_the_task(page: Page, folder: Path) -> None:
+    names = ("pose", "track")
+    configs = [configure(name, robot="so101" if name == "pose" else "ur5e", num_envs=8, hidden=(8,)) for name in names]
+    runs = [unlearnt(config, folder / name) for name, config in zip(names, configs, strict=True)]
+    write_page(runs, folder / "goals.html")
+    open_live(page, folder / "goals.html")
+    for number, run in enumerate(runs):
+        env = load_shown(run).env
+        low, high = env.setup.task.goal_box(env.setup)
+        drawn = page.evaluate("number => reachlab.draw(number, 60)", number)
+        places = np.array([one["goal"]["position"] for one in drawn])
+        assert (places >= low - 1e-3).all()
+        assert (places <= high + 1e-3).all()
+        assert (np.ptp(places, axis=0) > 0.5 * (high - low)).all()
+        away = np.array([one["start"] for one in drawn]) - env.setup.robot.home
+        assert 0.8 * env.setup.rules.start_noise < np.abs(away).max() <= env.setup.rules.start_noise + 1e-6
+
+
+# --- what is refused ------------------------------------------------------------------------------
+
+
+def test_what_a_page_cannot_show_is_refused_in_a_sentence(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name, config in {
+        "pictures": configure("tutorial", observation="image"),
+        "obstacles": configure("clutter"),
+    }.items():
+        RunDirectory(folder / name).create(config)
+        assert cli.main(["view", str(folder / name), "--live", str(folder / "no.html")]) == cli.WRONG_INPUT
+        assert f"needs {name}, which a live page does not have" in capsys.readouterr().err
+    assert not (folder / "no.html").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["a", "b"], "view needs one run directory, got 2: several go with --live."),
+        ([], "view needs one run directory, got 0: several go with --live."),
+        (["--live", "page.html"], "view needs at least one run directory."),
+        (["a", "--live", "page.html", "--save", "x.html"], "view --live makes no use of --save: leave it out."),
+        (["a", "--live", "page.html", "--port", "9"], "view --live makes no use of --port: leave it out."),
+        (["a", "--live", "none/page.html"], "there is no folder 'none'."),
+    ],
+)
+def test_wrong_words_are_refused_in_a_sentence(
+    words: list[str], sentence: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["view", *words]) == cli.WRONG_INPUT
+    assert sentence in capsys.readouterr().err
+
+
+def test_the_page_is_small_whole_and_keeps_the_licence(both: Path) -> None:
+    text = both.read_text(encoding="utf-8")
+    assert len(text.encode()) < 1.3e6
+    assert "The MIT License" in text
+    assert "Copyright © 2010-2026 three.js authors" in text
+    assert "{{" not in text.split("<script>")[0]
+    assert not [tag for tag in ("<script src", '<link rel="stylesheet', "@import", "import(") if tag in text]
