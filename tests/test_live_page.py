@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from playwright.sync_api import Browser, Page
@@ -114,7 +115,7 @@ def played(env: Env, policy: Any, agent: str) -> tuple[list[dict[str, Any]], np.
     """How held-out episodes begin, and their successes, lengths and ways of the tool `[T, B, 3]` m."""
     state: EnvState = env.compile_whole(env.init)(episode_keys(1, REPORT_STREAM, 0, env.num_envs))
     begins = [
-        {"start": np.float64(q).tolist(), "goal": {"position": np.float64(place).tolist()}}
+        {"start": np.array(q, float).tolist(), "goal": {"position": np.array(place, float).tolist()}}
         for q, place in zip(state.arm.q, state.goal.position, strict=True)
     ]
     act, key, tools = env.compile_whole(make_act(env, agent)), jax.random.key(0), [np.asarray(state.arm.tool_position)]
@@ -170,9 +171,9 @@ def test_joints_of_a_policy_that_was_trained_under_dynamics_follow_after_their_l
             self.lag = shown.lag
 
         def step(self, state: ArmState | Moved, target_q: BatchArray) -> Moved:
-            lag, behind = np.array(self.lag), state.q - target_q
-            q = target_q + behind * np.exp(-self._period / lag)
-            return Moved(q, (target_q - q) / lag)
+            lag, asked = jnp.array(self.lag), jnp.asarray(target_q)
+            q = asked + (state.q - asked) * jnp.exp(-self._period / lag)
+            return Moved(q, (asked - q) / lag)
 
     monkeypatch.setattr("reachlab.sims.kinematic.KinematicSimulator", Lagging)
     monkeypatch.setitem(SIMULATORS, "kinematic", replace(SIMULATORS["kinematic"], real_time=True))
@@ -186,7 +187,7 @@ def test_joints_of_a_policy_that_was_trained_under_dynamics_follow_after_their_l
 def test_a_goal_that_is_moved_is_followed_as_in_the_viewer(page: Page, both: Path, tutorial: Path) -> None:
     shown = load_shown(tutorial)
     player = Player(Env(shown.env.config, 1), seed=1)
-    start, first = (np.float64(row).tolist() for row in (player.moment.q, player.moment.target))
+    start, first = (np.array(row, float).tolist() for row in (player.moment.q, player.moment.target))
     other = [0.55, 0.2, first[2]]
     told: list[list[Any]] = []
 
@@ -195,7 +196,7 @@ def test_a_goal_that_is_moved_is_followed_as_in_the_viewer(page: Page, both: Pat
             if player.over:
                 player.proceed()
             player.step("trained", shown.policy)
-            told.append([*np.float64(player.moment.tool).tolist(), player.clock, player.failed, player.over])
+            told.append([*np.array(player.moment.tool, float).tolist(), player.clock, player.failed, player.over])
 
     player.follow(True)
     play(200)
@@ -243,6 +244,10 @@ def choose_precise(page: Page, agent: str = "ik") -> None:
     page.get_by_role("button", name=agent).click()
 
 
+def apart(one: list[float], other: list[float]) -> float:
+    return float(np.linalg.norm(np.subtract(one, other)))
+
+
 def test_the_arm_follows_the_mouse_and_rests_there(page: Page, both: Path) -> None:
     open_live(page, both)
     choose_precise(page)
@@ -251,11 +256,11 @@ def test_the_arm_follows_the_mouse_and_rests_there(page: Page, both: Path) -> No
     page.mouse.move(before["x"], before["y"])
     page.mouse.down()
     page.mouse.move(before["x"] + DRAGGED, before["y"] - DRAGGED, steps=5)
-    wait_until(lambda: np.linalg.norm(np.subtract(moment(page)["goal"], before["goal"])) > 0.03, "the goal's move")
+    wait_until(lambda: apart(moment(page)["goal"], before["goal"]) > 0.03, "the goal's move")
     arrived(page)
     held = moment(page)
-    assert np.linalg.norm(np.subtract(held["tool"], held["goal"])) < 0.01
-    assert np.linalg.norm(np.subtract(held["tool"], before["tool"])) > 0.02
+    assert apart(held["tool"], held["goal"]) < 0.01
+    assert apart(held["tool"], before["tool"]) > 0.02
     low, high = (np.array(held["box"][side]) for side in ("low", "high"))
     page.mouse.move(before["x"], -2000, steps=3)
     wait_until(lambda: bool(np.isclose(moment(page)["goal"], [low, high]).any()), "the box's end")
@@ -279,7 +284,7 @@ def test_the_arm_follows_a_finger(browser: Browser, both: Path) -> None:
     finger("touchStart", before["x"], before["y"])
     for share in (0.5, 1.0):
         finger("touchMove", before["x"] - share * DRAGGED, before["y"] - share * DRAGGED)
-    wait_until(lambda: np.linalg.norm(np.subtract(moment(page)["goal"], before["goal"])) > 0.03, "the goal's move")
+    wait_until(lambda: apart(moment(page)["goal"], before["goal"]) > 0.03, "the goal's move")
     arrived(page)
     finger("touchEnd")
     page.close()

@@ -1,4 +1,4 @@
-"""The live page in a headless Chromium: its size, first picture, pictures a second and control steps a second."""
+"""The live page in a headless Chromium: its size, its first picture, and its pictures and control steps in a second."""
 
 from __future__ import annotations
 

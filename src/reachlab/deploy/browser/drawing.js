@@ -1,7 +1,10 @@
 /** Colours of the page behind the scene, and of the workspace's edges. */
 const BACKGROUND = 0xf4f6f9, EDGES = 0x8d97a8;
 
-/** The table's colour above and at its sides, and how dark the shadow on it is and how far it lies above it, in sizes of the workspace. */
+/**
+ * The table's colour above and at its sides, and how dark the shadow on it is and how far it lies above it, in sizes of
+ * the workspace.
+ */
 const TABLE = 0xd5dbe4, TABLE_SIDES = 0xaab3c1, SHADOW_OPACITY = 0.16, SHADOW_ABOVE = 0.0015;
 
 /** Where the graphics are computed in software, as the browser calls that: pictures are drawn without smooth edges. */
@@ -10,7 +13,7 @@ const SOFTWARE = /swiftshader|llvmpipe|software|basic render/i;
 /** Mean time between pictures [ms], of so many, above which the scene becomes simpler. */
 const SLOW = 42, PICTURES = 12;
 
-/** Pixels of the drawing for one of the page, at most. With less than one it takes longer: the page has to enlarge it. */
+/** Pixels of the drawing for one of the page, at most. Less than one take longer: the page has to enlarge them. */
 const FINEST = 2;
 
 /** Sides of a drawn ball. */

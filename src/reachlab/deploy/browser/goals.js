@@ -48,7 +48,8 @@ class Goals {
       return this.pose(position, rotation, arm.home, q, random);
     }
     const turn = this.rules.target_turn.map((most) => random.uniform(-most, most));
-    return this.pose(random.between(box.low, box.high), product(fromEuler(turn), this.held), arm.home, arm.home, random);
+    const place = random.between(box.low, box.high);
+    return this.pose(place, product(fromEuler(turn), this.held), arm.home, arm.home, random);
   }
 
   /** A goal at a pose, exactly that of the joints that are found; null where the arm cannot be so, or not freely. */

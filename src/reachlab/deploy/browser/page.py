@@ -7,7 +7,6 @@ import json
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -37,9 +36,12 @@ SIMULATOR = "kinematic"
 
 SCRIPTS = (
     *("vectors", "random", "arm", "network", "deciding", "clearance", "paths", "goals", "episode", "player"),
-    *("solids", "light", "drawing", "view", "hand", "panel", "main"),
+    *("solids", "light", "drawing", "view", "hand", "panel", "live"),
 )
 """The page's scripts, each after those that it needs when it is read."""
+
+STYLES = ("page.css", "panel.css", "narrow.css")
+"""Its styles, of which later ones outrank earlier ones."""
 
 TOLD = ("task", "control_period", "action", "network", "arm", "constants")
 """What a page has to know of the facts of `describe`, beside goal and observation."""
@@ -125,7 +127,8 @@ def _refuse(path: Path, config: RunConfig) -> None:
 def live_page(shown: Sequence[Shown]) -> str:
     """The page's HTML."""
     robots = {one.env.setup.robot.name: one.env.setup.robot for one in shown}
-    labels = [f"{_title(one)} · {one.env.config.task}" for one in shown]
+    several = len({one.env.config.task for one in shown}) > 1
+    labels = [_title(one) + f" · {one.env.config.task}" * several for one in shown]
     counts = Counter(labels)
     facts = {
         "runs": [
@@ -137,7 +140,7 @@ def live_page(shown: Sequence[Shown]) -> str:
     }
     parts = {
         "title": f"{_title(shown[0])} · {shown[0].env.config.task} · {TITLE}",
-        "style": _file("page.css"),
+        "style": "\n".join(map(_file, STYLES)),
         "licence": _file("three.LICENSE"),
         "three": _file("three.min.js"),
         # No `<` ends a script too early.
@@ -155,7 +158,7 @@ def script() -> str:
 
 
 def _file(name: str) -> str:
-    return (files(__package__) / name).read_text(encoding="utf-8")
+    return (Path(__file__).parent / name).read_text(encoding="utf-8")
 
 
 def _title(one: Shown) -> str:

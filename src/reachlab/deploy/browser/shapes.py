@@ -25,21 +25,22 @@ NORMAL_STEPS = 4
 
 
 def scene(robot: Robot) -> dict[str, Any]:
-    """All that a page draws of an arm: parts in the frames of its links, see `geometries` in solids.js, and a view."""
+    """All that a page draws of an arm: its view, and parts in the frames of its links as solids.js reads them."""
     model = scene_spec(robot).compile()
     data, links = mujoco.MjData(model), links_of_bodies(model)
     data.qpos[model.jnt_qposadr[: robot.chain.n]] = robot.home
     mujoco.mj_kinematics(model, data)
     frames = robot.chain.links_at(robot.home)
     to_links, target = np.linalg.inv(frames), model.body("target").id
-    parts, buffers, corners = [], [], [*np.array(robot.workspace_edges()).reshape(-1, 3)]
+    parts, buffers, corners = [], [], np.array(robot.workspace_edges()).reshape(-1, 3).tolist()
     for one in solids(model):
         if one.body == target:
             continue
         link = int(links[one.body])
         placed = one.vertices @ data.xmat[one.body].reshape(3, 3).T + data.xpos[one.body]
         if one.body:
-            corners += itertools.product(*zip(placed.min(axis=0), placed.max(axis=0), strict=True))
+            sides = zip(placed.min(axis=0), placed.max(axis=0), strict=True)
+            corners += [list(corner) for corner in itertools.product(*sides)]
         vertices = placed @ to_links[link, :3, :3].T + to_links[link, :3, 3]
         part, buffer = packed((vertices, one.faces))
         parts.append({"link": link, "colour": one.colour, "table": not one.body, **part})
@@ -75,8 +76,8 @@ def welded(mesh: Mesh) -> Mesh:
     """A mesh without vertices of the same place and normal, in the order in which faces need them."""
     vertices, faces = mesh
     normals = np.zeros_like(vertices)
-    ways = [vertices[faces[:, corner]] - vertices[faces[:, 0]] for corner in (1, 2)]
-    np.add.at(normals, faces.ravel(), np.repeat(np.cross(*ways), 3, axis=0))
+    one, other = (vertices[faces[:, corner]] - vertices[faces[:, 0]] for corner in (1, 2))
+    np.add.at(normals, faces.ravel(), np.repeat(np.cross(one, other), 3, axis=0))
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     size = max(float(np.ptp(vertices, axis=0).max()), 1e-9)
     places = np.concatenate([np.round(vertices / size * SHARES), np.round(normals * NORMAL_STEPS)], axis=1)

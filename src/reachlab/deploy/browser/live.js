@@ -133,9 +133,9 @@ async function begin() {
   requestAnimationFrame(frame);
   window.reachlab = {
     live,
-    /** What became of episodes of a run that begin as given, see `playEpisode`; with another `lag [n]` s than its own. */
-    play({ run: number, agent, episodes, lag = null }) {
-      const { arm } = live.sent[number], run = lag ? new Run({ ...live.sent[number], arm: { ...arm, lag } }) : live.run(number);
+    /** What became of episodes of a run that begin as given, see `playEpisode`; with a `lag [n]` s or its own. */
+    play({ run: number, agent, episodes, lag }) {
+      const sent = live.sent[number], run = lag ? new Run({ ...sent, arm: { ...sent.arm, lag } }) : live.run(number);
       return episodes.map(({ start, goal }) => playEpisode(run, agent, { start, goal: goalOf(run, goal) }));
     },
     /** A goal at `[3]` m. */
