@@ -238,7 +238,7 @@ class View(Checked):
     """Watch a run in the browser and move its target by hand."""
 
     runs: Annotated[tuple[Path, ...], tyro.conf.Positional]
-    """Run directory, or a policy that comes with reachlab, as `panda/precise`; with --live several to choose from."""
+    """Run directory, or a policy that comes with reachlab, as `panda/precise`; with --live some to choose from."""
     sim: Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")] = None
     """Simulator; by default the run's own."""
     agent: Agent = "trained"
