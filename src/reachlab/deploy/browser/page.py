@@ -127,7 +127,8 @@ def _refuse(path: Path, config: RunConfig) -> None:
 def live_page(shown: Sequence[Shown]) -> str:
     """The page's HTML."""
     robots = {one.env.setup.robot.name: one.env.setup.robot for one in shown}
-    labels = [f"{_title(one)} · {one.env.config.task}" for one in shown]
+    several = len({one.env.config.task for one in shown}) > 1
+    labels = [_title(one) + f" · {one.env.config.task}" * several for one in shown]
     counts = Counter(labels)
     facts = {
         "runs": [

@@ -39,7 +39,8 @@ def scene(robot: Robot) -> dict[str, Any]:
         link = int(links[one.body])
         placed = one.vertices @ data.xmat[one.body].reshape(3, 3).T + data.xpos[one.body]
         if one.body:
-            corners.extend(itertools.product(*zip(placed.min(axis=0), placed.max(axis=0), strict=True)))
+            sides = zip(placed.min(axis=0), placed.max(axis=0), strict=True)
+            corners += [list(corner) for corner in itertools.product(*sides)]
         vertices = placed @ to_links[link, :3, :3].T + to_links[link, :3, 3]
         part, buffer = packed((vertices, one.faces))
         parts.append({"link": link, "colour": one.colour, "table": not one.body, **part})
