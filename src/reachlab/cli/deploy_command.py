@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json as jsonlib
+from pathlib import Path
 
 from reachlab.cli.deploy_flags import Deploy
 from reachlab.cli.flags import Export
@@ -11,6 +12,9 @@ from reachlab.settings.validation import InputError
 
 NODE = {"topics", "trajectory"}
 """Flags of the node; the others are of the check."""
+
+IN_TIME = 0.99
+"""Share of commands in time below which a check says that the computer is at fault."""
 
 
 def export(arguments: Export) -> None:
@@ -30,6 +34,7 @@ def export(arguments: Export) -> None:
         f"Largest difference from the policy in {SITUATIONS:,} situations, of its actions' box: {worst};"
         f" {TOLERANCE:.0e} are allowed."
     )
+    _say_unshaped(done.folder)
     say(f"Next: reachlab deploy check {done.folder}")
 
 
@@ -73,3 +78,18 @@ def deploy(arguments: Deploy) -> None:
         say(f"At rest at most {outcome['rest_s']:.2f} s after the last measurement.")
     for problem, count in outcome["problems"].items():
         say(f"The controller said in {count:,} cycles: {problem}.")
+    if outcome["in_time"] < IN_TIME:
+        say("This computer is too slow or busy for the control period: the result tells little of the policy.")
+    _say_unshaped(arguments.policy)
+
+
+def _say_unshaped(folder: Path) -> None:
+    """Say where a policy does not know the limits that its controller keeps."""
+    from reachlab.cli.console import note
+    from reachlab.deploy.check import read_facts
+
+    if not read_facts(folder)["settings"]["physics"]["shaping"]:
+        note(
+            "The policy was trained without the limits of acceleration and jerk that its controller keeps, and may fail"
+            " within them: for a robot, train with --task precise --shaping --randomise dynamics delay."
+        )

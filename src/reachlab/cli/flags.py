@@ -275,7 +275,7 @@ class Export(Checked):
     run: Annotated[Path, tyro.conf.Positional]
     """Run directory, or a policy that comes with reachlab, as `panda/precise`; see `reachlab list`."""
     out: Annotated[Path, Optional] = Path("policy")
-    """Folder to make."""
+    """Folder to make; by default policy, here."""
     json: bool = False
     """Print what was written as one JSON object on standard output."""
 
