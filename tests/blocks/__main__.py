@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import os
 import resource
+import signal
 import subprocess
 import sys
 import tempfile
@@ -65,15 +66,23 @@ def run(block: Block, folder: Path, env: dict[str, str], tally: Tally) -> None:
     tally.seen |= {command.partition(" #")[0].strip() for command in new}
     script = "\n".join(["set -e", *new])
     begin = time.monotonic()
-    words = ["bash", "-c", script]
-    try:
-        done = subprocess.run(words, cwd=folder, env=env, capture_output=True, text=True, check=False, timeout=PATIENCE)
-        said = "" if done.returncode == 0 else f"exit status {done.returncode}: {done.stderr[-1500:]}"
-    except subprocess.TimeoutExpired:
-        said = f"it takes more than {PATIENCE} s"
+    said = _fault(["bash", "-c", script], folder, env)
     if said:
         tally.failures.append(f"{block.page}:\n{script}\n{said}")
     say(f"{time.monotonic() - begin:5.1f} s  {block.page}: {new[0] if new else 'nothing new'}")
+
+
+def _fault(words: list[str], folder: Path, env: dict[str, str]) -> str:
+    """What went wrong with a command, in words; nothing if it ended well."""
+    pipe = subprocess.PIPE
+    process = subprocess.Popen(words, cwd=folder, env=env, stdout=pipe, stderr=pipe, text=True, start_new_session=True)
+    try:
+        _, errors = process.communicate(timeout=PATIENCE)
+    except subprocess.TimeoutExpired:
+        os.killpg(process.pid, signal.SIGKILL)  # what it has started too
+        process.communicate()
+        return f"it takes more than {PATIENCE} s"
+    return "" if process.returncode == 0 else f"exit status {process.returncode}: {errors[-1500:]}"
 
 
 def run_lane(pages: Sequence[Path]) -> Tally:
