@@ -183,6 +183,7 @@ def test_a_command_that_fails_is_reported_and_a_marked_one_is_not_run(
         ("eval runs/first --episodes 300 --seed 1", "eval runs/first --seed 1 --episodes 4"),
         ("train --resume runs/first", "train --resume runs/first"),
         ("view runs/first", "view runs/first"),
+        ("view runs/first --live a.html", "view runs/first --live a.html"),
         ("view runs/first --save a.html", "view runs/first --save a.html --episodes 1"),
         ("list", "list"),
     ],

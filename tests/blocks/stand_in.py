@@ -32,6 +32,9 @@ ENDLESS = {("view",): 60.0, ("deploy", "ros2"): 8.0}
 READY = "Ctrl-C ends it"
 """What such a command says when it is ready to be interrupted, if it says anything."""
 
+WRITES = {"--save", "--live"}
+"""Flags with which `view` writes a page and ends."""
+
 
 def shortened(words: list[str]) -> list[str]:
     """Words of a `reachlab` command that has little to compute."""
@@ -55,7 +58,7 @@ def run_reachlab(words: list[str]) -> int:
         shutil.rmtree(out, ignore_errors=True)
     command = [sys.executable, "-m", "reachlab", *shortened(words)]
     for kind, patience in ENDLESS.items():
-        if tuple(words[: len(kind)]) == kind and "--save" not in words:
+        if tuple(words[: len(kind)]) == kind and not WRITES & set(words):
             return _interrupted(command, patience)
     return subprocess.run(command, check=False).returncode
 
