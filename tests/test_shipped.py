@@ -9,6 +9,7 @@ import pytest
 
 import reachlab
 from reachlab.cli.main import main
+from reachlab.envs.setup import make_setup, settled
 from reachlab.robots.catalogue import ROBOTS
 from reachlab.runs.checkpoint import ARRAYS
 from reachlab.runs.files import read_json
@@ -35,7 +36,8 @@ def test_there_is_one_for_each_arm_and_task_and_they_are_small() -> None:
 def test_it_is_whole_and_made_by_the_command_that_is_told(name: str) -> None:
     run = shipped()[name]
     robot, task = name.split("/")
-    assert difference(run.read_config(), override(preset(task), robot=robot)) is None
+    config = override(preset(task), robot=robot)
+    assert difference(run.read_config(), settled(config, make_setup(config))) is None
     (steps,) = run.checkpoint_steps()
     report = read_json(run.report_file)
     arrays = next(run.checkpoints.iterdir()) / ARRAYS
