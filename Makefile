@@ -59,7 +59,7 @@ bench: $(VENV)/installed
 	for suite in start speed kinematics learning; do $(BIN)/reachlab bench --suite $$suite; done
 
 bench-viewer: $(VENV)/installed-dev
-	TF_CPP_MIN_LOG_LEVEL=3 PYTHONPATH=tests $(BIN)/python -m browser.viewer
+	TF_CPP_MIN_LOG_LEVEL=3 PYTHONPATH=tests $(BIN)/python -m browser.viewer $(TASKS)
 
 # The bundle of three.js in the live page: it is part of the repository, and made anew only for another version of it.
 BROWSER := src/reachlab/deploy/browser

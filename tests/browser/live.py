@@ -44,10 +44,11 @@ def arrived(page: Page) -> None:
     wait_until(lambda: moment(page)["reached"], "the arm's arrival")
 
 
-def live(browser: Browser, runs: Sequence[Path], task: str, folder: Path) -> Iterator[Row]:
-    """Figures of a page of runs of a task."""
+def live(browser: Browser, run: Path, others: Sequence[Path], task: str, folder: Path) -> Iterator[Row]:
+    """Figures of a page of a run of a task, and the size of one of several."""
     file = folder / f"{task}.html"
-    yield row(f"live_page_size/{task}", write_page(runs, file) / 1e6, "MB", runs=len(runs))
+    for runs in (others, [run]):
+        yield row(f"live_page_size/{task}", write_page(runs, file) / 1e6, "MB", runs=len(runs))
     for width, height in SIZES:
         with opened(browser, width, height) as page:
             yield from _measured(page, file, task, (width, height))

@@ -1,6 +1,6 @@
 """The viewer in a headless Chromium: its first picture, its updates, and whether it keeps real time.
 
-`make bench-viewer` prints the table.
+Its policies come with reachlab. `make bench-viewer` prints the table, `make bench-viewer TASKS=pose` that of one task.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -27,13 +27,16 @@ from reachlab.cli.console import print_table
 from reachlab.envs.core import Env
 from reachlab.jax_setup import use_compilation_cache
 from reachlab.learn.load import load_policy
-from reachlab.learn.train import train
 from reachlab.runs.directory import RunDirectory
+from reachlab.runs.shipped import shipped
 from reachlab.settings.config import RunConfig
-from reachlab.settings.presets import configure
+from reachlab.settings.validation import choose
 from reachlab.tasks import TASKS
 from reachlab.watch.server import LOCAL
 from reachlab.watch.viewer import Viewer
+
+ROBOT = "iiwa14"
+"""The arm whose policies are shown."""
 
 STARTS = 5
 """Starts that are timed, after one that fills the compilation cache; the median counts."""
@@ -50,25 +53,26 @@ SIZE = (1280, 720)
 COUNT_PICTURES = "pictures = 0; (function next() { pictures += 1; requestAnimationFrame(next) })()"
 """Script that counts how often the page is drawn."""
 
-DRAGS, FOLLOWED = 20, 300.0
+DRAGS, FOLLOWED = 20, 60.0
 """Drags of which each is held until the arm rests, and the time in which more are let go [s]."""
 
 
-def viewer() -> Iterator[Row]:
+def viewer(tasks: Sequence[str]) -> Iterator[Row]:
     """Time to the first picture, updates in a second, and the policy's time against the clock's.
 
-    And how the presets' default runs, which are trained here, follow a target that is dragged, and play in a live page.
+    And how the policies play in a live page, and follow a target that is dragged.
     """
+    policies = shipped()
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder, chromium() as browser:
-        for task in TASKS:
-            config = configure(task)
-            run = RunDirectory(Path(folder) / task)
-            train(config, run.path)
+        for task in tasks:
+            run = policies[f"{ROBOT}/{task}"]
+            config = run.read_config()
             for measure in (_starts, _live, _followed):
                 with opened(browser, *SIZE) as page:
                     yield from measure(page, run, config)
             if TASKS[task].load().sample_obstacles is None:
-                yield from live(browser, [run.path], task, Path(folder))
+                others = [policy.path for name, policy in policies.items() if Path(name).name == task]
+                yield from live(browser, run.path, others, task, Path(folder))
 
 
 @contextlib.contextmanager
@@ -157,5 +161,6 @@ if __name__ == "__main__":
     if executable() is None:
         sys.exit("make bench-viewer needs Chromium: apt install chromium.")
     use_compilation_cache()
-    cells = [(row["name"], f"{row['value']:.4g}", row["unit"], str(row["config"])) for row in viewer()]
+    tasks = [choose("task", task, TASKS) for task in sys.argv[1:]] or list(TASKS)
+    cells = [(row["name"], f"{row['value']:.4g}", row["unit"], str(row["config"])) for row in viewer(tasks)]
     print_table("viewer", ("measurement", "value", "unit", "configuration"), cells)
