@@ -397,6 +397,11 @@ def test_a_misshapen_mask_is_refused(batch: ReachVectorEnv, mask: Any) -> None:
         batch.reset(options={"reset_mask": mask})
 
 
+def test_an_option_that_a_batch_does_not_have_is_refused(batch: ReachVectorEnv) -> None:
+    with pytest.raises(InputError, match=r"option of reset 'target' is not one of: reset_mask\."):
+        batch.reset(options={"target": [0.5, 0.0, 0.2]})
+
+
 def test_without_autoreset_a_step_of_an_ended_episode_is_refused(batch: ReachVectorEnv) -> None:
     batch.reset(seed=0)
     still = np.zeros((NUM_ENVS, 3), np.float32)

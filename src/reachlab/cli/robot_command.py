@@ -81,7 +81,7 @@ def _facts(arguments: ShowRobot, robot: Robot) -> dict[str, Any]:
     from reachlab.robots.tool_frames import like_a_tool
 
     known = ROBOTS.get(arguments.robot or "")
-    found = "named like a tool" if like_a_tool(robot.tool) else "the last body before the gripper"
+    found = "named like a tool" if like_a_tool(robot.tool) else "the arm's last body"
     boxes = {
         name: {"low": box[0], "high": box[1], "source": robot.sources[name], "share": robot.shares.get(name)}
         for name, box in (("workspace", robot.workspace), ("goal_box", robot.goal_box))

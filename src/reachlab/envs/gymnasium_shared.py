@@ -107,6 +107,15 @@ def told(now: Now) -> dict[str, Any]:
     return infos if now.angle is None else {**infos, "angle": now.angle}
 
 
+def checked_options(options: dict[str, Any] | None, known: Sequence[str]) -> dict[str, Any]:
+    """Options of `reset`.
+
+    Raises:
+        InputError: one is not among the `known`.
+    """
+    return {choose("option of reset", name, known): value for name, value in (options or {}).items()}
+
+
 def checked_render_mode(mode: str | None) -> str | None:
     """The render mode.
 

@@ -14,12 +14,12 @@ from reachlab.envs.gymnasium_shared import (
     METADATA,
     Episodes,
     action_space,
+    checked_options,
     checked_render_mode,
     observation_space,
     single,
     told,
 )
-from reachlab.settings.validation import choose
 
 OPTIONS = ("target",)
 """Options of `reset`."""
@@ -58,7 +58,7 @@ class ReachEnv(gymnasium.Env[Any, np.ndarray]):
         Raises:
             InputError: an option that does not exist, or a target that is misshapen or where the arm cannot be.
         """
-        given = {choose("option of reset", name, OPTIONS): value for name, value in (options or {}).items()}
+        given = checked_options(options, OPTIONS)
         goal = self._episodes.goal_at(given["target"]) if "target" in given else None
         super().reset(seed=seed)
         now = self._episodes.reset([seed], np.ones(1, bool), self.np_random, goal)

@@ -13,6 +13,7 @@ from reachlab.envs.gymnasium_shared import (
     METADATA,
     Episodes,
     action_space,
+    checked_options,
     checked_render_mode,
     observation_space,
     single,
@@ -25,6 +26,9 @@ ARRAYS = {
     "jax": "JAX arrays, left where they were computed; others take them over by DLPack without a copy",
 }
 """What `step` and `reset` give, by name."""
+
+OPTIONS = ("reset_mask",)
+"""Options of `reset`."""
 
 
 class ReachVectorEnv(VectorEnv[Any, Any, Any]):
@@ -69,7 +73,11 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Observations `[B, k]` and info; `options["reset_mask"] [B]` picks the environments that begin anew."""
+        """Observations `[B, k]` and info; `options["reset_mask"] [B]` picks the environments that begin anew.
+
+        Raises:
+            InputError: an option that does not exist, or a mask or seeds that do not fit the batch.
+        """
         super().reset(seed=seed if isinstance(seed, int) else None)
         seeds = (
             [seed + i for i in range(self.num_envs)] if isinstance(seed, int) else list(seed or [None] * self.num_envs)
@@ -118,7 +126,7 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
         self._episodes.env.close()
 
     def _checked_mask(self, options: dict[str, Any] | None) -> np.ndarray:
-        mask = (options or {}).get("reset_mask")
+        mask = checked_options(options, OPTIONS).get("reset_mask")
         if mask is None:
             return np.ones(self.num_envs, bool)
         shape = (self.num_envs,)

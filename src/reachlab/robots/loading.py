@@ -48,7 +48,7 @@ def load_robot(
     Args:
         name: name in `ROBOTS` or path of a file.
         tool: site or body; by default the catalogue's, or of a file the one that is named like a tool, see
-            `tool_frames`, else the last body before the gripper.
+            `tool_frames`, else the arm's last body.
         kind: which of the catalogue's tool frames it is by default, see `KnownRobot.tools`; the first one without.
         base: body that holds the arm; the joints before it are locked.
         packages: where ROS packages are that the file names, each as `NAME=FOLDER`.

@@ -36,7 +36,7 @@ class ToolFrame:
 
 
 def find_tool(model: mujoco.MjModel, mimics: Sequence[str] = (), base: int = 0) -> ToolFrame:
-    """The frame at the end of the longest chain that is named like a tool, else the last body before the gripper.
+    """The frame at the end of the longest chain that is named like a tool, else the arm's last body.
 
     Args:
         model: the compiled model.
