@@ -4,9 +4,11 @@ VENV := .venv
 BIN := $(VENV)/bin
 RUN := runs/demo-$(shell date +%Y%m%d-%H%M%S)
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
+# A process each core; each begins with half of the tests in their order, so that what a file's tests share is made once.
+PYTEST := $(BIN)/python -m pytest -n 2 --dist worksteal
 GYMNAX_VENV := .venv-gymnax
 
-.PHONY: demo test lint types unit bench bench-viewer foreign fuzz trust policies docs docs-blocks three gymnax dist clean
+.PHONY: demo test lint types unit slow bench bench-viewer foreign fuzz trust policies docs docs-blocks three gymnax dist clean
 
 demo: $(VENV)/installed
 	@$(BIN)/reachlab train --out $(RUN)
@@ -23,7 +25,11 @@ types: $(VENV)/installed-dev
 	$(BIN)/pyright
 
 unit: $(VENV)/installed-dev
-	$(BIN)/python -m pytest -n 2
+	$(PYTEST) -m "not slow"
+
+# The tests that `make test` leaves out since each takes long: marked `slow`.
+slow: $(VENV)/installed-dev
+	$(PYTEST) -m slow
 
 foreign: $(VENV)/installed-dev
 	PYTHONPATH=tests $(BIN)/python -m foreign_arms

@@ -258,6 +258,7 @@ def test_they_are_found_when_they_are_asked_for_and_kept(tmp_path: Path, monkeyp
 # --- reports --------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_reports_under_dynamics_tell_the_share_and_others_do_not() -> None:
     env = Env(configure("precise", robot="ur5e", action="joint_delta"), 50)
     still = evaluate(env, lambda _: np.zeros((50, 6)), seed=1, episodes=60)

@@ -263,6 +263,7 @@ def test_what_a_killed_writer_of_a_report_left_is_removed(tmp_path: Path) -> Non
     assert not list((tmp_path / "reports").glob(".*.tmp"))
 
 
+@pytest.mark.slow
 def test_a_report_names_the_checkpoint_of_its_policy(run: Path, state: TrainState) -> None:
     evaluate = ["eval", str(run), "--episodes", "5", "--agent", "trained", "zero"]
     file = run / "reports/kinematic-{}-1.json"

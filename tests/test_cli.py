@@ -176,6 +176,7 @@ def test_list_tells_what_a_task_asks_for(reachlab: Shell) -> None:
     assert "within 10 mm for 10 steps (0.2 s)" in tasks["precise"]
 
 
+@pytest.mark.slow
 def test_baselines_are_measured_on_goals_of_any_setting(reachlab: Shell) -> None:
     words = ("eval", "--task", "track", "--agent", "ik", "--episodes", 2, "--max-steps", 60)
     table = reachlab(*words, "--goal-paths", "smooth", "--goal-speed", 0.1, 0.1)
@@ -190,6 +191,7 @@ def test_baselines_are_measured_on_goals_of_any_setting(reachlab: Shell) -> None
     assert "goal_paths has an effect only with a task whose goal moves" in said.err
 
 
+@pytest.mark.slow
 def test_the_table_of_poses_tells_both_errors(reachlab: Shell) -> None:
     said = reachlab("eval", "--task", "pose", "--agent", "zero", "--episodes", 2, "--max-steps", 12)
     text = " ".join(said.out.replace("┃", " ").replace("│", " ").split())

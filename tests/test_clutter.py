@@ -34,6 +34,8 @@ from reachlab.tasks.task import Goal, Situation, TaskSetup
 from reachlab.watch.player import TOUCHED, Player, target_box
 from test_contacts import capsule_ends, scene
 
+pytestmark = pytest.mark.slow
+
 COUNT = 64
 MOST = 4
 

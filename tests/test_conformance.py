@@ -63,7 +63,18 @@ def _tried(task: str, robot: str, sim: str, observation: str, action: str, rewar
 COMBINATIONS = [names for names in product(TASKS, ROBOTS, SIMULATORS, OBSERVATIONS, ACTIONS, REWARDS) if _tried(*names)]
 
 
-@pytest.fixture(scope="module", params=COMBINATIONS, ids="-".join)
+def _slow(task: str, robot: str) -> bool:
+    """Whether it takes long to compile; `make test` leaves it to `make slow`."""
+    return task == "clutter" or (task == "pose" and robot != FIRST)
+
+
+@pytest.fixture(
+    scope="module",
+    params=[
+        pytest.param(names, id="-".join(names), marks=[pytest.mark.slow] if _slow(*names[:2]) else [])
+        for names in COMBINATIONS
+    ],
+)
 def subject(request: pytest.FixtureRequest) -> Iterator[Subject]:
     try:
         subject = Subject(*request.param)

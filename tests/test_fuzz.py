@@ -6,6 +6,8 @@ import pytest
 
 from fuzz_commands import fuzz, senseless
 
+pytestmark = pytest.mark.slow
+
 QUICK = ("train",) * 4 + ("eval", "distil", "plot", "bench")
 """Verbs that draw no film."""
 

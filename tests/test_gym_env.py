@@ -464,6 +464,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("context", ["fork", "spawn", "forkserver"])
 def test_asynchronous_environments_work_or_are_refused_in_one_sentence(tmp_path: Path, context: str) -> None:
     sims = ("kinematic", "mujoco") if context == "fork" else ("kinematic",)

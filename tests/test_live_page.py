@@ -33,6 +33,8 @@ from reachlab.sims import SIMULATORS, ArmState, BatchArray, Moved
 from reachlab.sims.kinematic import KinematicSimulator
 from reachlab.watch.player import Player
 
+pytestmark = pytest.mark.slow
+
 EPISODES = 200
 """Held-out episodes that are compared."""
 

@@ -56,6 +56,7 @@ def test_a_target_is_where_it_was_put_until_the_next_reset(settings: dict[str, A
     env.close()
 
 
+@pytest.mark.slow
 def test_a_pose_is_put_with_its_orientation_and_refused_where_the_arm_has_none() -> None:
     env = ReachEnv(task="pose")
     env.reset(seed=3)
@@ -95,6 +96,7 @@ def test_an_unknown_option_is_refused() -> None:
         ReachEnv().reset(options={"targets": HIGH})
 
 
+@pytest.mark.slow
 def test_obstacles_leave_the_way_to_a_target_that_was_put() -> None:
     env = ReachEnv(task="clutter", obstacles=(4, 4))
     for seed in range(5):

@@ -21,6 +21,8 @@ from reachlab.settings.validation import InputError
 from reachlab.sims import make_simulator
 from reachlab.tasks.obstacles import Obstacles
 
+pytestmark = pytest.mark.slow
+
 EPISODES = 8
 """Episodes with four obstacles each."""
 

@@ -207,6 +207,7 @@ def test_the_held_angle_is_the_largest_of_the_last_steps(env: Env) -> None:
     assert np.isinf(moved.angle_error[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("randomise", [(), ("dynamics",)], ids=["nominal", "perturbed"])
 def test_inverse_kinematics_hold_every_pose(randomise: tuple[str, ...]) -> None:
     report = evaluate(Env(configure("pose", randomise=randomise), COUNT), "ik", seed=11, episodes=COUNT)
@@ -218,6 +219,7 @@ def test_inverse_kinematics_hold_every_pose(randomise: tuple[str, ...]) -> None:
     assert report.self_contact == 0.0
 
 
+@pytest.mark.slow
 def test_a_report_tells_both_errors_of_the_same_episodes(env: Env) -> None:
     report = evaluate(env, "zero", seed=1, episodes=50)
     pairs, error, angle = report.success_within_pairs, report.final_error_mm, report.final_angle_rad
@@ -231,6 +233,7 @@ def test_a_report_tells_both_errors_of_the_same_episodes(env: Env) -> None:
 # --- Gymnasium's interfaces -----------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_every_interface_tells_the_angle_beside_the_distance() -> None:
     settings: dict[str, Any] = {"task": "pose", "max_steps": 12}
     envs = gymnasium.make_vec("reachlab/Reach-v0", num_envs=2, autoreset_mode="SameStep", **settings)

@@ -211,6 +211,7 @@ def test_training_on_arms_that_vary_is_reported_on_nominal_ones(tmp_path):
     assert RunDirectory(tmp_path / "run").read_config().randomise == ("dynamics",)
 
 
+@pytest.mark.slow
 def test_the_suite_compares_all_agents_on_nominal_and_perturbed_arms(monkeypatch):
     tiny = configure(
         "precise", num_envs=8, rollout_steps=20, total_steps=160, hidden=(8,), minibatches=2, report_episodes=8

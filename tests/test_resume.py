@@ -29,6 +29,8 @@ from reachlab.settings.config import RunConfig
 from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError
 
+pytestmark = pytest.mark.slow
+
 EACH = 256
 """Environment steps of an iteration."""
 

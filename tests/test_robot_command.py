@@ -322,6 +322,7 @@ def test_the_observation_camera_sees_the_floor_of_every_workspace(arms: Path) ->
 # --- runs of it -----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_run_finds_its_arm_from_any_folder(
     reachlab: Shell, arms: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

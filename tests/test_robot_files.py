@@ -18,7 +18,7 @@ from reachlab.robots.model_file import JointFacts, read_model_file
 from reachlab.robots.urdf import balance
 from reachlab.settings.validation import InputError
 
-SLOWEST, MOST_MEMORY = 2.0, 500 * 2**20
+SLOWEST, MOST_MEMORY = 10.0, 500 * 2**20
 """A hostile file is refused within this time [s] and memory [bytes]."""
 
 

@@ -32,6 +32,8 @@ from reachlab.settings.config import RunConfig
 from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError
 
+pytestmark = pytest.mark.slow
+
 TINY: dict[str, Any] = {
     "num_envs": 16,
     "rollout_steps": 16,

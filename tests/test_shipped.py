@@ -45,6 +45,7 @@ def test_it_is_whole_and_made_by_the_command_that_is_told(name: str) -> None:
     assert f"--task {task} --robot {robot}" in told(run)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PLAYED)
 def test_it_does_what_its_report_says(name: str) -> None:
     loaded = reachlab.load(name, num_envs=100)
@@ -54,6 +55,7 @@ def test_it_does_what_its_report_says(name: str) -> None:
     assert said["success_rate"] >= 0.95
 
 
+@pytest.mark.slow
 def test_eval_and_video_leave_it_as_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     before = sorted(SHIPPED.rglob("*"))

@@ -130,6 +130,7 @@ def test_the_error_is_the_root_mean_square_of_the_steps_that_count() -> None:
     env.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sim", ["kinematic", "mujoco"])
 def test_a_report_is_that_of_the_recorded_track(sim: str) -> None:
     env = Env(configure("track", sim=sim, **SHORT), 20)
@@ -147,6 +148,7 @@ def test_a_report_is_that_of_the_recorded_track(sim: str) -> None:
     env.close()
 
 
+@pytest.mark.slow
 def test_inverse_kinematics_know_the_velocity_only_where_they_may() -> None:
     errors = {}
     for known in (True, False):

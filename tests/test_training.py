@@ -237,6 +237,7 @@ def test_without_early_stopping_all_steps_are_taken(tiny: Trained) -> None:
     assert tiny.result.report.episodes == 10
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_bytes_in_another_process(tmp_path: Path) -> None:
     script = IN_A_FRESH_PROCESS.format(tiny=TINY)
     sums = [

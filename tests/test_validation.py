@@ -238,6 +238,7 @@ def test_a_control_period_of_ones_own_is_kept_in_another_simulator(chosen: float
     assert in_simulator(configure(control_period=chosen), "mujoco").physics.control_period == elsewhere
 
 
+@pytest.mark.slow
 def test_settings_of_an_older_run_are_not_asked_about_when_it_goes_on(tmp_path: Path) -> None:
     small: dict[str, Any] = {
         "total_steps": 256,
@@ -348,6 +349,7 @@ def test_an_own_arm_is_perturbed_with_a_payload(tmp_path: Path, name: str, text:
     assert state.arm.q[0] != pytest.approx(np.asarray(state.arm.q[1])), "arms differ"
 
 
+@pytest.mark.slow
 def test_a_command_tells_what_follows_on_standard_error(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
 ) -> None:

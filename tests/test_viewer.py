@@ -70,6 +70,8 @@ SHOWN = """(() => {
 })()"""
 """Greys of the picture that the panel shows, row by row; null while there is none."""
 
+FIRST = next(iter(TASKS))
+
 HERE_SCHEMES = {"data", "blob", "file", "about"}
 
 
@@ -143,7 +145,9 @@ def stays_here(requests: list[str]) -> bool:
 # --- in the browser -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize(
+    "task", [FIRST, *(pytest.param(task, marks=pytest.mark.slow) for task in TASKS if task != FIRST)]
+)
 def test_the_arm_follows_a_target_that_is_dragged_in_the_page_and_rests_there(
     page: Page, task: str, tmp_path: Path
 ) -> None:
@@ -160,6 +164,7 @@ def test_the_arm_follows_a_target_that_is_dragged_in_the_page_and_rests_there(
     assert {urlsplit(url).scheme for url in requests} >= {"http", "ws"}, "requests and web sockets are recorded"
 
 
+@pytest.mark.slow
 def test_a_target_that_is_turned_in_the_page_is_reached(page: Page, tmp_path: Path) -> None:
     config = configure("pose", num_envs=8, hidden=(8,))
     with view(config, untrained(config, tmp_path / "run")) as viewer:
@@ -184,6 +189,7 @@ def test_a_saved_page_plays_from_its_file_alone(page: Page, config: RunConfig, t
     assert {urlsplit(url).scheme for url in requests} <= HERE_SCHEMES
 
 
+@pytest.mark.slow
 def test_what_the_policy_observes_is_in_the_panel_and_before_its_camera(page: Page, tmp_path: Path) -> None:
     config = configure(observation="image", num_envs=8, hidden=(8,))
     with view(config, untrained(config, tmp_path / "run"), "trained") as viewer:
@@ -495,6 +501,7 @@ def test_ctrl_c_ends_it_quietly(run: RunDirectory) -> None:
 # --- obstacles ------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_an_obstacle_that_is_pulled_is_there_in_the_scene_and_in_the_engine(tmp_path: Path) -> None:
     config = configure("clutter", num_envs=8, hidden=(8,), obstacles=(1, 1), randomise=())
     with view(config, untrained(config, tmp_path / "run")) as viewer:

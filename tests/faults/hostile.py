@@ -20,7 +20,7 @@ from reachlab.runs.checkpoint import ARRAYS, MANIFEST, seal
 from reachlab.runs.files import read_json
 from reachlab.settings.validation import InputError
 
-SLOWEST = 1.0
+SLOWEST = 5.0
 """A hostile file is refused within this time [s]."""
 
 MOST_MEMORY = 256 * 2**20

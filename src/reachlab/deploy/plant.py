@@ -188,7 +188,7 @@ def drive(plant: Plant, link: Link, faults: Faults, episodes: int) -> Outcome:
 
 def _episode(plant: Plant, link: Link, disturbed: Disturbed, outcome: Outcome) -> bool:
     """Whether an episode ends in success; its figures are added."""
-    command, success, dead = plant.q, False, None
+    command, success, dead, missed = plant.q, False, None, 0
     most = plant.speed * plant.period * (1 + 1e-6)
     began = time.perf_counter()
     for step in range(plant.steps):
@@ -199,10 +199,13 @@ def _episode(plant: Plant, link: Link, disturbed: Disturbed, outcome: Outcome) -
         outcome.cycles += 1
         outcome.in_time += bool(commands)
         for came in commands:
-            outcome.broken += not bool(np.isfinite(came).all() and (np.abs(came - command) <= most).all())
+            # Where a command was lost on its way, the next one is as far from the last as both together may go.
+            far = np.abs(came - command) > most * (1 + missed)
+            outcome.broken += not bool(np.isfinite(came).all()) or bool(far.any())
             if dead is not None and np.abs(came - command).max() > RESTS * plant.period:
                 outcome.rest_s = max(outcome.rest_s or 0.0, (step - dead + 1) * plant.period)
-            command = came
+            command, missed = came, 0
+        missed += not commands
         if problem := link.problem():
             outcome.problems[problem] += 1
         done, success = plant.step(command)
