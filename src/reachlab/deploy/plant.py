@@ -65,7 +65,7 @@ class Outcome:
         episodes, successes: by the task's rules.
         cycles: control periods.
         in_time: those in which a command had come since the one before.
-        broken: commands that left a limit of speed, or that were not finite.
+        broken: commands further from the last one that came than the limits of speed allow, or not finite.
         rest_s: longest time from the last measurement to rest, where measurements end [s].
         problems: how often the controller said what.
     """
