@@ -23,6 +23,7 @@ from reachlab.deploy import weights
 from reachlab.deploy.bundle import controller_source
 from reachlab.deploy.check import check, load_controller
 from reachlab.deploy.export import export
+from reachlab.deploy.plant import Measurement, Plant, drive
 from reachlab.deploy.plant_faults import Faults
 from reachlab.envs.core import Env
 from reachlab.envs.random_streams import REPORT_STREAM, episode_keys
@@ -30,6 +31,7 @@ from reachlab.envs.setup import in_evaluation
 from reachlab.learn.load import load_policy
 from reachlab.runs.directory import RunDirectory
 from reachlab.settings.json_form import override
+from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError
 
 CASES: dict[str, tuple[str, dict[str, Any]]] = {
@@ -367,6 +369,39 @@ def test_measurements_may_come_late_and_damaged_in_real_time(precise: Path, caps
     result = json.loads(capsys.readouterr().out)
     assert (result["episodes"], result["broken"]) == (2, 0)
     assert "the measurement is not finite" in result["problems"]
+
+
+class Turning:
+    """A link whose controller turns the arm at a share of its full speed, and loses every third command on its way."""
+
+    def __init__(self, plant: Plant, share: float) -> None:
+        self.most = share * plant.speed * plant.period
+        self.made = 0
+
+    def begin(self, q: np.ndarray) -> None:
+        self.command = q
+
+    def send(self, measurement: Measurement) -> None:
+        del measurement
+        self.command = self.command + self.most
+        self.made += 1
+
+    def receive(self) -> list[np.ndarray]:
+        return [] if self.made % 3 == 0 else [self.command]
+
+    def problem(self) -> str:
+        return ""
+
+
+@pytest.mark.parametrize(("share", "kept"), [(1.0, True), (1.2, False)])
+def test_a_command_that_is_lost_on_its_way_breaks_no_limit_and_one_that_is_too_fast_does(
+    share: float, kept: bool
+) -> None:
+    plant = Plant(configure("precise", max_steps=20), seed=0)
+    outcome = drive(plant, Turning(plant, share), Faults(), 1)
+    plant.close()
+    assert (outcome.cycles, outcome.in_time) == (20, 14)
+    assert outcome.broken == (0 if kept else outcome.in_time)
 
 
 @pytest.mark.slow
