@@ -4,8 +4,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 RUN := runs/demo-$(shell date +%Y%m%d-%H%M%S)
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
-# A process each core; each begins with half of the tests in their order, so that what a file's tests share is made once.
-PYTEST := $(BIN)/python -m pytest -n 2 --dist worksteal
+# A process each core, which computes with one thread: two that share both cores wait for each other. Each begins with half
+# of the tests in their order, so that what a file's tests share is made once.
+PYTEST := NPROC=1 $(BIN)/python -m pytest -n 2 --dist worksteal
 GYMNAX_VENV := .venv-gymnax
 
 .PHONY: demo test lint types unit slow bench bench-viewer foreign fuzz trust policies docs docs-blocks three gymnax dist clean

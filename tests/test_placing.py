@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from reachlab.envs.gymnasium_single import ReachEnv
+from reachlab.robots.clearance import capsules_at
 from reachlab.robots.loading import load_robot
 from reachlab.settings.validation import InputError
 from reachlab.tasks import TASKS
@@ -107,4 +108,5 @@ def test_obstacles_leave_the_way_to_a_target_that_was_put() -> None:
         assert obstacles is not None
         assert obstacles.present.any()
         here = jax.tree.map(lambda rows: rows[0], obstacles)
-        assert (clearances(load_robot("iiwa14", "flange"), goal.joints, here) > 0).all()
+        robot = load_robot("iiwa14", "flange")
+        assert (clearances(robot, capsules_at(robot.chain, robot.capsules, goal.joints), here) > 0).all()

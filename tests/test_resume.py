@@ -16,7 +16,7 @@ import pytest
 
 from reachlab.cli import main as cli
 from reachlab.envs.setup import make_setup, settled
-from reachlab.jax_setup import threads
+from reachlab.jax_setup import VARIABLE, threads
 from reachlab.learn.interrupts import Interrupted
 from reachlab.learn.loop import Progress
 from reachlab.learn.train import train
@@ -338,10 +338,12 @@ def test_deterministic_gives_the_same_weights_on_one_core_and_on_all(tmp_path: P
         pytest.skip("no way to take cores away here")
     flags = ["--total-steps", "8192", "--no-stop-early", "--report-episodes", "5", "--deterministic"]
     cores = {"one": {0}, "all": os.sched_getaffinity(0)}
+    free = {name: value for name, value in os.environ.items() if name != VARIABLE}
     said = []
     for name, some in cores.items():
         words = [str(tmp_path / name), ",".join(map(str, some)), *flags]
-        done = subprocess.run([sys.executable, "-c", WEIGHTS, *words], capture_output=True, text=True, check=False)
+        command = [sys.executable, "-c", WEIGHTS, *words]
+        done = subprocess.run(command, env=free, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stderr
         said.append(done.stdout.splitlines()[-1])
     assert said[0] == said[1]
@@ -360,11 +362,28 @@ def test_another_number_of_threads_is_refused(tmp_path: Path, config: RunConfig)
         train(config, tmp_path / "run", resume=True)
 
 
+DETERMINISTIC_LATE = """
+import sys
+from pathlib import Path
+import jax
+from reachlab.learn.train import train
+from reachlab.settings.presets import configure
+from reachlab.settings.validation import InputError
+jax.devices()
+try:
+    train(configure(deterministic=True), Path(sys.argv[1]))
+except InputError as error:
+    print(error)
+"""
+
+
 def test_deterministic_is_refused_where_jax_runs_with_more_threads(tmp_path: Path) -> None:
-    if threads() == 1:
-        pytest.skip("JAX runs with one thread here")
-    with pytest.raises(InputError, match="set NPROC=1 in the environment before Python starts"):
-        train(configure(**TINY, deterministic=True), tmp_path / "run")
+    command = [sys.executable, "-c", DETERMINISTIC_LATE, str(tmp_path / "run")]
+    done = subprocess.run(command, env=os.environ | {VARIABLE: "2"}, capture_output=True, text=True, check=False)
+    assert done.stdout.startswith("this run needs JAX to compute with 1 thread, and it runs already with 2:"), (
+        done.stderr
+    )
+    assert "set NPROC=1 in the environment before Python starts" in done.stdout
     assert not (tmp_path / "run").exists()
 
 

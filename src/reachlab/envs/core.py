@@ -13,10 +13,12 @@ import numpy as np
 from jax import Array
 
 from reachlab.envs.functions import Begin, EnvFunctions, EnvState, Stepped, Transition
+from reachlab.envs.sampling import in_parts
 from reachlab.envs.setup import make_setup, settled
 from reachlab.jax_setup import dispatch_inline, first_process, jit
 from reachlab.render.marks import NO_PATH, TARGET_AXES, TOOL_AXES, Axes, Block, Marks
 from reachlab.render.view_randomisation import SAMPLES, develop, make_views
+from reachlab.robots.clearance import capsules_at
 from reachlab.robots.motion_limits import MotionLimits
 from reachlab.settings.config import RunConfig
 from reachlab.sims import SIMULATORS, ArmState, BatchArray, make_simulator
@@ -25,16 +27,13 @@ from reachlab.tasks.observations import OBSERVATIONS
 from reachlab.tasks.obstacles import Obstacles
 from reachlab.tasks.scenes import clearances, places
 from reachlab.tasks.schema import SIZE, Observed
+from reachlab.tasks.targets import solved_for
 from reachlab.tasks.task import Goal, Situation, TaskSetup
 
 
 def merge(mask: np.ndarray, new: Observed, old: Observed) -> Observed:
     """Observations with those of `new` in the environments of `mask [B]`."""
     return jax.tree.map(lambda a, b: np.where(mask.reshape(-1, *[1] * (np.ndim(a) - 1)), a, b), new, old)
-
-
-FEWEST = 8
-"""Episodes that are sampled together at least, where few are: one compiled program for each power of two."""
 
 
 TOUCHING = 0.005
@@ -50,7 +49,6 @@ class _Parts(NamedTuple):
     command: Callable[..., Any]
     judge: Callable[..., Any]
     merge: Callable[..., Any]
-    spread: Callable[..., Any]
     continued: Callable[..., Any]
 
 
@@ -106,14 +104,15 @@ class Env:
         f = self._functions = EnvFunctions(
             self.setup, config.randomise, SIMULATORS[config.sim].real_time, self.pictured, _limits(config, self.setup)
         )
-        parts = (f.sample_episode, f.chained_start, f.begin, f.command, f.judge, f.merge, f.spread, f.continued)
+        parts = (f.sample_episode, f.chained_start, f.begin, f.command, f.judge, f.merge, f.continued)
         self._parts = _Parts(*(parts if simulated else map(jit, parts)))
-        self._samples_few = setup.task.sample_obstacles is not None and not simulated
+        self._sample_some = in_parts(f.sample_episode) if solved_for(setup) and not simulated else None
         # With pictures a simulator that can be traced is compiled here: only the pictures are drawn on the host.
         whole = jit if simulated and self.pictured else lambda function: function
         self._init, self._reset = whole(self._init_all), whole(self._reset_some)
         self._steps = functools.cache(lambda times: whole(functools.partial(self._repeat, times)))
-        self._clearances = jit(functools.partial(clearances, setup.robot))
+        robot = setup.robot
+        self._clearances = jit(lambda q, here: clearances(robot, capsules_at(robot.chain, robot.capsules, q), here))
         self._observe, self._view_samples = jit(f.observe), jit(f.view_samples)
 
     # --- episodes ---------------------------------------------------------------------------------
@@ -149,27 +148,21 @@ class Env:
         return replace(state, arm=self.simulator.rearrange(state.arm, obstacles), obstacles=obstacles)
 
     def _init_all(self, keys: Array, goal: Goal | None) -> EnvState:
-        begin = self._parts.sample_episode(keys, goal)
+        begin = self._sample(keys, goal, np.ones(len(keys), bool))
         return self._parts.begin(self._reset_arms(None, begin, None), begin)
 
     def _reset_some(self, state: EnvState, mask: BatchArray, chained: float | None, goal: Goal | None) -> EnvState:
-        if self._samples_few and goal is None:
-            begin = self._sample_some(state.key, mask)
-        else:
-            begin = self._parts.sample_episode(state.key, goal)
+        begin = self._sample(state.key, goal, mask)
         if chained is not None:
             begin = begin._replace(q=self._parts.chained_start(state, begin.q, chained))
         arm = self._reset_arms(state.arm, begin, mask)
         begun = replace(self._parts.begin(arm, begin), arm=arm)
         return self._parts.merge(jnp.asarray(mask), begun, replace(state, arm=arm))
 
-    def _sample_some(self, keys: Array, mask: BatchArray) -> Begin:
-        """What episodes of `mask [B]` begin with; anything for the others. Few of them take little time."""
-        rows = np.flatnonzero(np.asarray(mask))
-        padded = np.resize(rows, min(1 << max(len(rows) - 1, FEWEST - 1).bit_length(), len(keys)))
-        place = np.zeros(len(keys), int)
-        place[rows] = np.arange(len(rows))
-        return self._parts.spread(self._parts.sample_episode(keys[padded]), place)
+    def _sample(self, keys: Array, goal: Goal | None, mask: BatchArray) -> Begin:
+        if self._sample_some is None:
+            return self._parts.sample_episode(keys, goal)
+        return self._sample_some(keys, goal, np.asarray(mask))
 
     def _reset_arms(self, arm: ArmState | None, begin: Begin, mask: BatchArray | None) -> ArmState:
         return self.simulator.reset(arm, begin.q, begin.goal, mask, begin.dynamics, begin.obstacles)

@@ -266,11 +266,6 @@ class EnvFunctions:
 
         return jax.tree.map(lambda a, b: a if a is b else pick(a, b), new, old)
 
-    @staticmethod
-    def spread(tree: Tree, place: Array) -> Tree:
-        """A pytree of batches whose rows are those at `place [B]`."""
-        return jax.tree.map(lambda x: x[place], tree)
-
     @classmethod
     def continued(cls, before: Stepped, now: Stepped) -> Stepped:
         """State and transition of a step after those `before`, which stay where the episode has ended."""

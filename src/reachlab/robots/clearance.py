@@ -11,7 +11,7 @@ from jax import Array
 
 from reachlab.robots.chain import Chain
 from reachlab.robots.kinematics import components, link_frames
-from reachlab.robots.scalar_algebra import Scalar, Vec, once
+from reachlab.robots.scalar_algebra import Scalar, once
 
 if TYPE_CHECKING:
     from reachlab.robots.capsules import Capsules
@@ -40,15 +40,15 @@ def capsules_at(chain: Chain, capsules: Capsules, q: Numbers) -> Segments:
     The batch is last: these arrays are long in it. Compute it once for all questions about a `q`.
     """
     frames = link_frames(chain, components(q))
-    sides = []
-    for points in (capsules.starts, capsules.ends):
-        placed = []
-        for link, point in zip(capsules.links, points, strict=True):
-            rotation, position = frames[link]
-            placed.append(position.plus(rotation.apply(Vec(*point))))
-        columns = zip(*placed, strict=True)
-        sides.append(tuple(_rows(column, q) for column in columns))
-    return once(Segments(*sides))
+    rotation, position = zip(*(frames[link] for link in capsules.links), strict=True)
+    axes = [[_rows(numbers, q) for numbers in zip(*axis, strict=True)] for axis in zip(*rotation, strict=True)]
+    origin = [_rows(numbers, q) for numbers in zip(*position, strict=True)]
+
+    def placed(points: Sequence[Sequence[float]]) -> tuple[Array, ...]:
+        x, y, z = np.array(points, np.float32).T[:, :, None]
+        return tuple(o + a * x + b * y + c * z for o, a, b, c in zip(origin, *axes, strict=True))
+
+    return once(Segments(placed(capsules.starts), placed(capsules.ends)))
 
 
 def _rows(numbers: Sequence[Scalar], q: Array) -> Array:
@@ -80,7 +80,11 @@ def free_of_contact(robot: Robot, q: Array) -> Array:
     """Whether an arm at joints `q [B, n]` is above the table, and its links do not meet `[B]`, by its capsules."""
     if not any(robot.capsules.links):
         return jnp.ones(len(q), bool)
-    at = capsules_at(robot.chain, robot.capsules, q)
+    return free_at(robot, capsules_at(robot.chain, robot.capsules, q))
+
+
+def free_at(robot: Robot, at: Segments) -> Array:
+    """The same of an arm with moving capsules, which lie as `capsules_at` says."""
     above = table_distance(robot, at) > 0
     return above & (self_distance(robot.capsules, at) > 0) if robot.capsules.pairs else above
 

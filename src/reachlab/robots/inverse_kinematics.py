@@ -102,20 +102,24 @@ def ik_point_step(chain: Chain, q: Array, command: Array, displacement: Array) -
     for the others, `LIMIT_PASSES` times in all.
     """
     columns = [column[:3] for column in jacobian_columns(chain, frames_at(chain, components(q)))]
-    stopped = step = [jnp.zeros(q.shape[:-1])] * chain.n
-    free = [jnp.ones(q.shape[:-1])] * chain.n
-    for _ in range(LIMIT_PASSES):
+    commanded, wish = components(command), components(displacement)
+
+    def again(_: int, before: tuple[list[Array], ...]) -> tuple[list[Array], ...]:
+        free, stopped = before[:2]
         left = [
             sub(wanted, total([mul(column[row], s) for column, s in zip(columns, stopped, strict=True)]))
-            for row, wanted in enumerate(components(displacement))
+            for row, wanted in enumerate(wish)
         ]
         masked = once([tuple(mul(f, c) for c in column) for f, column in zip(free, columns, strict=True)])
         solved = _least_squares(masked, left, POINT_DAMPING)
-        wanted = once([add(c, add(a, b)) for c, a, b in zip(components(command), stopped, solved, strict=True)])
-        allowed = once(_clip(chain, wanted))
-        free = once([jnp.where(a == w, f, 0.0) for a, w, f in zip(allowed, wanted, free, strict=True)])
-        step = [sub(a, c) for a, c in zip(allowed, components(command), strict=True)]
-        stopped = once([jnp.where(f > 0, 0.0, s) for f, s in zip(free, step, strict=True)])
+        wanted = once([c + (a + b) for c, a, b in zip(commanded, stopped, solved, strict=True)])
+        allowed = once([jnp.clip(a, low, high) for a, low, high in zip(wanted, chain.lower, chain.upper, strict=True)])
+        free = [jnp.where(a == w, f, 0.0) for a, w, f in zip(allowed, wanted, free, strict=True)]
+        step = [a - c for a, c in zip(allowed, commanded, strict=True)]
+        return free, [jnp.where(f > 0, 0.0, s) for f, s in zip(free, step, strict=True)], step
+
+    zero, one = jnp.zeros(q.shape[:-1]), jnp.ones(q.shape[:-1])
+    _, _, step = jax.lax.fori_loop(0, LIMIT_PASSES, again, ([one] * chain.n, [zero] * chain.n, [zero] * chain.n))
     return stack(step, q)
 
 

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from reachlab.robots.clearance import capsules_at, free_of_contact
+from reachlab.robots.clearance import Segments, capsules_at, free_at
 from reachlab.robots.kinematics import forward_kinematics
 from reachlab.robots.robot import Robot
 from reachlab.tasks.obstacles import FAR, Obstacles, beside, moving
@@ -55,15 +55,18 @@ def places(setup: TaskSetup) -> int:
 def sample_scene(setup: TaskSetup, key: Array, start: Array, goal: Array) -> Obstacles:
     """Obstacles for an episode from joints `start [n]` to `goal [n]`, each number that the rules allow as often."""
     count, (fewest, most) = places(setup), setup.rules.obstacles
-    nothing = _nothing(count)
+    robot, nothing, ends = setup.robot, _nothing(count), jnp.stack([start, goal])
 
     def again(before: _Scene) -> _Scene:
         key, for_count, for_shapes, for_way = jax.random.split(before.key, 4)
         wanted = jax.random.randint(for_count, (), fewest, most + 1)
-        drawn = _drawn(setup, for_shapes, jnp.stack([start, goal]))
+        joints = jnp.concatenate([ends, _ways(setup, for_way, start, goal)])
+        at = capsules_at(robot.chain, robot.capsules, joints)
+        at_ends, on_ways = jax.tree.map(lambda x: x[:, :2], at), jax.tree.map(lambda x: x[:, 2:], at)
+        drawn = _drawn(setup, for_shapes, ends, at_ends)
         there = jnp.arange(count) < wanted
         obstacles = jax.tree.map(lambda a, b: jnp.where(there.reshape(-1, *[1] * (a.ndim - 1)), a, b), drawn, nothing)
-        return _Scene(key, obstacles, _has_way(setup, for_way, obstacles, start, goal), before.rounds + 1)
+        return _Scene(key, obstacles, _leads(setup, on_ways, obstacles), before.rounds + 1)
 
     begun = _Scene(key, nothing, jnp.zeros((), bool), jnp.zeros((), jnp.int32))
     found = jax.lax.while_loop(lambda scene: ~scene.solved & (scene.rounds < ROUNDS), again, begun)
@@ -79,17 +82,17 @@ def _nothing(count: int) -> Obstacles:
     )
 
 
-def _drawn(setup: TaskSetup, key: Array, free: Array) -> Obstacles:
+def _drawn(setup: TaskSetup, key: Array, free: Array, at: Segments) -> Obstacles:
     """Obstacles that the arm does not meet at joints `free [2, n]`, near the way of the tool from the one to the other.
 
-    Where none of the candidates is so, there is none.
+    There its capsules lie as `at`. Where none of the candidates is so, there is none.
     """
     count = places(setup)
     for_shapes, for_share = jax.random.split(key)
     shares = jax.random.uniform(for_share, (count * CANDIDATES, 1))
     way = forward_kinematics(setup.robot.chain, free[0] + shares * (free[1] - free[0])).position
     candidates = _shapes(setup, for_shapes, way)
-    clear = (clearances(setup.robot, free, candidates) > CLEAR * setup.robot.scale).all(axis=0)
+    clear = (clearances(setup.robot, at, candidates) > CLEAR * setup.robot.scale).all(axis=0)
     clear = clear.reshape(count, CANDIDATES)
     chosen = jnp.arange(count) * CANDIDATES + clear.argmax(axis=1)
     found = jax.tree.map(lambda x: x[chosen], candidates)
@@ -120,23 +123,27 @@ def _shapes(setup: TaskSetup, key: Array, near: Array) -> Obstacles:
     )
 
 
-def clearances(robot: Robot, q: Array, obstacles: Obstacles) -> Array:
-    """Distances `[m, K]` m of the arm at joints `[m, n]` from obstacles `[K]`."""
-    count, others = len(q), len(obstacles.radius)
-    start, end, radius = moving(robot.capsules, capsules_at(robot.chain, robot.capsules, q))
+def clearances(robot: Robot, at: Segments, obstacles: Obstacles) -> Array:
+    """Distances `[B, K]` m from obstacles `[K]` of an arm whose capsules lie as `capsules_at` says."""
+    start, end, radius = moving(robot.capsules, at)
+    count, others = start[0].shape[1], len(obstacles.radius)
     one, other = (tuple(jnp.repeat(x, others, axis=1) for x in side) for side in (start, end))
     each = jax.tree.map(lambda x: jnp.tile(x, (count, *[1] * (x.ndim - 1))), obstacles)
     return (beside(one, other, each).distance - radius).min(axis=0).reshape(count, others)
 
 
-def _has_way(setup: TaskSetup, key: Array, obstacles: Obstacles, start: Array, goal: Array) -> Array:
-    """Whether the straight way in joint space is free, or one over a random joint vector near its middle."""
-    chain, robot = setup.robot.chain, setup.robot
+def _ways(setup: TaskSetup, key: Array, start: Array, goal: Array) -> Array:
+    """Joints `[B, n]` on the straight way in joint space, and on ways over random joint vectors near its middle."""
+    chain = setup.robot.chain
     away = jax.random.uniform(key, (VIAS, chain.n), minval=-WIDE, maxval=WIDE).at[0].set(0.0)
     vias = jnp.clip((start + goal) / 2 + away, jnp.array(chain.lower), jnp.array(chain.upper))
     shares = jnp.arange(1, STEPS + 1)[:, None] / STEPS
-    parts = [one + shares * (other - one) for via in vias for one, other in ((start, via), (via, goal))]
-    q = jnp.concatenate(parts)
-    least = CLEAR * robot.scale / 2
-    free = (clearances(robot, q, obstacles) > least).all(axis=1) & free_of_contact(robot, q)
+    to, on = (one + shares * (other - one) for one, other in ((start, vias[:, None]), (vias[:, None], goal)))
+    return jnp.concatenate([to, on], axis=1).reshape(-1, chain.n)
+
+
+def _leads(setup: TaskSetup, at: Segments, obstacles: Obstacles) -> Array:
+    """Whether one of those `_ways` is free; its capsules lie as `at`."""
+    least = CLEAR * setup.robot.scale / 2
+    free = (clearances(setup.robot, at, obstacles) > least).all(axis=1) & free_at(setup.robot, at)
     return free.reshape(VIAS, -1).all(axis=1).any()
