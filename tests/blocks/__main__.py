@@ -24,6 +24,7 @@ from pathlib import Path
 from blocks.pages import ROOT, Block, blocks, fenced, lanes
 from blocks.stand_in import install
 from reachlab.cli.console import say
+from reachlab.jax_setup import VARIABLE
 
 PATIENCE = 600
 """Time that a block may take [s]."""
@@ -53,7 +54,8 @@ def prepare(folder: Path) -> dict[str, str]:
     (space,) = fenced((ROOT / "docs" / "scale.md").read_text(encoding="utf-8"), "toml")
     (folder / "space.toml").write_text(space[0], encoding="utf-8")
     paths = {"PATH": f"{folder / 'bin'}:{os.environ['PATH']}", "PYTHONPATH": f"{ROOT / 'src'}:{ROOT / 'tests'}"}
-    return os.environ | paths | {"WANDB_MODE": "offline", "BROWSER": "true", "TF_CPP_MIN_LOG_LEVEL": "3"}
+    # One thread: two lanes share the cores.
+    return os.environ | paths | {"WANDB_MODE": "offline", "BROWSER": "true", "TF_CPP_MIN_LOG_LEVEL": "3", VARIABLE: "1"}
 
 
 def run(block: Block, folder: Path, env: dict[str, str], tally: Tally) -> None:
