@@ -106,7 +106,8 @@ def _limits(facts: dict[str, Any]) -> list[str]:
         "",
         (
             "Trained and judged in simulation alone. The controller knows the arm's joints, not what is around it: it"
-            " does not see people, tables or cables, does not measure forces, and is no safety function in the sense of"
-            " any standard. Keep the arm's own limits, its emergency stop and a fence."
+            " does not see people, tables or cables, does not keep the arm's links from each other, does not measure"
+            " forces, and is no safety function in the sense of any standard. Keep the arm's own limits, its emergency"
+            " stop and a fence."
         ),
     ]
