@@ -233,6 +233,7 @@ def angle(one: np.ndarray | None, other: np.ndarray | None) -> float:
     return float((a.inv() * b).magnitude())
 
 
+@pytest.mark.slow
 def test_a_target_that_is_turned_by_its_handle_is_reached(poses: Viewer) -> None:
     turn = Rotation.from_euler("z", 40, degrees=True)
     wanted = (turn * Rotation.from_quat(poses.handle.wxyz, scalar_first=True)).as_quat(scalar_first=True)
@@ -251,6 +252,7 @@ def test_a_target_that_is_turned_by_its_handle_is_reached(poses: Viewer) -> None
     assert poses.stage.label.text.endswith("°")
 
 
+@pytest.mark.slow
 def test_where_the_arm_has_no_such_pose_the_target_stays_and_the_panel_says_so(poses: Viewer) -> None:
     before = poses.player.moment
     poses.handle.position = poses.box[1]

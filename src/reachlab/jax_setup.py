@@ -15,7 +15,7 @@ from jax.stages import Wrapped
 
 from reachlab.settings.validation import InputError
 
-CPU_OPTIONS = {
+CPU_OPTIONS: dict[str, str | int] = {
     # Without this XLA's CPU compiler drops optimisation barriers before it fuses (see `scalar_algebra.once`).
     "xla_disable_hlo_passes": "cse_barrier_expander",
     # The kernels are simple loops: higher levels take a fifth longer to compile and run no faster.
@@ -23,20 +23,24 @@ CPU_OPTIONS = {
 }
 """Compiler options on the CPU."""
 
+BRIEF_OPTIONS = CPU_OPTIONS | {"xla_cpu_use_fusion_emitters": False}
+"""Those of programs that take longer to compile than to run: they compile in half the time. A training would be slower
+by up to a third."""
 
-def jit(function: Callable[..., Any], *, donate: tuple[int, ...] = ()) -> Wrapped:
-    """`jax.jit` with `CPU_OPTIONS` on the CPU; `donate` names arguments whose memory is reused.
+
+def jit(function: Callable[..., Any], *, donate: tuple[int, ...] = (), brief: bool = False) -> Wrapped:
+    """`jax.jit` with `CPU_OPTIONS` on the CPU, or `BRIEF_OPTIONS`; `donate` names arguments whose memory is reused.
 
     For the outermost function only: JAX refuses compiler options inside another trace.
     """
-    options: dict[str, str | int] | None = CPU_OPTIONS if jax.default_backend() == "cpu" else None
+    options = (BRIEF_OPTIONS if brief else CPU_OPTIONS) if jax.default_backend() == "cpu" else None
     return jax.jit(function, donate_argnums=donate, compiler_options=options)
 
 
 def compile_together(*calls: tuple[Callable[..., Any], tuple[Any, ...]]) -> list[Callable[..., Any]]:
-    """Functions compiled at the same time, each for arguments like those that stand beside it."""
+    """Brief functions, compiled at the same time, each for arguments like those that stand beside it."""
     with ThreadPoolExecutor() as pool:
-        return list(pool.map(lambda call: jit(call[0]).lower(*call[1]).compile(), calls))
+        return list(pool.map(lambda call: jit(call[0], brief=True).lower(*call[1]).compile(), calls))
 
 
 def cache_folder() -> Path:

@@ -109,7 +109,7 @@ class Loop:
         shape = jax.eval_shape(lambda: self.method.initial_state(env, config, config.seed, self.given))
         saved = self._saved_state(shape) if resume else None
         with ThreadPoolExecutor(2) as pool:
-            begin = jit(lambda seed: self.method.initial_state(env, config, seed, self.given))
+            begin = jit(lambda seed: self.method.initial_state(env, config, seed, self.given), brief=True)
             begun = pool.submit(begin, np.uint32(config.seed))
             runner = pool.submit(self._compiled_runner, shape.learner.policy)
             self._step = self.method.compile_iteration(env, config, shape, None)
