@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from contacts import contacts, link_of
 from foreign_arms import FILES
+from params import tried
 from reachlab.envs.core import Env
 from reachlab.evaluation.report import evaluate
 from reachlab.jax_setup import jit
@@ -93,7 +94,7 @@ def points_of_links(robot: Robot, q: np.ndarray) -> list[np.ndarray]:
     return [np.concatenate(parts) if parts else np.zeros((0, 3)) for parts in points]
 
 
-@pytest.mark.parametrize("name", ARMS)
+@pytest.mark.parametrize("name", tried(ARMS, ["iiwa14", "so101"]))
 def test_capsules_contain_what_is_drawn_and_little_more(name: str) -> None:
     robot = load_robot(name)
     capsules = robot.capsules

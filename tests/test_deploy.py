@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from faults.controllers import FAULTS, exported, faulty, hostile_commands
+from params import tried
 from reachlab.agents.acting import make_act
 from reachlab.bench.deploy import lively_run
 from reachlab.cli import main as cli
@@ -56,9 +57,7 @@ SAME = 1e-5
 """Largest difference of a command from that of the environment [rad]."""
 
 
-@pytest.fixture(
-    scope="module", params=[pytest.param(name, marks=[] if name in QUICK else pytest.mark.slow) for name in CASES]
-)
+@pytest.fixture(scope="module", params=tried(CASES, QUICK))
 def run(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> RunDirectory:
     task, settings = CASES[request.param]
     return lively_run(tmp_path_factory.mktemp(request.param) / "run", task, **settings)

@@ -229,7 +229,10 @@ def with_staggered_episodes(sim: str, observation: str) -> tuple[Compiled, EnvSt
 
 @pytest.mark.parametrize(
     ("sim", "observation"),
-    [("kinematic", "target+tool"), ("mujoco", "target+tool"), ("pybullet", "target+tool"), ("kinematic", "image")],
+    [
+        *((sim, "target+tool") for sim in ("kinematic", "mujoco", "pybullet")),
+        pytest.param("kinematic", "image", marks=pytest.mark.slow),
+    ],
 )
 def test_an_action_taken_several_times_ends_where_the_episode_does(sim: str, observation: str) -> None:
     (once, state), (several, begun) = (with_staggered_episodes(sim, observation) for _ in range(2))

@@ -233,6 +233,7 @@ def test_a_tool_that_is_told_is_taken(reachlab: Shell) -> None:
     assert "--tool part3" in told["next"]
 
 
+@pytest.mark.slow
 def test_without_a_base_the_joint_below_it_belongs_to_the_arm(reachlab: Shell) -> None:
     told = as_json(reachlab("robot", "small.urdf", "--package", "parts=lib", "--json"))
     assert [joint["name"] for joint in told["joints"]] == ["mount", "j0", "j1", "j2", "j3", "j4"]

@@ -24,6 +24,7 @@ from scipy.spatial.transform import Rotation
 from browser.driver import chromium, executable, open_scene, opened, picture, traffic, wait_until
 from browser.follow import Hand, follow
 from browser.viewer import free_port
+from params import tried
 from reachlab.cli import main as cli
 from reachlab.envs.core import Env
 from reachlab.learn.load import load_policy
@@ -145,9 +146,7 @@ def stays_here(requests: list[str]) -> bool:
 # --- in the browser -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "task", [FIRST, *(pytest.param(task, marks=pytest.mark.slow) for task in TASKS if task != FIRST)]
-)
+@pytest.mark.parametrize("task", tried(TASKS, [FIRST]))
 def test_the_arm_follows_a_target_that_is_dragged_in_the_page_and_rests_there(
     page: Page, task: str, tmp_path: Path
 ) -> None:
@@ -271,6 +270,7 @@ def test_where_the_arm_has_no_such_pose_the_target_stays_and_the_panel_says_so(p
     assert UNREACHABLE not in poses.panel.said
 
 
+@pytest.mark.slow
 def test_a_target_that_moves_shows_its_trail_until_it_is_taken_off_its_path(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

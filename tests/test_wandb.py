@@ -131,6 +131,7 @@ def test_a_resumed_run_keeps_its_id_and_its_newest_file_holds_every_row_once(mon
     assert len(rows) == 4
 
 
+@pytest.mark.slow
 def test_a_run_that_wandb_did_not_see_begin_is_logged_from_its_start() -> None:
     config = configure(**TINY, stop_early=False)
     with pytest.raises(Interrupted):
