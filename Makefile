@@ -29,9 +29,10 @@ types: $(VENV)/installed-dev
 unit: $(VENV)/installed-dev
 	XLA_FLAGS=--xla_cpu_use_fusion_emitters=false $(PYTEST) -m "not slow"
 
-# The tests that `make test` leaves out since each takes long: marked `slow`. Their programs are compiled as users' are.
+# The tests that `make test` leaves out since each takes long: marked `slow`. Their programs are compiled as users' are, and so are
+# once more those of the tests that look at last bits or at compiled programs: marked `compiled`.
 slow: $(VENV)/installed-dev
-	$(PYTEST) -m slow
+	$(PYTEST) -m "slow or compiled"
 
 foreign: $(VENV)/installed-dev
 	PYTHONPATH=tests $(BIN)/python -m foreign_arms

@@ -299,6 +299,7 @@ def test_a_reset_changes_only_the_environments_of_its_mask() -> None:
 
 
 @pytest.mark.parametrize("varied", [False, True])
+@pytest.mark.compiled
 def test_any_state_is_continued_from_bit_for_bit(varied: bool) -> None:
     robot, num_envs = load_robot("iiwa14"), 6
     whole, other = (simulator(robot, num_envs, randomise_dynamics=varied) for _ in range(2))

@@ -292,6 +292,7 @@ BIT_FOR_BIT: dict[str, tuple[int, int, dict[str, Any]]] = {
 
 @pytest.mark.parametrize("name", BIT_FOR_BIT)
 @pytest.mark.parametrize("mode", tried(AutoresetMode, [AutoresetMode.SAME_STEP]))
+@pytest.mark.compiled
 def test_a_batch_gives_what_the_environment_gives_bit_for_bit(name: str, mode: AutoresetMode) -> None:
     num_envs, steps, settings = BIT_FOR_BIT[name]
     if name == "pybullet":

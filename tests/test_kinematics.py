@@ -148,6 +148,7 @@ def solve(robot):
 
 
 @pytest.mark.parametrize("batch", ALL_BATCHES)
+@pytest.mark.compiled
 def test_compiled_kernels_equal_float64_at_every_batch_size(arm, compiled, batch):
     rng = np.random.default_rng(batch)
     q = arm.sample(rng, batch)

@@ -148,6 +148,7 @@ def test_unrolled_cholesky_solves_what_lapack_solves(n):
 
 
 @pytest.mark.skipif(jax.default_backend() != "cpu", reason="the option is of XLA's CPU compiler")
+@pytest.mark.compiled
 def test_what_is_computed_once_stays_computed_once_in_the_compiled_program():
     """The trick to which the kinematics owe their speed; a new XLA may drop it without a word."""
     chain = load_robot("iiwa14").chain

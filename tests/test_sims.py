@@ -23,6 +23,7 @@ NUM_ENVS = 4
 
 
 @pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.compiled
 def test_mujoco_continues_from_a_saved_state_bit_for_bit_at_any_thread_count(threads):
     config, robot = configure(sim="mujoco"), load_robot("iiwa14")
     whole = MujocoSimulator(robot, config.physics, NUM_ENVS, threads=1)
@@ -45,6 +46,7 @@ def test_mujoco_continues_from_a_saved_state_bit_for_bit_at_any_thread_count(thr
 
 
 @pytest.mark.parametrize("sim", SIMULATORS)
+@pytest.mark.compiled
 def test_two_environments_in_turns_are_each_as_alone(sim):
     if sim == "pybullet":
         pytest.importorskip("pybullet")
