@@ -7,6 +7,7 @@ import logging
 from collections.abc import Mapping
 from typing import Any
 
+from reachlab.robots.chain import significant
 from reachlab.robots.loading import load_robot
 from reachlab.robots.robot import Robot
 from reachlab.settings.config import RunConfig
@@ -121,15 +122,16 @@ def settled(config: RunConfig, setup: TaskSetup) -> RunConfig:
 
 
 def _on_arm(rules: TaskConfig, robot: Robot) -> Rules:
-    """The rules with lengths in proportion to the arm's workspace where none are given."""
+    """The rules with lengths in proportion to the arm's workspace where none are given, to six significant digits."""
     usual, scale = Rules(), robot.scale
-    lengths: dict[str, Any] = {
+    lengths: dict[str, float] = {
         "tool_scale": usual.tool_scale * scale,
         "success_distance": usual.success_distance * scale,
         "approach_weight": usual.approach_weight / scale,
         "goal_jump": usual.goal_jump * scale,
         "target_height": float(robot.workspace[0][2]) + usual.target_height * scale,
     }
+    lengths = {name: significant(value) for name, value in lengths.items()}
     given: dict[str, Any] = {
         name: value for name, value in vars(rules).items() if value is not None or name not in lengths
     }

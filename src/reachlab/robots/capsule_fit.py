@@ -9,6 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import minimize
 
+from reachlab.robots.chain import significant
+
 MOST, WORTH = 3, 0.85
 """Most capsules of one link, and the share to which each further one has to bring their volume: it costs as many
 distances as there are capsules beside it."""
@@ -26,8 +28,22 @@ line of its capsule is chosen. Its ends and radius then contain all points."""
 SCALES = (1.0, 1.03, 1.08, 1.15, 1.25, 1.5)
 """Radii that are tried about a line, in those of the thinnest cylinder: a thicker capsule may be so much shorter."""
 
-STEPS, ROUNDING = 160, 1e-9
-"""Most evaluations of a fit, and what a radius is larger by so that it contains its points after rounding [m]."""
+STEPS = 160
+"""Most evaluations of a fit."""
+
+FINE = 9
+"""Decimals [m], and significant digits of volumes, to which numbers are rounded before they decide anything: the last bits
+depend on the CPU's kernels, and a search that compares them ends elsewhere on another CPU."""
+
+TINY = 1e-18
+"""An area that no triangle is smaller than [m²]: one without any is never divided by."""
+
+DECIMALS = 6
+"""Decimals of ends and radii [m]."""
+
+ROUNDING = 2e-6
+"""What a radius is larger by so that the capsule contains its points after rounding [m]: above sqrt(3) / 2 + 1 times the
+last decimal."""
 
 SHORT = 1e-4
 """A capsule whose ends are nearer to each other is made a ball [m]."""
@@ -44,7 +60,7 @@ class Fitted(NamedTuple):
 
 def fit_capsules(triangles: np.ndarray) -> list[Fitted]:
     """One to `MOST` capsules, each of which contains a part of `triangles [F, 3, 3]` m, and together all of them."""
-    found = []
+    found, triangles = [], np.round(triangles, FINE)
     for normal, heights in _cuts(_sampled(triangles)):
         parts, rest = [], triangles
         for height in heights:
@@ -80,14 +96,14 @@ def _sampled(triangles: np.ndarray) -> np.ndarray:
     """Random points of triangles, evenly spread."""
     random = np.random.default_rng(0)
     a, b, c = triangles.swapaxes(0, 1)
-    areas = np.linalg.norm(np.cross(b - a, c - a), axis=1) + ROUNDING**2
+    areas = np.linalg.norm(np.cross(b - a, c - a), axis=1) + TINY
     chosen = triangles[random.choice(len(triangles), SAMPLES, p=areas / areas.sum())]
     return np.einsum("si,sij->sj", random.dirichlet(np.ones(3), SAMPLES), chosen)
 
 
 def cut(triangles: np.ndarray, normal: np.ndarray, height: float) -> tuple[np.ndarray, np.ndarray]:
     """Triangles `[.., 3, 3]` below and above the plane `normal · x = height`; those that cross it are cut in three."""
-    heights = triangles @ normal - height
+    heights = np.round(triangles @ normal - height, FINE)
     above, below = (heights >= 0).all(axis=1), (heights < 0).all(axis=1)
     crossing = ~(above | below)
     heights, corners = heights[crossing], triangles[crossing]
@@ -113,9 +129,10 @@ def _fit(triangles: np.ndarray) -> Fitted:
     """The smallest capsule that contains all corners, and so the triangles too."""
     points = triangles.reshape(-1, 3)
     some = points[:: 1 + len(points) // MANY]
-    some = some[np.unique((_directions() @ some.T).argmax(axis=1))]
+    some = some[np.unique(np.round(_directions() @ some.T, FINE).argmax(axis=1))]
     _, axis = _coarse(some)
-    across = np.linalg.svd(axis[None])[2][1:]
+    aside = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
+    across = np.array([aside, np.cross(axis, aside)]) / np.linalg.norm(aside)
     middle, size = _middle(some), float(np.ptp(some, axis=0).max())
 
     def line(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -125,14 +142,17 @@ def _fit(triangles: np.ndarray) -> Fitted:
 
     start = np.vstack([np.zeros(4), 0.1 * np.eye(4)])
     options = {"initial_simplex": start, "maxfev": STEPS, "xatol": 1e-3, "fatol": 1e-9}
-    best = minimize(lambda x: _about(some, *line(x))[0].min(), start[0], method="Nelder-Mead", options=options)
+    best = minimize(
+        lambda x: significant(_about(some, *line(x))[0].min(), FINE), start[0], method="Nelder-Mead", options=options
+    )
     point, axis = line(best.x)
     capsules = _about(points, point, axis)
     volume, low, high, radius = (float(values[capsules[0].argmin()]) for values in capsules)
     if high - low < SHORT:
         radius += (high - low) / 2
         low = high = (low + high) / 2
-    return Fitted(point + low * axis, point + high * axis, radius + ROUNDING, volume)
+    start, end = (np.round(point + along * axis, DECIMALS) for along in (low, high))
+    return Fitted(start, end, round(radius + ROUNDING, DECIMALS), significant(volume, FINE))
 
 
 def _about(points: np.ndarray, point: np.ndarray, axes: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -158,14 +178,16 @@ def capsule_volume(length: np.ndarray, radius: np.ndarray) -> np.ndarray:
 def _coarse(points: np.ndarray) -> tuple[float, np.ndarray]:
     """Volume and axis of the smallest capsule about a line through the middle, along one of `_axes`."""
     axes = _axes(points)
-    volumes = _about(points, _middle(points), axes)[0].min(axis=-1)
-    return float(volumes.min()), axes[volumes.argmin()]
+    volumes = [significant(volume, FINE) for volume in _about(points, _middle(points), axes)[0].min(axis=-1)]
+    return min(volumes), axes[np.argmin(volumes)]
 
 
 def _axes(points: np.ndarray) -> np.ndarray:
     """Directions `[6, 3]` in which links are long or are cut: their principal axes, and those of their frame."""
     away = points - points.mean(axis=0)
-    return np.concatenate([np.linalg.eigh(away.T @ away)[1].T, np.eye(3)])
+    gram = away.T @ away
+    principal = np.linalg.eigh(np.round(gram / max(gram.max(), TINY), DECIMALS))[1].T
+    return np.concatenate([np.round(principal, FINE), np.eye(3)])
 
 
 def _middle(points: np.ndarray) -> np.ndarray:

@@ -11,8 +11,11 @@ import numpy as np
 from reachlab.robots.joint_limits import position_limits
 from reachlab.robots.scalar_algebra import Rotation, Vec, rotation_from_quaternion
 
+DECIMALS = 12
+"""Decimals of the constants of a joint frame [m or 1]: what is 0 or 1 but for the rounding of float64 is that number."""
+
 ROUND_TO_EXACT = 1e-12
-"""Constants of a joint frame this close to 0 or 1 are those numbers; they differ by float64 rounding."""
+"""What is this close to 0 is."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +71,15 @@ class Chain:
         for (rotation, offset), slide, value in zip(self.frames[:-1], self.slides, q, strict=True):
             transforms.append(transforms[-1] @ _matrix(rotation, offset) @ _joint_transform(slide, float(value)))
         return np.stack(transforms)
+
+
+DIGITS = 6
+"""Significant digits of what is derived and then kept, compared or printed: the last bits depend on the CPU's kernels."""
+
+
+def significant(value: float, digits: int = DIGITS) -> float:
+    """The number nearest to `value` of so many significant decimal digits."""
+    return float(f"{value:.{digits}g}")
 
 
 JOINTS_OF_A_POSE = 6
@@ -199,7 +211,6 @@ def _matrix(rotation: Rotation, offset: Vec) -> np.ndarray:
 
 
 def _constants(transform: np.ndarray) -> tuple[Rotation, Vec]:
-    nearest = np.round(transform)
-    exact = np.where(np.abs(transform - nearest) < ROUND_TO_EXACT, nearest, transform)
+    exact = np.round(transform, DECIMALS) + 0.0
     rotation = Rotation(*(Vec(*(float(c) for c in column)) for column in exact[:3, :3].T))
     return rotation, Vec(*(float(c) for c in exact[:3, 3]))

@@ -16,7 +16,7 @@ from reachlab.robots.workspace import Derived, derive
 
 logger = logging.getLogger(__name__)
 
-VERSION = 7
+VERSION = 8
 """Of the derivation: what an older one left in the cache is derived again."""
 
 RANDOM_POSES = 30

@@ -121,10 +121,8 @@ class Candidates:
                 found.append(q)
         return found
 
-    def any(self, home: tuple[float, ...] | None) -> np.ndarray:
-        """The given home, else the most comfortable joint vector, or the middle of the limits if all are singular."""
-        if home is not None:
-            return np.array(home)
+    def any(self) -> np.ndarray:
+        """The most comfortable joint vector, or the middle of the limits if all are singular."""
         return self._q[self._worth.argmax()] if self._worth.any() else self._middle
 
 

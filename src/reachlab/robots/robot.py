@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from reachlab.robots.chain import Chain
+from reachlab.robots.chain import Chain, significant
 from reachlab.robots.isolation import Isolation, apply
 from reachlab.robots.model_file import ModelFile
 
@@ -120,8 +120,11 @@ class Robot:
 
     @property
     def scale(self) -> float:
-        """Size of the workspace in those of the tutorial's, by their diagonals; 1 for the tutorial's arm."""
-        return _diagonal(self.workspace) / _diagonal(TUTORIAL_WORKSPACE)
+        """Size of the workspace in those of the tutorial's, by their diagonals; 1 for the tutorial's arm.
+
+        It is rounded to six significant digits.
+        """
+        return significant(_diagonal(self.workspace) / _diagonal(TUTORIAL_WORKSPACE))
 
     def placed(self, point: tuple[float, ...] | np.ndarray) -> np.ndarray:
         """Where a point `[..., 3]` m of the tutorial's scene lies in this arm's: in proportion to their workspaces."""

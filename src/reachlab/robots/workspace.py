@@ -13,7 +13,7 @@ import numpy as np
 from jax import Array
 
 from reachlab.jax_setup import compile_together
-from reachlab.robots.chain import Chain
+from reachlab.robots.chain import Chain, significant
 from reachlab.robots.home import SAMPLES, Candidates, turned_candidates
 from reachlab.robots.inverse_kinematics import ik_displace, ik_point_step
 from reachlab.robots.kinematics import forward_kinematics, turned
@@ -109,11 +109,11 @@ def derive(
         tried += [(q, turn, favour) for q in candidates.best(turn, tilt, free, most)]
     found = [(favour * box.size, q, turn, box) for q, turn, favour in tried if (box := search.workspace(q, turn))]
     if not found:
-        return _around(chain, base, candidates.any(home))
+        return _around(chain, base, np.array(home) if home else _rounded(chain, candidates.any()))
     _, q, turn, box = max(found, key=lambda one: one[0])
     if home is None or not np.array_equal(q, home):
-        moved = search.start(q, box, turn)
-        q = moved if free(moved) else q
+        moved = _rounded(chain, search.start(q, box, turn))
+        q = moved if free(moved) else _rounded(chain, q)
     workspace, share = search.verified(box.corners, functools.partial(search.held, q), chain.tool_at(q)[0])
     goals = search.goal_box(q, turn)
     goal_box, goal_share = search.verified(
@@ -124,8 +124,13 @@ def derive(
 
 
 def orientation(chain: Chain, home: tuple[float, ...]) -> tuple[float, ...]:
-    """Orientation wxyz of the tool at home."""
-    return tuple(chain.tool_at(home)[1].tolist())
+    """Orientation wxyz of the tool at home, to nine decimals."""
+    return tuple((np.round(chain.tool_at(home)[1], 9) + 0.0).tolist())
+
+
+def _rounded(chain: Chain, q: np.ndarray) -> np.ndarray:
+    """Joint vector `[n]` to thousandths [rad or m]: single precision finds it, whose last digits depend on the CPU."""
+    return np.clip(np.round(q, 3) + 0.0, chain.lower, chain.upper)
 
 
 class _Found(NamedTuple):
@@ -295,5 +300,6 @@ def _around(chain: Chain, base: np.ndarray, home: np.ndarray) -> Derived:
     there = chain.tool_at(home)[0]
     low, high = np.minimum(low, there) - MARGIN, np.maximum(high, there) + MARGIN
     low[2] = min(max(low[2], base[2]), there[2] - MARGIN)
-    box, start = (tuple(low.tolist()), tuple(high.tolist())), tuple(home.tolist())
+    box = tuple(map(significant, low.tolist())), tuple(map(significant, high.tolist()))
+    start = tuple(home.tolist())
     return Derived(start, orientation(chain, start), box, box, {})
