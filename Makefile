@@ -7,16 +7,31 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 # A process each core, which computes with one thread: two that share both cores wait for each other. Each begins with half
 # of the tests in their order, so that what a file's tests share is made once.
 PYTEST := NPROC=1 $(BIN)/python -m pytest -n 2 --dist worksteal
+# Without XLA's newer emitters and without optimisation programs compile in a third of the time; as users have them they run faster.
+QUICK := XLA_FLAGS="--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0"
 GYMNAX_VENV := .venv-gymnax
 
-.PHONY: demo test lint types unit slow bench bench-viewer foreign fuzz trust policies docs docs-blocks three gymnax dist clean
+.PHONY: demo check test lint types quick unit tiers slow bench bench-viewer foreign fuzz trust policies docs docs-blocks three gymnax dist clean
 
 demo: $(VENV)/installed
 	@$(BIN)/reachlab train --out $(RUN)
 	@$(BIN)/reachlab eval $(RUN) --agent trained ik random zero
 	@echo "Curve: $(RUN)/curve.png   Report: $(RUN)/report.json   Shorter from here: source $(VENV)/bin/activate"
 
+# Everything that a change should pass; `make check`, what answers soon: without the tests that take long.
 test: lint types unit
+
+check: $(VENV)/installed-dev
+	@$(MAKE) --no-print-directory --jobs 3 --output-sync lint types quick
+
+quick: $(VENV)/installed-dev
+	$(QUICK) $(PYTEST) -m "not slow and not long"
+
+# Which tests take long, measured anew; again until it stays as it is, since what is left out has prepared something for others.
+tiers: $(VENV)/installed-dev
+	: > tests/long_tests.txt
+	$(QUICK) $(PYTEST) -m "not slow" --note-long
+	$(QUICK) $(PYTEST) -m "not slow and not long" --note-long
 
 lint: $(VENV)/installed-dev
 	$(BIN)/ruff format --check .
@@ -25,9 +40,8 @@ lint: $(VENV)/installed-dev
 types: $(VENV)/installed-dev
 	$(BIN)/pyright
 
-# Without XLA's newer emitters programs compile in half the time; with them, as users have them, they train a third faster.
 unit: $(VENV)/installed-dev
-	XLA_FLAGS=--xla_cpu_use_fusion_emitters=false $(PYTEST) -m "not slow"
+	$(QUICK) $(PYTEST) -m "not slow"
 
 # The tests that `make test` leaves out since each takes long: marked `slow`. Their programs are compiled as users' are, and so are
 # once more those of the tests that look at last bits or at compiled programs: marked `compiled`.

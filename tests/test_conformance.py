@@ -1,14 +1,15 @@
-"""The checks of `conformance`, over every combination of the tables."""
+"""The checks of `conformance`, over combinations of the tables."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from itertools import product
 
 import pytest
 
 from conformance import CHECKS, Subject
+from reachlab.envs.setup import check
 from reachlab.robots.catalogue import ROBOTS
+from reachlab.settings.presets import configure, preset
 from reachlab.settings.validation import InputError
 from reachlab.sims import SIMULATORS
 from reachlab.tasks import TASKS
@@ -16,76 +17,73 @@ from reachlab.tasks.actions import ACTIONS
 from reachlab.tasks.observations import OBSERVATIONS
 from reachlab.tasks.rewards import REWARDS
 
-PICTURED = ("tutorial", "tool_delta", "sparse")
-"""Task, action and reward with which pictures are tried: the camera is aimed at the table, and they change nothing."""
+TABLES = {
+    "robot": ROBOTS,
+    "sim": SIMULATORS,
+    "observation": OBSERVATIONS,
+    "action": ACTIONS,
+    "reward": REWARDS,
+}
 
-FIRST, TRACED = next(iter(ROBOTS)), "kinematic"
+FIRST = next(iter(TASKS))
+"""Everything is varied about this task's preset, which compiles quickly; of the others what has to do with them."""
 
-USUAL = (
-    ("tutorial", "kinematic", "target+tool", "tool_delta", "dense"),
-    ("tutorial", "pybullet", "target+tool", "tool_delta", "dense"),
-    ("precise", "mujoco", "state", "joint_residual", "precise"),
-    ("pose", "mujoco", "pose", "joint_residual", "precise"),
-    ("track", "mujoco", "track", "joint_residual", "track"),
-    ("clutter", "mujoco", "clutter", "joint_residual", "closeness"),
-)
-"""Task, simulator, observation, action and reward with which every robot is tried."""
+TASKS_OF_ROBOTS = {
+    "panda": ("pose", "track"),
+    "ur5e": ("precise", "clutter"),
+    "xarm7": ("pose", "clutter"),
+    "gen3": ("precise", "track"),
+    "so101": ("precise", "pose"),
+}
+"""In which other tasks robots beside the first are tried."""
 
-OTHERS = (
-    *(("precise", observation, "tool_delta", "sparse") for observation in ("target", "target+tool", "state", "goal")),
-    *(("pose", observation, "joint_delta", "sparse") for observation in ("pose", "goal+state")),
-    *(("track", observation, "joint_delta", "sparse") for observation in ("track", "goal+state")),
-    *(("clutter", observation, "joint_delta", "sparse") for observation in ("clutter", "goal+state")),
-)
-"""Task, observation, action and reward with which the first robot is tried in every simulator that has it."""
+LONG = ("image+tool", "clutter")
+"""What takes long and has a quicker sibling."""
 
 
-def _tried(task: str, robot: str, sim: str, observation: str, action: str, reward: str) -> bool:
-    """Every robot as usual; of the first one every observation with every action, and every reward with every action.
-
-    Of other tasks than the tutorial's those of `OTHERS`; rewards beyond the sparse one in the fastest simulator.
-    """
-    if (task, sim, observation, action, reward) in USUAL:
-        return True
-    if task == "clutter" and not SIMULATORS[sim].obstacles:
+def _fits(names: dict[str, str]) -> bool:
+    """Whether a configuration with these names is not refused."""
+    try:
+        check(configure(**names))
+    except InputError:
         return False
-    if robot != FIRST or (reward != "sparse" and sim != TRACED):
-        return False
-    if task != PICTURED[0]:
-        return (task, observation, action, reward) in OTHERS
-    if (design := OBSERVATIONS[observation]).needs_pose or design.needs_velocity or design.needs_obstacles:
-        return False
-    if design.pictured:
-        return (action, reward) == PICTURED[1:]
-    return reward == "sparse" or observation == "target+tool"
+    return True
 
 
-COMBINATIONS = [names for names in product(TASKS, ROBOTS, SIMULATORS, OBSERVATIONS, ACTIONS, REWARDS) if _tried(*names)]
+def _combinations() -> Iterator[tuple[dict[str, str], bool]]:
+    """Names of a task's preset with one of them changed, for each task; and whether `make slow` tries it alone."""
+    for task in TASKS:
+        rules, sim = preset(task).rules, preset(task).sim
+        usual = {"task": task, "robot": next(iter(ROBOTS)), "sim": sim}
+        usual |= {kind: getattr(rules, kind) for kind in ("observation", "action", "reward")}
+        yield usual, task in LONG
+        for kind, table in TABLES.items():
+            for name in table.keys() - {usual[kind]}:
+                concerned = kind in ("sim", "action") or (kind == "robot" and task in TASKS_OF_ROBOTS[name])
+                if (task == FIRST or concerned) and _fits(changed := {**usual, kind: name}):
+                    yield changed, task != FIRST or name in LONG
 
 
-def _slow(task: str, robot: str, sim: str, observation: str, action: str, reward: str) -> bool:
-    """Whether it is left to `make slow`: what takes long to compile, and most of what is unusual in two ways.
+COMBINATIONS = sorted(_combinations(), key=lambda one: tuple(one[0].values()))
 
-    Of the tutorial's task `make test` tries every observation with every action in the fastest simulator.
-    """
-    if task == "clutter" or (task == "pose" and robot != FIRST):
-        return True
-    if task == "tutorial":
-        beyond = (observation != "target+tool", action != "tool_delta", reward != "sparse")
-        return sum(beyond) > 1 and (sim != TRACED or beyond[2])
-    return task == "pose" and (task, sim, observation, action, reward) not in USUAL
+
+def test_every_entry_of_a_table_is_tried() -> None:
+    for kind, table in {"task": TASKS, **TABLES}.items():
+        assert {names[kind] for names, _ in COMBINATIONS} == set(table)
+    quick = {name for names, slow in COMBINATIONS if not slow for name in names.values()}
+    assert quick >= {*ROBOTS, *SIMULATORS, *ACTIONS, *REWARDS}
 
 
 @pytest.fixture(
     scope="module",
     params=[
-        pytest.param(names, id="-".join(names), marks=[pytest.mark.slow] if _slow(*names) else [])
-        for names in COMBINATIONS
+        pytest.param(names, id="-".join(names.values()), marks=[pytest.mark.slow] if slow else [])
+        for names, slow in COMBINATIONS
     ],
 )
 def subject(request: pytest.FixtureRequest) -> Iterator[Subject]:
     try:
-        subject = Subject(*request.param)
+        subject = Subject(**request.param)
     except InputError as error:
         # An optional simulator that is not installed says how to install it.
         if "pip install" not in str(error):

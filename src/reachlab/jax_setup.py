@@ -31,9 +31,13 @@ by up to a third."""
 def jit(function: Callable[..., Any], *, donate: tuple[int, ...] = (), brief: bool = False) -> Wrapped:
     """`jax.jit` with `CPU_OPTIONS` on the CPU, or `BRIEF_OPTIONS`; `donate` names arguments whose memory is reused.
 
-    For the outermost function only: JAX refuses compiler options inside another trace.
+    An option that `XLA_FLAGS` names is what it is there. For the outermost function only: JAX refuses compiler options
+    inside another trace.
     """
-    options = (BRIEF_OPTIONS if brief else CPU_OPTIONS) if jax.default_backend() == "cpu" else None
+    options = None
+    if jax.default_backend() == "cpu":
+        flags = os.environ.get("XLA_FLAGS", "")
+        options = {name: own for name, own in (BRIEF_OPTIONS if brief else CPU_OPTIONS).items() if name not in flags}
     return jax.jit(function, donate_argnums=donate, compiler_options=options)
 
 

@@ -32,8 +32,8 @@ STEPS = 160
 """Most evaluations of a fit."""
 
 FINE = 9
-"""Decimals [m], and significant digits of volumes, to which numbers are rounded before they decide anything: the last bits
-depend on the CPU's kernels, and a search that compares them ends elsewhere on another CPU."""
+"""Decimals [m], and significant digits of volumes, to which numbers are rounded before they decide anything: the last
+bits depend on the CPU's kernels, and a search that compares them ends elsewhere on another CPU."""
 
 TINY = 1e-18
 """An area that no triangle is smaller than [m²]: one without any is never divided by."""
@@ -42,8 +42,8 @@ DECIMALS = 6
 """Decimals of ends and radii [m]."""
 
 ROUNDING = 2e-6
-"""What a radius is larger by so that the capsule contains its points after rounding [m]: above sqrt(3) / 2 + 1 times the
-last decimal."""
+"""What a radius is larger by so that the capsule contains its points after rounding [m]: more than (sqrt(3) + 1) / 2
+times the last decimal."""
 
 SHORT = 1e-4
 """A capsule whose ends are nearer to each other is made a ball [m]."""

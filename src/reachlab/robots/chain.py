@@ -12,7 +12,7 @@ from reachlab.robots.joint_limits import position_limits
 from reachlab.robots.scalar_algebra import Rotation, Vec, rotation_from_quaternion
 
 DECIMALS = 12
-"""Decimals of the constants of a joint frame [m or 1]: what is 0 or 1 but for the rounding of float64 is that number."""
+"""Decimals of the constants of a joint frame [m or 1]: one that is 0 or 1 but for float64's rounding is that number."""
 
 ROUND_TO_EXACT = 1e-12
 """What is this close to 0 is."""
@@ -74,7 +74,7 @@ class Chain:
 
 
 DIGITS = 6
-"""Significant digits of what is derived and then kept, compared or printed: the last bits depend on the CPU's kernels."""
+"""Significant digits of what is derived and then kept, compared or printed: its last bits depend on the CPU."""
 
 
 def significant(value: float, digits: int = DIGITS) -> float:

@@ -72,6 +72,11 @@ def turned_candidates(chain: Chain, base: np.ndarray, sampled: Array, tilt: Arra
     return q, pose.position, gram, off, hangs, forward_kinematics(chain, sampled).position
 
 
+def rounded(chain: Chain, q: np.ndarray) -> np.ndarray:
+    """Joint vector `[n]` to thousandths [rad or m]: single precision finds it, whose last digits depend on the CPU."""
+    return np.clip(np.round(q, 3) + 0.0, chain.lower, chain.upper)
+
+
 class Candidates:
     """Joint vectors at which the tool points down, or tilted outward, of which one will be home.
 

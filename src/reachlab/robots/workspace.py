@@ -14,7 +14,7 @@ from jax import Array
 
 from reachlab.jax_setup import compile_together
 from reachlab.robots.chain import Chain, significant
-from reachlab.robots.home import SAMPLES, Candidates, turned_candidates
+from reachlab.robots.home import SAMPLES, Candidates, rounded, turned_candidates
 from reachlab.robots.inverse_kinematics import ik_displace, ik_point_step
 from reachlab.robots.kinematics import forward_kinematics, turned
 from reachlab.robots.robot import TUTORIAL_WORKSPACE, Box
@@ -109,11 +109,11 @@ def derive(
         tried += [(q, turn, favour) for q in candidates.best(turn, tilt, free, most)]
     found = [(favour * box.size, q, turn, box) for q, turn, favour in tried if (box := search.workspace(q, turn))]
     if not found:
-        return _around(chain, base, np.array(home) if home else _rounded(chain, candidates.any()))
+        return _around(chain, base, np.array(home) if home else rounded(chain, candidates.any()))
     _, q, turn, box = max(found, key=lambda one: one[0])
     if home is None or not np.array_equal(q, home):
-        moved = _rounded(chain, search.start(q, box, turn))
-        q = moved if free(moved) else _rounded(chain, q)
+        moved = rounded(chain, search.start(q, box, turn))
+        q = moved if free(moved) else rounded(chain, q)
     workspace, share = search.verified(box.corners, functools.partial(search.held, q), chain.tool_at(q)[0])
     goals = search.goal_box(q, turn)
     goal_box, goal_share = search.verified(
@@ -126,11 +126,6 @@ def derive(
 def orientation(chain: Chain, home: tuple[float, ...]) -> tuple[float, ...]:
     """Orientation wxyz of the tool at home, to nine decimals."""
     return tuple((np.round(chain.tool_at(home)[1], 9) + 0.0).tolist())
-
-
-def _rounded(chain: Chain, q: np.ndarray) -> np.ndarray:
-    """Joint vector `[n]` to thousandths [rad or m]: single precision finds it, whose last digits depend on the CPU."""
-    return np.clip(np.round(q, 3) + 0.0, chain.lower, chain.upper)
 
 
 class _Found(NamedTuple):
