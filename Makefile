@@ -11,7 +11,7 @@ PYTEST := NPROC=1 $(BIN)/python -m pytest -n 2 --dist worksteal
 QUICK := XLA_FLAGS="--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0"
 GYMNAX_VENV := .venv-gymnax
 
-.PHONY: demo check test lint types quick unit tiers slow bench bench-viewer foreign fuzz trust policies docs docs-blocks three gymnax dist clean
+.PHONY: demo check test lint types quick unit tiers slow kernels bench bench-viewer foreign fuzz trust policies docs docs-blocks three gymnax dist clean
 
 demo: $(VENV)/installed
 	@$(BIN)/reachlab train --out $(RUN)
@@ -47,6 +47,14 @@ unit: $(VENV)/installed-dev
 # once more those of the tests that look at last bits or at compiled programs: marked `compiled`.
 slow: $(VENV)/installed-dev
 	$(PYTEST) -m "slow or compiled"
+
+# What is derived of arms and compared, with the kernels of other CPUs: two of OpenBLAS's, and XLA's without AVX-512.
+DERIVED := tests/test_kernels.py tests/test_shipped.py tests/test_workspace.py tests/test_capsules.py
+kernels: $(VENV)/installed-dev
+	for core in Haswell SkylakeX; do \
+		XDG_CACHE_HOME=build/cache-$$core OPENBLAS_CORETYPE=$$core \
+		XLA_FLAGS="--xla_cpu_max_isa=AVX2 --xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0" \
+		$(PYTEST) -m "not slow" $(DERIVED) || exit 1; done
 
 foreign: $(VENV)/installed-dev
 	PYTHONPATH=tests $(BIN)/python -m foreign_arms
