@@ -25,7 +25,7 @@ DIGESTS = {
     "so101": "886eae20d3dc",
     "own": "ec8dd67ab08a",
 }
-"""Of what is derived with these versions of NumPy, SciPy and MuJoCo; made anew where the derivation changes on purpose."""
+"""Of what is derived; made anew where the derivation changes on purpose."""
 
 
 LENGTHS = ("tool_scale", "success_distance", "approach_weight", "goal_jump", "target_height")

@@ -1,0 +1,104 @@
+"""Faults put into the code by hand, one at a time: does a target of the tests catch them? See `make planted-faults`."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import NamedTuple
+
+SOURCE = Path(__file__).parents[1] / "src"
+
+TIERS = {"check": "not slow and not long", "test": "not slow"}
+"""Tests of `make check` and of `make test`, by their marks."""
+
+QUICK = "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0"
+"""How both compile."""
+
+
+class Fault(NamedTuple):
+    """A line of a file below `src/reachlab`, what it is made, and the files of tests that are asked first."""
+
+    file: str
+    right: str
+    wrong: str
+    tests: str
+
+
+FAULTS = (
+    # signs
+    Fault("tasks/rewards.py", "OUTSIDE_REWARD = -0.1", "OUTSIDE_REWARD = 0.1", "task"),
+    Fault("learn/ppo.py", "- config.entropy_weight * entropy", "+ config.entropy_weight * entropy", "ppo"),
+    Fault("robots/motion_limits.py", "by_speed.append(-of_speed", "by_speed.append(of_speed", "motion_limits"),
+    Fault(
+        "envs/delays.py", "arm.q + older * (before.past_q", "arm.q - older * (before.past_q", "motion_limits precise"
+    ),
+    Fault("robots/clearance.py", "- radii[one] - radii[other]", "- radii[one] + radii[other]", "capsules clutter"),
+    Fault("agents/policy.py", "self.mean + jnp.exp(self.log_std)", "self.mean - jnp.exp(self.log_std)", "policy ppo"),
+    # off by one
+    Fault("tasks/reach.py", "clock >= rules.max_steps", "clock > rules.max_steps", "task env"),
+    Fault(
+        "sims/mujoco.py", "self._batch.step(nstep=self._substeps)", "self._batch.step(nstep=self._substeps - 1)", "sims"
+    ),
+    Fault("tasks/reach.py", "recent[:, 1:], latest", "recent[:, :-1], latest", "task precise"),
+    Fault("runs/checkpoint.py", "for folder in found[keep:]", "for folder in found[keep - 1 :]", "checkpoint"),
+    Fault("scale/trials.py", "seed=config.seed + index", "seed=config.seed + index + 1", "scale"),
+    # units
+    Fault(
+        "sims/kinematic.py", "(target_q - state.q) / self._period", "(target_q - state.q) * self._period", "sims env"
+    ),
+    Fault("evaluation/report.py", "np.float64) * 1000", "np.float64) * 100", "evaluation"),
+    Fault("envs/functions.py", "setup.robot.speed) * self.setup.period", "setup.robot.speed)", "precise motion_limits"),
+    Fault("robots/servos.py", "NATURAL_FREQUENCY**2", "NATURAL_FREQUENCY", "servos"),
+    Fault("watch/captions.py", "millimetres = 1000 * distance", "millimetres = 100 * distance", "video player"),
+    # keys and seeds used twice
+    Fault(
+        "envs/random_streams.py",
+        "_step_keys(keys, clock, DELAY_STREAM)",
+        "_step_keys(keys, clock, NOISE_STREAM)",
+        "env",
+    ),
+    Fault("envs/functions.py", "task.sample_start(setup, for_start)", "task.sample_start(setup, for_goal)", "env task"),
+    # logic
+    Fault("learn/ppo.py", "gamma * v_tp1 * ~terminated", "gamma * v_tp1 * ~done", "ppo"),
+    Fault("deploy/onboard/controller.py", "arm.lower - ASIDE) & (q", "arm.lower - ASIDE) | (q", "deploy"),
+)
+
+
+def caught(source: Path, marks: str, tests: list[str]) -> bool:
+    """Whether one of the tests fails with the code below `source`."""
+    root = SOURCE.parent
+    kept = {name: value for name, value in os.environ.items() if name != "XLA_FLAGS"}
+    paths = os.pathsep.join(map(str, (source, root / "tests", root / "docs")))
+    words = [sys.executable, "-m", "pytest", "-n", "2", "--dist", "worksteal", "--maxfail", "1", "-m", marks, *tests]
+    settings = {"PYTHONPATH": paths, "NPROC": "1", "XLA_FLAGS": QUICK}
+    done = subprocess.run(words, cwd=root, env=kept | settings, capture_output=True, check=False)
+    return done.returncode == 1  # pytest's "tests failed"; 5 is "none collected"
+
+
+def main(tiers: list[str]) -> int:
+    """Exit status: the number of faults that a tier lets through."""
+    missed = 0
+    for tier in tiers or TIERS:
+        found = 0
+        for number, (file, right, wrong, names) in enumerate(FAULTS, 1):
+            with tempfile.TemporaryDirectory() as folder:
+                shutil.copytree(SOURCE, Path(folder) / "src")
+                planted = Path(folder) / "src/reachlab" / file
+                text = planted.read_text(encoding="utf-8")
+                assert text.count(right) == 1, f"{file} has changed: {right!r}"
+                planted.write_text(text.replace(right, wrong), encoding="utf-8")
+                first = [f"tests/test_{name}.py" for name in names.split()]
+                seen = caught(Path(folder) / "src", TIERS[tier], first) or caught(Path(folder) / "src", TIERS[tier], [])
+            found += seen
+            print(f"{tier} {number:2d} {'caught' if seen else 'MISSED'} {file}: {wrong}", flush=True)  # noqa: T201
+        print(f"make {tier} catches {found} of {len(FAULTS)}", flush=True)  # noqa: T201
+        missed += len(FAULTS) - found
+    return missed
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
