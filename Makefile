@@ -81,7 +81,7 @@ docs: $(VENV)/installed-dev
 
 # Runs the commands of README and docs, shortened.
 docs-blocks: $(VENV)/installed-dev
-	PYTHONPATH=tests $(BIN)/python -m blocks
+	$(QUICK) PYTHONPATH=tests $(BIN)/python -m blocks
 
 # In an environment of its own: gymnax needs an older gymnasium than the other tests.
 gymnax: $(GYMNAX_VENV)/installed
