@@ -16,6 +16,7 @@ import pytest
 from faults.controllers import hostile_commands, written
 from reachlab.cli import main as cli
 from reachlab.deploy.check import PipeLink, start_controller
+from reachlab.deploy.facts import TERMS
 from reachlab.deploy.onboard.controller import NO_GOAL, Controller
 from reachlab.deploy.onboard.deciding import COMMANDED, OBSERVED
 from reachlab.deploy.onboard.folder import LIMITS
@@ -25,7 +26,7 @@ from reachlab.deploy.ros2 import PolicyNode
 from reachlab.deploy.topics import Topics
 from reachlab.settings.validation import InputError
 from reachlab.tasks.actions import OWN
-from reachlab.tasks.observations import TERMS
+from reachlab.tasks.observations import OBSERVATIONS
 
 GOAL = [0.5, 0.2, 0.4]
 """A goal in the workspace of the iiwa [m]."""
@@ -180,6 +181,10 @@ def test_a_folder_of_the_format_before_loads_and_its_lower_limits_hold(folder: P
     assert limits.speed[0] == pytest.approx(0.1)
     assert (limits.speed[1:] == usual.speed[1:]).all()
     assert all((getattr(limits, name) == getattr(usual, name)).all() for name in LIMITS if name != "speed")
+    with (folder / "policy.safetensors").open("ab") as file:
+        file.write(b"\n")
+    with pytest.raises(ValueError, match="is not the file that was exported"):
+        Controller(folder)
 
 
 def test_a_check_whose_arm_begins_outside_lowered_limits_says_so() -> None:
@@ -190,6 +195,7 @@ def test_a_check_whose_arm_begins_outside_lowered_limits_says_so() -> None:
 
 def test_the_controller_knows_every_term_and_action_that_an_export_allows() -> None:
     assert {term.name for term in TERMS if not term.picture} == set(OBSERVED)
+    assert {term for design in OBSERVATIONS.values() for term in design.terms} == set(TERMS)
     assert set(OWN) == set(COMMANDED)
 
 

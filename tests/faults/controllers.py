@@ -42,7 +42,7 @@ def exported(place: Path, task: str = "precise", **settings: Any) -> Path:
 
 def written(folder: Path, task: str, **settings: Any) -> Path:
     """A folder as an export writes it, of a policy that was never computed with: nothing is compiled."""
-    env = Env(configure(task, num_envs=1, **settings), 1)
+    env = Env(configure(task, **settings), 1)
     shapes = jax.eval_shape(lambda key: make_initial_policy(env.config, env, key), jax.random.key(0))
     policy = jax.tree.map(lambda one: np.full(one.shape, 0.02, one.dtype), shapes)
     folder.mkdir()

@@ -49,6 +49,11 @@ CONSTANTS: dict[str, tuple[Any, ...]] = {
 """Constants of training that the controller needs, and the modules that have them, under another name where said."""
 
 
+TERMS = (*observations.POSE, *observations.TRACK, *observations.CLUTTER, *observations.ACHIEVED_AND_DESIRED)
+TERMS += (observations.IMAGE,)
+"""Terms that the controller knows. Observations that users add may have others, also under the same names."""
+
+
 def refuse_unknown(config: RunConfig) -> None:
     """Refuse settings with an observation or an action that the controller does not know.
 
@@ -57,7 +62,7 @@ def refuse_unknown(config: RunConfig) -> None:
     """
     observation, action = config.rules.observation, config.rules.action
     terms = observations.OBSERVATIONS[observation].terms
-    if unknown := [term.name for term in terms if term not in observations.TERMS]:
+    if unknown := [term.name for term in terms if term not in TERMS]:
         raise InputError(
             f"observation {observation!r} cannot be exported: its term {unknown[0]!r} is not one of reachlab's, which"
             f" alone the controller computes. They are: {', '.join(OBSERVED)}."

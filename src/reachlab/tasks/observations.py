@@ -286,9 +286,6 @@ OBSERVATIONS: dict[str, Observation] = {
 }
 """Observation designs by name."""
 
-TERMS = frozenset(term for design in OBSERVATIONS.values() for term in design.terms)
-"""Terms of these: entries that users add may have others, also under the same names."""
-
 
 def observe(setup: TaskSetup, now: Situation) -> Observed:
     """Observation of a situation, in the form that `Schema` describes."""

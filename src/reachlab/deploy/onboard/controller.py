@@ -44,8 +44,8 @@ class Controller:
         joints: names of the joints, in the order of all vectors.
         home: joints `[n]` in which episodes began in training [rad or m].
         period: time from one control step to the next [s].
-        limits: of position, speed, acceleration and jerk.
-        problem: what is wrong, in words; empty where nothing is.
+        limits: of position, speed, acceleration and jerk: `limits` of `policy.json`, where they may be lowered.
+        problem: what is wrong, or that there is no goal, in words; empty where neither is so.
         braking: the arm is brought to rest, or rests because it has to.
         asks_orientation: goals are poses.
         goal_box: lower and upper corner `[2, 3]` of the goals that were trained [m].
@@ -60,7 +60,8 @@ class Controller:
             runtime: what computes the network: `numpy`, or `onnx` for ONNX Runtime and `policy.onnx`.
 
         Raises:
-            ValueError: a file is broken, or there is no such runtime.
+            ValueError: a file is broken or of another export, a limit is wider than what was exported, or there is no
+                such runtime.
             ModuleNotFoundError: ONNX Runtime is asked for and not installed.
         """
         folder = Path(folder)
