@@ -176,16 +176,16 @@ class Controller:
 
     def _hold_where_measured(self, q: Any) -> None:
         """In a first step without a reset, stay where the arm is, if that is not home: no command may leap there."""
-        was_new, self._is_new, home = self._is_new, False, self.home
-        if not was_new or not isinstance(q, np.ndarray) or q.shape != home.shape or not np.isfinite(q).all():
+        was_new, self._is_new, begin = self._is_new, False, self.motion.position
+        if not was_new or not isinstance(q, np.ndarray) or q.shape != begin.shape or not np.isfinite(q).all():
             return
-        away = np.abs(q - home)
+        away = np.abs(q - begin)
         if (away > JUMP).any():
             self._start(q)
             i = int(away.argmax())
             self._stopped = (
-                f"joint {self.joints[i]!r} is measured at {in_words(q[i])}, and without a reset the arm has to be at"
-                f" home, {in_words(home[i])}: call reset with the joints at which it is measured to rest"
+                f"joint {self.joints[i]!r} is measured at {in_words(q[i])}, and without a reset commands begin at home,"
+                f" {in_words(begin[i])}: call reset with the joints at which the arm is measured to rest"
             )
 
     @property
