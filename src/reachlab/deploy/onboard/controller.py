@@ -234,6 +234,6 @@ class Controller:
             elif "stop" in entry:
                 self.stop()
             else:
-                told, _ = entry.pop("command"), entry.pop("problem")
-                worst = max(worst, float(np.abs(self.step(**entry) - told).max()))
+                expected, _ = entry.pop("command"), entry.pop("problem")
+                worst = max(worst, float(np.abs(self.step(**entry) - expected).max()))
         return worst

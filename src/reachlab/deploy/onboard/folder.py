@@ -42,7 +42,10 @@ def read_folder(folder: Path) -> dict[str, Any]:
         facts = json.loads(file.read_text(encoding="utf-8"))
         known = facts["format"] in (1, FORMAT)
     except (OSError, ValueError, LookupError, TypeError, RecursionError) as error:
-        raise ValueError(f"'{file}' cannot be read as what `reachlab export` wrote: {error!r}.") from None
+        why = (error.strerror if isinstance(error, OSError) else "") or repr(error)
+        raise ValueError(
+            f"'{file}' cannot be read as what `reachlab export` wrote ({why}): name a folder that it wrote."
+        ) from None
     if not known:
         raise ValueError(
             f"'{file}' has format {facts['format']!r}, and formats 1 and {FORMAT} are read here: use the controller.py"
