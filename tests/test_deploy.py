@@ -8,20 +8,24 @@ import subprocess
 import sys
 import time
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 import pytest
+import yaml
 
-from faults.controllers import FAULTS, exported, faulty, hostile_commands
+import extension
+from faults.controllers import FAULTS, exported, faulty, hostile_commands, written
 from params import tried
 from reachlab.agents.acting import make_act
 from reachlab.bench.deploy import lively_run
 from reachlab.cli import main as cli
 from reachlab.deploy import weights
 from reachlab.deploy.bundle import controller_source
+from reachlab.deploy.card import model_card
 from reachlab.deploy.check import check, load_controller
 from reachlab.deploy.export import export
 from reachlab.deploy.plant import Measurement, Plant, drive
@@ -34,6 +38,8 @@ from reachlab.runs.directory import RunDirectory
 from reachlab.settings.json_form import override
 from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError
+from reachlab.tasks.actions import ACTIONS
+from reachlab.tasks.observations import OBSERVATIONS, TOOL
 
 CASES: dict[str, tuple[str, dict[str, Any]]] = {
     "tutorial": ("tutorial", {}),
@@ -73,12 +79,12 @@ def folder(run: RunDirectory) -> Path:
 
 @pytest.fixture(scope="module")
 def precise(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return exported(tmp_path_factory.mktemp("precise"))
+    return written(tmp_path_factory.mktemp("precise") / "policy", "precise")
 
 
 @pytest.fixture(scope="module")
 def clutter(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return exported(tmp_path_factory.mktemp("clutter"), "clutter", robot="ur5e")
+    return written(tmp_path_factory.mktemp("clutter") / "policy", "clutter", robot="ur5e")
 
 
 # --- what it computes -----------------------------------------------------------------------------
@@ -136,6 +142,44 @@ def test_the_files_say_what_they_hold(folder: Path) -> None:
     )
     assert facts["run"]["sha256"]
     assert card.startswith("---\nlibrary_name: reachlab\n")
+
+
+@pytest.mark.parametrize(
+    "name", ["arm: #1", "- x", 'a"b\\c', "é 🦾 \x7f\xa0\n", "\udcff", "yes", "3", "@arm", "{", ""], ids=ascii
+)
+def test_the_card_of_an_arm_of_any_name_begins_with_yaml(precise: Path, name: str) -> None:
+    report = {"seed": 1, "sim": "mujoco", "success_rate": 1.0, "success_interval": [0.9, 1.0], "episodes": 9}
+    report |= {"final_error_mm": {"median": None}, "randomised": []}
+    facts = json.loads((precise / "policy.json").read_text()) | {"robot": name, "held_out": [report]}
+    front = yaml.safe_load(model_card(facts).split("---\n")[1])
+    assert front["tags"] == ["robotics", "reinforcement-learning", "onnx", name, "precise"]
+    assert front["model-index"][0]["name"] == f"precise for {name}"
+
+
+ADDED = {
+    "term": (OBSERVATIONS, extension.OBSERVATION, "observation 'own' cannot be exported: its term 'height'"),
+    "known": (
+        OBSERVATIONS,
+        replace(OBSERVATIONS["target"], terms=(replace(TOOL, value=lambda _, now: 0 * now.tool_position),)),
+        "observation 'own' cannot be exported: its term 'tool'",
+    ),
+    "action": (ACTIONS, extension.ACTION, "action 'own' cannot be exported: it is not one of reachlab's"),
+}
+"""Entries that somebody adds under the name `own`, and what an export says: one has a term of reachlab's name."""
+
+
+@pytest.mark.parametrize("name", ADDED)
+def test_what_the_controller_does_not_know_is_not_exported(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table, entry, sentence = ADDED[name]
+    monkeypatch.setitem(table, "own", entry)
+    RunDirectory(tmp_path / "run").create(
+        configure("tutorial", **{"action" if table is ACTIONS else "observation": "own"})
+    )
+    assert cli.main(["export", str(tmp_path / "run"), "--out", str(tmp_path / "policy")]) == cli.WRONG_INPUT
+    assert sentence in capsys.readouterr().err
+    assert not (tmp_path / "policy").exists()
 
 
 # --- where it runs --------------------------------------------------------------------------------

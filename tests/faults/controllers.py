@@ -7,12 +7,17 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 
 from faults.saves import Trial
 from reachlab.bench.deploy import lively_run
 from reachlab.deploy.check import load_controller
-from reachlab.deploy.export import export
+from reachlab.deploy.export import export, write_files
+from reachlab.deploy.facts import describe
+from reachlab.envs.core import Env
+from reachlab.learn.learner import make_initial_policy
+from reachlab.settings.presets import configure
 
 REST = 0.25
 """Time from the first sign of a fault in which the arm has to rest [s]."""
@@ -33,6 +38,17 @@ def exported(place: Path, task: str = "precise", **settings: Any) -> Path:
     """Folder with the export of such a run."""
     run = lively_run(place / "run", task, **settings)
     return export(run, place / "policy").folder
+
+
+def written(folder: Path, task: str, **settings: Any) -> Path:
+    """A folder as an export writes it, of a policy that was never computed with: nothing is compiled."""
+    env = Env(configure(task, **settings), 1)
+    shapes = jax.eval_shape(lambda key: make_initial_policy(env.config, env, key), jax.random.key(0))
+    policy = jax.tree.map(lambda one: np.full(one.shape, 0.02, one.dtype), shapes)
+    folder.mkdir()
+    write_files(folder, env, policy, {**describe(env, policy), "run": {}, "held_out": [], "versions": {}})
+    env.close()
+    return folder
 
 
 def broken(commands: list[np.ndarray], controller: Any) -> list[str]:

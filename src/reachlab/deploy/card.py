@@ -25,9 +25,11 @@ def model_card(facts: dict[str, Any]) -> str:
 
 
 def _metadata(facts: dict[str, Any], title: str) -> str:
-    """The block of metadata, whose lines are JSON and with it YAML."""
+    """The block of metadata, in YAML."""
     lines = ["---", "library_name: reachlab", "pipeline_tag: robotics", "tags:"]
-    lines += [f"- {tag}" for tag in ("robotics", "reinforcement-learning", "onnx", facts["robot"], facts["task"])]
+    lines += [
+        f"- {_yaml(tag)}" for tag in ("robotics", "reinforcement-learning", "onnx", facts["robot"], facts["task"])
+    ]
     if facts["held_out"]:
         report = facts["held_out"][0]
         result = {
@@ -35,8 +37,14 @@ def _metadata(facts: dict[str, Any], title: str) -> str:
             "dataset": {"name": f"held-out goals of seed {report['seed']}, {report['sim']}", "type": facts["task"]},
             "metrics": [{"type": "success_rate", "value": report["success_rate"], "name": "success rate"}],
         }
-        lines.append(f"model-index: {json.dumps([{'name': title, 'results': [result]}])}")
+        lines.append(f"model-index: {_yaml([{'name': title, 'results': [result]}])}")
     return "\n".join([*lines, "---", ""])
+
+
+def _yaml(value: Any) -> str:
+    """JSON that is YAML too, which has no surrogates, and allows no other character that cannot be printed."""
+    text = json.dumps(value, ensure_ascii=False)
+    return "".join(one if one.isprintable() else f"\\U{ord(one):08x}" for one in text)
 
 
 def _sections(facts: dict[str, Any]) -> list[str]:
@@ -56,7 +64,7 @@ def _sections(facts: dict[str, Any]) -> list[str]:
         "| `controller.py` | runs the policy with NumPy alone (Python ≥ 3.9), within the limits below |",
         "| `policy.onnx` | the network, with normaliser and clipping inside |",
         "| `policy.safetensors` | the same weights by name |",
-        "| `policy.json` | observation, action, arm, limits with their sources, settings, figures, hashes |",
+        "| `policy.json` | `limits`, which may be lowered; fixed: observation, action, arm, settings, hashes |",
         "",
         "## Example",
         "",
@@ -85,8 +93,9 @@ def _sections(facts: dict[str, Any]) -> list[str]:
 
 def _limits(facts: dict[str, Any]) -> list[str]:
     rows = [
-        f"| `{one['name']}` | {one['lower']:.4g} to {one['upper']:.4g} {one['unit']}, {one['sources']['position']} | "
-        + " | ".join(f"{one[what]:.4g}, {one['sources'][what]}" for what in ("speed", "acceleration", "jerk"))
+        f"| `{one['name']}` | {one['widest']['lower']:.4g} to {one['widest']['upper']:.4g} {one['unit']},"
+        f" {one['sources']['position']} | "
+        + " | ".join(f"{one['widest'][what]:.4g}, {one['sources'][what]}" for what in ("speed", "acceleration", "jerk"))
         + " |"
         for one in facts["joints"]
     ]
@@ -95,7 +104,10 @@ def _limits(facts: dict[str, Any]) -> list[str]:
         "",
         (
             f"Commands are {1 / facts['control_period']:.4g} Hz joint positions, and keep these limits whatever is"
-            " measured or asked; a `default` was chosen by reachlab and is not the maker's."
+            " measured or asked; a `default` was chosen by reachlab and is not the maker's. These are the limits that"
+            " were exported. Those that hold are `limits` in `policy.json`, and stand nowhere else: lower them there,"
+            " for a careful first run. Limits that are wider than these, any other change of `policy.json`, and files"
+            " of another export are refused when the folder is loaded."
         ),
         "",
         "| joint | position | speed [/s] | acceleration [/s²] | jerk [/s³] |",

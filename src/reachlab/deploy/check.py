@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import importlib.util
-import json
 import multiprocessing
 import time
 from collections.abc import Iterator
@@ -15,12 +14,16 @@ from typing import Any
 
 import numpy as np
 
+from reachlab.deploy.onboard.folder import read_folder
 from reachlab.deploy.plant import Measurement, Outcome, Plant, drive
 from reachlab.deploy.plant_faults import Faults
 from reachlab.envs.setup import in_evaluation
 from reachlab.settings.config import RunConfig
 from reachlab.settings.json_form import from_json
 from reachlab.settings.validation import InputError
+
+READY = "ready"
+"""Answer of a controller that has been reset; any other text says why it was not."""
 
 PATIENCE = 60.0
 """Time in which a controller has to be ready [s]."""
@@ -43,17 +46,29 @@ def load_controller(folder: Path) -> ModuleType:
     return module
 
 
+def start_controller(folder: Path) -> Any:
+    """The controller of an export, by the folder's own `controller.py`.
+
+    Raises:
+        InputError: see `read_folder`.
+    """
+    read_facts(folder)  # the folder's own controller may be an old one, which looks at less
+    try:
+        return load_controller(folder).Controller(folder)
+    except ValueError as error:
+        raise InputError(str(error)) from None
+
+
 def read_facts(folder: Path) -> dict[str, Any]:
     """What the `policy.json` of an export says.
 
     Raises:
-        InputError: there is none, or it is broken.
+        InputError: see `read_folder`.
     """
-    file = folder / "policy.json"
     try:
-        return json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError(f"'{file}' cannot be read as what `reachlab export` wrote: {error}.") from None
+        return read_folder(folder)
+    except ValueError as error:
+        raise InputError(str(error)) from None
 
 
 def settings_of(folder: Path, sim: str | None) -> RunConfig:
@@ -111,12 +126,14 @@ class PipeLink:
         """Reset the controller.
 
         Raises:
-            InputError: it is not ready in time.
+            InputError: it refuses, or is not ready in time.
         """
         self._pipe.send(q)
         end = time.monotonic() + PATIENCE
         while time.monotonic() < end:
-            if self._pipe.poll(0.1) and self._pipe.recv() == "ready":
+            if self._pipe.poll(0.1) and isinstance(answer := self._pipe.recv(), str):
+                if answer != READY:
+                    raise InputError(answer)
                 self._problem = ""
                 return
         raise InputError(f"the controller is not ready within {PATIENCE:g} s.")
@@ -140,7 +157,7 @@ class PipeLink:
 
 def serve(folder: Path, pipe: Connection) -> None:
     """Run the controller of an export at the other end of a pipe, until that is closed."""
-    controller = load_controller(folder).Controller(folder)
+    controller = start_controller(folder)
     period, told, due = controller.period, None, time.perf_counter()
     with contextlib.suppress(EOFError, BrokenPipeError, ConnectionResetError):
         while True:
@@ -154,9 +171,12 @@ def serve(folder: Path, pipe: Connection) -> None:
                 if isinstance(message, Measurement):
                     told, q, qd = message, message.q, message.qd
                 else:
-                    controller.reset(np.clip(message, controller.limits.lower, controller.limits.upper))
-                    told, q = None, None
-                    pipe.send("ready")
+                    told, q, answer = None, None, READY
+                    try:
+                        controller.reset(message)
+                    except ValueError as error:
+                        answer = str(error)
+                    pipe.send(answer)
                     break
             if told is None:
                 continue

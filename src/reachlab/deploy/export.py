@@ -17,7 +17,8 @@ from reachlab.agents.acting import make_act
 from reachlab.agents.policy import Policy
 from reachlab.deploy.bundle import controller_source
 from reachlab.deploy.card import model_card
-from reachlab.deploy.facts import describe
+from reachlab.deploy.facts import describe, refuse_unknown
+from reachlab.deploy.onboard.folder import fingerprint, read_folder
 from reachlab.deploy.onboard.network import Network, read_weights
 from reachlab.deploy.onnx_network import OnnxNetwork
 from reachlab.deploy.weights import named_weights, onnx_model
@@ -70,13 +71,15 @@ def export(run: RunDirectory | str | Path, out: str | Path) -> Export:
         out: the folder.
 
     Raises:
-        InputError: the folder exists and is not empty, the run cannot be read, the extra 'deploy' is missing, or what
-            was written computes other actions than the policy.
+        InputError: the folder exists and is not empty, the run cannot be read, its observation or action is one that
+            the controller does not know, the extra 'deploy' is missing, or what was written computes other actions than
+            the policy.
     """
     run, out = run if isinstance(run, RunDirectory) else find_run(run), Path(out)
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError(f"'{out}' exists and is not empty: choose another --out, or remove it.")
     trained = run.read_config()
+    refuse_unknown(trained)
     env = Env(in_evaluation(trained, trained.sim), TOGETHER)
     try:
         saved = load_saved(run, env)
@@ -88,7 +91,7 @@ def export(run: RunDirectory | str | Path, out: str | Path) -> Export:
         with tempfile.TemporaryDirectory() as place:
             folder = Path(place) / "policy"
             folder.mkdir()
-            _write(folder, env, saved.policy, facts)
+            write_files(folder, env, saved.policy, facts)
             differences = compare(folder, env, saved.policy)
             for what, difference in differences.items():
                 if not difference <= TOLERANCE:
@@ -112,7 +115,12 @@ def _held_out(run: RunDirectory) -> list[dict[str, Any]]:
     return [{name: one[name] for name in FIGURES if name in one} for one in reports if one.get("agent") == "trained"]
 
 
-def _write(folder: Path, env: Env, policy: Policy, facts: dict[str, Any]) -> None:
+def write_files(folder: Path, env: Env, policy: Policy, facts: dict[str, Any]) -> None:
+    """Write a policy and what `describe` says of it into an empty folder.
+
+    Raises:
+        InputError: the extra 'deploy' is missing.
+    """
     try:
         from safetensors.numpy import save_file
     except ModuleNotFoundError:
@@ -124,8 +132,11 @@ def _write(folder: Path, env: Env, policy: Policy, facts: dict[str, Any]) -> Non
     save_file(weights, folder / "policy.safetensors")
     (folder / "controller.py").write_text(controller_source(), encoding="utf-8")
     facts["files"] = {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in sorted(folder.iterdir())}
-    (folder / "policy.json").write_text(json.dumps(facts, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-    (folder / "README.md").write_text(model_card(facts), encoding="utf-8")
+    facts["sha256"] = fingerprint(facts)
+    text = {"policy.json": json.dumps(facts, indent=1, ensure_ascii=False) + "\n", "README.md": model_card(facts)}
+    for name, content in text.items():
+        # A file's name may hold bytes that are no text, and a robot is named after its file.
+        (folder / name).write_text(content, encoding="utf-8", errors="backslashreplace")
 
 
 def compare(folder: Path, env: Env, policy: Policy, situations: int = SITUATIONS) -> dict[str, float]:
@@ -133,7 +144,7 @@ def compare(folder: Path, env: Env, policy: Policy, situations: int = SITUATIONS
 
     By what computes them: ONNX Runtime and NumPy.
     """
-    facts = json.loads((folder / "policy.json").read_text(encoding="utf-8"))
+    facts = read_folder(folder)
     network, onnx = Network(read_weights(folder / "policy.safetensors"), facts["network"]), OnnxNetwork(folder)
     size = env.action_bounds[1] - env.action_bounds[0]
     worst = {"ONNX Runtime": 0.0, "NumPy": 0.0}

@@ -8,18 +8,19 @@ import numpy as np
 
 from reachlab.agents import encoder
 from reachlab.agents.policy import OBSERVATION_CLIP, Policy
+from reachlab.deploy.onboard.deciding import COMMANDED, OBSERVED
+from reachlab.deploy.onboard.folder import FORMAT, LIMITS
 from reachlab.envs.core import Env
 from reachlab.robots import inverse_kinematics
 from reachlab.robots.chain import Chain
 from reachlab.robots.robot import Robot
+from reachlab.settings.config import RunConfig
 from reachlab.settings.json_form import to_json
+from reachlab.settings.validation import InputError
 from reachlab.sims import SIMULATORS
 from reachlab.tasks import actions, avoidance, clutter, observations, obstacles, targets
 from reachlab.tasks.schema import SIZE, Field
 from reachlab.tasks.task import TaskSetup
-
-FORMAT = 1
-"""Of `policy.json`."""
 
 CONSTANTS: dict[str, tuple[Any, ...]] = {
     "DAMPING": (inverse_kinematics,),
@@ -48,20 +49,47 @@ CONSTANTS: dict[str, tuple[Any, ...]] = {
 """Constants of training that the controller needs, and the modules that have them, under another name where said."""
 
 
+TERMS = (*observations.POSE, *observations.TRACK, *observations.CLUTTER, *observations.ACHIEVED_AND_DESIRED)
+TERMS += (observations.IMAGE,)
+"""Terms that the controller knows. Observations that users add may have others, also under the same names."""
+
+
+def refuse_unknown(config: RunConfig) -> None:
+    """Refuse settings with an observation or an action that the controller does not know.
+
+    Raises:
+        InputError: they have one.
+    """
+    observation, action = config.rules.observation, config.rules.action
+    terms = observations.OBSERVATIONS[observation].terms
+    if unknown := [term.name for term in terms if term not in TERMS]:
+        raise InputError(
+            f"observation {observation!r} cannot be exported: its term {unknown[0]!r} is not one of reachlab's, which"
+            f" alone the controller computes. They are: {', '.join(OBSERVED)}."
+        )
+    if actions.ACTIONS[action] is not actions.OWN.get(action):
+        raise InputError(
+            f"action {action!r} cannot be exported: it is not one of reachlab's, which alone the controller commands."
+            f" They are: {', '.join(COMMANDED)}."
+        )
+
+
 def describe(env: Env, policy: Policy) -> dict[str, Any]:
     """All that a controller needs beside the weights of a policy, in plain form."""
     setup, config = env.setup, env.config
     robot, rules = setup.robot, setup.rules
     design = observations.OBSERVATIONS[rules.observation]
     low, high = env.action_bounds
+    rows = joints(robot)
     scale = rules.tool_scale if actions.ACTIONS[rules.action].scale == "tool_scale" else actions.joint_scale(setup)
     return {
         "format": FORMAT,
+        "limits": {joint["name"]: dict(joint["widest"]) for joint in rows},
         "task": config.task,
         "robot": robot.name,
         "control_period": setup.period,
         "real_time": SIMULATORS[config.sim].real_time,
-        "joints": joints(robot),
+        "joints": rows,
         "goal": _goal(setup),
         "observation": {
             "name": rules.observation,
@@ -84,7 +112,6 @@ def describe(env: Env, policy: Policy) -> dict[str, Any]:
         "arm": {
             **_chain(robot.chain),
             "home": list(robot.home),
-            "speed": list(robot.speed),
             "lag": list(setup.lag),
             "held_quaternion": list(robot.held_quaternion),
         },
@@ -95,8 +122,9 @@ def describe(env: Env, policy: Policy) -> dict[str, Any]:
 
 
 def joints(robot: Robot) -> list[dict[str, Any]]:
-    """Names, kinds and limits of an arm's joints, and where each limit is from."""
+    """Names, kinds and widest limits of an arm's joints, and where each limit is from."""
     kinds = ("position", "speed", "torque", "acceleration", "jerk")
+    limits = (robot.chain.lower, robot.chain.upper, robot.speed, robot.acceleration, robot.jerk)
     rows = []
     for i, name in enumerate(robot.joint_names):
         torque = robot.torque[i]
@@ -105,12 +133,8 @@ def joints(robot: Robot) -> list[dict[str, Any]]:
                 "name": name,
                 "type": "slide" if robot.chain.slides[i] else "hinge",
                 "unit": "m" if robot.chain.slides[i] else "rad",
-                "lower": robot.chain.lower[i],
-                "upper": robot.chain.upper[i],
-                "speed": robot.speed[i],
+                "widest": dict(zip(LIMITS, (part[i] for part in limits), strict=True)),
                 "torque": torque if np.isfinite(torque) else None,
-                "acceleration": robot.acceleration[i],
-                "jerk": robot.jerk[i],
                 "sources": {kind: robot.sources[kind][i] for kind in kinds},
             }
         )
@@ -157,8 +181,6 @@ def _chain(chain: Chain) -> dict[str, Any]:
     return {
         "frames": frames,
         "slides": list(chain.slides),
-        "lower": list(chain.lower),
-        "upper": list(chain.upper),
         "approach": list(chain.approach),
     }
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from reachlab.deploy.check import read_facts
 from reachlab.settings.config import RunConfig
 from reachlab.settings.json_form import from_json
 from reachlab.settings.presets import configure
@@ -111,7 +112,10 @@ def _settings(file: Path) -> RunConfig | None:
     if not file.exists():
         return None
     try:
-        settings = json.loads(file.read_text(encoding="utf-8"))["settings"]
+        facts = json.loads(file.read_text(encoding="utf-8"))
+        settings = facts["settings"]
+        if "files" in facts:  # of an export, whose parts have to belong together
+            read_facts(file.parent)
         if "rules" in settings:
             return from_json(settings)
         return configure(**settings)

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from reachlab.deploy.check import load_controller
+from reachlab.deploy.check import start_controller
 from reachlab.deploy.topics import Topics
 from reachlab.settings.validation import InputError
 
@@ -52,7 +52,7 @@ def run_node(folder: Path, topics: Topics, *, trajectory: bool) -> None:
     Raises:
         InputError: ROS 2 is missing, or the folder is none that was exported.
     """
-    controller = load_controller(folder).Controller(folder)
+    controller = start_controller(folder)
     with ros2() as rclpy:
         node = PolicyNode(rclpy.create_node("reachlab_policy"), controller, topics, trajectory=trajectory)
         with contextlib.suppress(KeyboardInterrupt, rclpy.executors.ExternalShutdownException):
@@ -77,6 +77,7 @@ class PolicyNode:
 
         self.node, self._controller, self._trajectory = node, controller, trajectory
         self._goal: list[float] | None = None
+        self._goals = topics.goals
         self._measured: tuple[np.ndarray, np.ndarray] | None = None
         self._due, self._told = 0.0, ""
         self._resets = True  # commands begin where the arm is
@@ -122,7 +123,8 @@ class PolicyNode:
         if not self._begin(q):
             return
         command = controller.step(q, qd, self._goal, now)
-        self._tell(controller.problem if controller.braking else "")
+        waiting = "" if self._goal else f"no goal has come on '{self._goals}', and the arm is held where it is"
+        self._tell(controller.problem if controller.braking else waiting)
         self._publish(command)
 
     def _begin(self, q: np.ndarray | None) -> bool:

@@ -234,6 +234,9 @@ ACTIONS: dict[str, Action] = {
 }
 """Action designs by name."""
 
+OWN = dict(ACTIONS)
+"""Those that come with reachlab, beside which users add others, or replace one."""
+
 
 def bounded(setup: TaskSetup, action: Array) -> Array:
     """The action `[B, a]` that is taken: clipped to its box, where the task clips."""

@@ -171,10 +171,11 @@ def _facts(one: Shown) -> dict[str, Any]:
     """What the page has to know of a policy."""
     env = one.env
     all_facts, setup = describe(env, one.policy), env.setup
-    low, high = setup.robot.workspace
+    robot, chain = setup.robot, setup.robot.chain
+    low, high = robot.workspace
     return {
         **{name: all_facts[name] for name in TOLD},
-        "arm": all_facts["arm"] | {"lag": one.lag},
+        "arm": all_facts["arm"] | {"lag": one.lag, "lower": chain.lower, "upper": chain.upper, "speed": robot.speed},
         "robot": setup.robot.name,
         "title": _title(one),
         "asks": all_facts["goal"]["asks"],

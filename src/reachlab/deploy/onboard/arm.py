@@ -40,14 +40,13 @@ class Frames:
 class Arm:
     """A serial chain of hinge and slide joints. Joints are `[..., n]` rad or m, in any number."""
 
-    def __init__(self, facts: dict[str, Any], constants: dict[str, float]) -> None:
-        """The arm of a policy's facts, and the constants of its inverse kinematics."""
+    def __init__(self, facts: dict[str, Any], limits: dict[str, np.ndarray], constants: dict[str, float]) -> None:
+        """The arm of a policy's facts, the limits of its joints, and the constants of its inverse kinematics."""
         self.fixed = np.array(facts["frames"], float)
         self.slides = np.array(facts["slides"], bool)
         self.hinges, self.any_slides = ~self.slides, bool(self.slides.any())
-        self.lower, self.upper = (np.array(facts[side], float) for side in ("lower", "upper"))
+        self.lower, self.upper, self.speed = (limits[name] for name in ("lower", "upper", "speed"))
         self.home, self.approach = (np.array(facts[name], float) for name in ("home", "approach"))
-        self.speed = np.array(facts["speed"], float)
         self.n, self.constants = len(self.slides), constants
         self.poses = self.n >= JOINTS_OF_A_POSE
 

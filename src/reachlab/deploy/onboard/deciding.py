@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -64,118 +65,66 @@ class Situation:
 
 
 class Decider:
-    """Observations and joint commands of one policy's task."""
+    """Observations and joint commands of one policy's task.
+
+    Attributes:
+        k: constants of its formulas.
+        angle_weight: length for which an angle of 1 counts [m/rad].
+        scene: what the arm has to know of itself among obstacles; None where there are none.
+        size: numbers of an action.
+    """
 
     def __init__(self, arm: Arm, facts: dict[str, Any]) -> None:
         """Of a policy's facts."""
-        self._arm, self._facts, self._k = arm, facts, facts["constants"]
+        self._arm, self._facts, self.k = arm, facts, facts["constants"]
         self._fields = [field["name"] for field in facts["observation"]["fields"] if not field["picture"]]
         self._period, self._lag = float(facts["control_period"]), np.array(facts["arm"]["lag"], float)
         action = facts["action"]
         self._scale = np.array(action["scale"], float)
         self._low, self._high = (np.array(action[side], float) for side in ("low", "high"))
         self._held = rotation_of(np.array(facts["arm"]["held_quaternion"], float))
-        self._angle_weight = float(facts["goal"]["angle_weight"])
-        self.scene: Any = Scene(arm, facts["capsules"], self._k) if facts["capsules"] else None
-        self._command = getattr(self, "_" + action["name"])
-        self._most = np.array(facts["arm"]["speed"], float) * self._period if facts["real_time"] else np.inf
+        self.angle_weight = float(facts["goal"]["angle_weight"])
+        self.scene: Any = Scene(arm, facts["capsules"], self.k) if facts["capsules"] else None
+        self._design = COMMANDED[action["name"]]
+        self._most = arm.speed * self._period if facts["real_time"] else np.inf
         self.size = len(self._low)
-
-    # --- observations -------------------------------------------------------------------------------
 
     def observe(self, now: Situation) -> np.ndarray | None:
         """The observation's vector `[k]`, but for a picture; None where there is only that."""
         if not self._fields:
             return None
-        return np.concatenate([getattr(self, "_see_" + name)(now) for name in self._fields])
-
-    def _see_goal(self, now: Situation) -> np.ndarray:
-        return now.goal.position
-
-    def _see_tool(self, now: Situation) -> np.ndarray:
-        return now.frames.position
-
-    def _see_joints(self, now: Situation) -> np.ndarray:
-        return now.q
-
-    def _see_joint_speeds(self, now: Situation) -> np.ndarray:
-        return now.qd
-
-    def _see_lag(self, now: Situation) -> np.ndarray:
-        return now.command - now.q
-
-    def _see_way(self, now: Situation) -> np.ndarray:
-        return now.way
-
-    def _see_way_near(self, now: Situation) -> np.ndarray:
-        return now.way / (now.distance + self._k["NEAR"])
-
-    def _see_last_action(self, now: Situation) -> np.ndarray:
-        return now.action
-
-    def _see_tool_axes(self, now: Situation) -> np.ndarray:
-        return now.frames.rotation.T[:2].ravel()
-
-    def _see_goal_axes(self, now: Situation) -> np.ndarray:
-        return now.goal.rotation.T[:2].ravel()
-
-    def _see_turn(self, now: Situation) -> np.ndarray:
-        return now.turn
-
-    def _see_turn_near(self, now: Situation) -> np.ndarray:
-        return now.turn / (np.sqrt(now.turn @ now.turn) + self._k["NEAR"] / self._angle_weight)
-
-    def _see_joint_way(self, now: Situation) -> np.ndarray:
-        return now.goal.joints - now.q
-
-    def _see_goal_velocity(self, now: Situation) -> np.ndarray:
-        return now.goal.velocity
-
-    def _see_clearance(self, now: Situation) -> np.ndarray:
-        return self.scene.clearance(now.around)
-
-    def _see_scene(self, now: Situation) -> np.ndarray:
-        return self.scene.basis(now.obstacles)
-
-    def _see_achieved_goal(self, now: Situation) -> np.ndarray:
-        if now.goal.quaternion is None:
-            return now.frames.position
-        return np.concatenate([now.frames.position, quaternion_of(now.frames.rotation)])
-
-    def _see_desired_goal(self, now: Situation) -> np.ndarray:
-        if now.goal.quaternion is None:
-            return now.goal.position
-        return np.concatenate([now.goal.position, now.goal.quaternion])
+        return np.concatenate([OBSERVED[name](self, now) for name in self._fields])
 
     # --- actions ------------------------------------------------------------------------------------
 
     def command(self, now: Situation, action: np.ndarray) -> np.ndarray:
         """Joint command `[n]` that an action `[a]` asks for, no faster than the joints can follow."""
-        wanted = self._command(now, action)
+        wanted = self._design(self, now, action)
         return np.minimum(np.maximum(wanted, now.command - self._most), now.command + self._most)
 
-    def _tool_delta(self, now: Situation, action: np.ndarray) -> np.ndarray:
+    def move_tool(self, now: Situation, action: np.ndarray) -> np.ndarray:
+        """The tool's command displaced, its orientation held."""
         return self._arm.displaced(now.command, action * self._scale, self._held)
 
-    _tool_step = _tool_delta
-
-    def _joint_delta(self, now: Situation, action: np.ndarray) -> np.ndarray:
+    def move_joints(self, now: Situation, action: np.ndarray) -> np.ndarray:
+        """Every joint's command displaced, as far as obstacles allow."""
         step = action * self._scale
         if now.obstacles is not None:
             step = self.scene.keep_clear(now.sent, now.around_sent, step)
             step = np.minimum(np.maximum(step, -self._scale), self._scale)
         return np.minimum(np.maximum(now.command + step, self._arm.lower), self._arm.upper)
 
-    def _joint_residual(self, now: Situation, action: np.ndarray) -> np.ndarray:
+    def correct_joints(self, now: Situation, action: np.ndarray) -> np.ndarray:
+        """The same, added to what inverse kinematics would do."""
         corrected = self._towards(now) + self._worth(now) * action
-        return self._joint_delta(now, np.minimum(np.maximum(corrected, self._low), self._high))
+        return self.move_joints(now, np.minimum(np.maximum(corrected, self._low), self._high))
 
     def _worth(self, now: Situation) -> float:
-        k, away = self._k, now.distance
+        k, away = self.k, now.distance
         if now.goal.velocity is not None:
             return k["MOVING_CORRECTION"]
         if now.goal.quaternion is not None:
-            away += self._angle_weight * _angle(now.turn)
+            away += self.angle_weight * _angle(now.turn)
         most = k["CORRECTION"] if now.goal.joints is None else k["POSE_CORRECTION"]
         if now.obstacles is not None:
             most = k["CLUTTER_CORRECTION"]
@@ -188,7 +137,7 @@ class Decider:
         return self._to_point(now) if now.goal.velocity is None else self._with_point(now)
 
     def _to_joints(self, now: Situation) -> np.ndarray:
-        k, period, speed = self._k, self._period, self._arm.speed
+        k, period, speed = self.k, self._period, self._arm.speed
         way = now.goal.joints - now.q
         far = np.minimum(np.abs(way) / k["APPROACH_ANGLE"], 1.0)
         share = k["JOINT_NEAR"] + far * (k["JOINT_FAR"] - k["JOINT_NEAR"])
@@ -198,7 +147,7 @@ class Decider:
         return self._in_box(step)
 
     def _to_point(self, now: Situation) -> np.ndarray:
-        k, lag = self._k, self._lag
+        k, lag = self.k, self._lag
         far = min(now.distance / k["APPROACH"], 1.0)
         caught_up = now.q + far * lag * now.qd
         gain = k["NEAR_GAIN"] + far * (k["FAR_GAIN"] - k["NEAR_GAIN"])
@@ -207,13 +156,13 @@ class Decider:
 
     def _with_point(self, now: Situation) -> np.ndarray:
         lag = self._lag
-        ahead = now.goal.position + (lag.max() + self._k["LEAD"] * self._period) * now.goal.velocity
+        ahead = now.goal.position + (lag.max() + self.k["LEAD"] * self._period) * now.goal.velocity
         return self._point_step(now, now.q + lag * now.qd, ahead, 1.0)
 
     def _point_step(self, now: Situation, caught_up: np.ndarray, place: np.ndarray, share: float) -> np.ndarray:
         frames = self._arm.frames(caught_up)
         wanted = share * (place - frames.position)
-        most = self._k["TOOL_SPEED"] * self._period / (np.sqrt(wanted @ wanted) + self._k["TINY"])
+        most = self.k["TOOL_SPEED"] * self._period / (np.sqrt(wanted @ wanted) + self.k["TINY"])
         return self._in_box(self._arm.point_step(frames, now.command, wanted * min(most, 1.0)))
 
     def _in_box(self, step: np.ndarray) -> np.ndarray:
@@ -223,3 +172,43 @@ class Decider:
 def _angle(turn: np.ndarray) -> float:
     """Angle [rad] of a rotation error, which is twice the sine of its half."""
     return 2 * float(np.arcsin(min(np.sqrt(turn @ turn) / 2, 1.0)))
+
+
+def _posed(quaternion: np.ndarray | None, position: np.ndarray, turned: Callable[[], Any]) -> np.ndarray:
+    """A position, and where the goal has an orientation a quaternion too."""
+    return position if quaternion is None else np.concatenate([position, turned()])
+
+
+OBSERVED: dict[str, Callable[[Decider, Situation], np.ndarray]] = {
+    "goal": lambda _, now: now.goal.position,
+    "tool": lambda _, now: now.frames.position,
+    "joints": lambda _, now: now.q,
+    "joint_speeds": lambda _, now: now.qd,
+    "lag": lambda _, now: now.command - now.q,
+    "way": lambda _, now: now.way,
+    "way_near": lambda decider, now: now.way / (now.distance + decider.k["NEAR"]),
+    "last_action": lambda _, now: now.action,
+    "tool_axes": lambda _, now: now.frames.rotation.T[:2].ravel(),
+    "goal_axes": lambda _, now: now.goal.rotation.T[:2].ravel(),
+    "turn": lambda _, now: now.turn,
+    "turn_near": lambda decider, now: (
+        now.turn / (np.sqrt(now.turn @ now.turn) + decider.k["NEAR"] / decider.angle_weight)
+    ),
+    "joint_way": lambda _, now: now.goal.joints - now.q,
+    "goal_velocity": lambda _, now: now.goal.velocity,
+    "clearance": lambda decider, now: decider.scene.clearance(now.around),
+    "scene": lambda decider, now: decider.scene.basis(now.obstacles),
+    "achieved_goal": lambda _, now: _posed(
+        now.goal.quaternion, now.frames.position, lambda: quaternion_of(now.frames.rotation)
+    ),
+    "desired_goal": lambda _, now: _posed(now.goal.quaternion, now.goal.position, lambda: now.goal.quaternion),
+}
+"""What an observation may hold, by the name of its field: numbers `[k]` of a situation."""
+
+COMMANDED: dict[str, Callable[[Decider, Situation, np.ndarray], np.ndarray]] = {
+    "tool_delta": Decider.move_tool,
+    "tool_step": Decider.move_tool,
+    "joint_delta": Decider.move_joints,
+    "joint_residual": Decider.correct_joints,
+}
+"""Action designs by name: the joint command `[n]` of an action `[a]`."""

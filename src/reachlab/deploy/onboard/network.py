@@ -19,8 +19,8 @@ def read_weights(file: Path) -> dict[str, np.ndarray]:
     Raises:
         ValueError: the file is not whole, or not in that form.
     """
-    content = file.read_bytes()
     try:
+        content = file.read_bytes()
         (size,) = struct.unpack("<Q", content[:8])
         header, data = json.loads(content[8 : 8 + size]), content[8 + size :]
         header.pop("__metadata__", None)
@@ -28,7 +28,7 @@ def read_weights(file: Path) -> dict[str, np.ndarray]:
         for name, entry in header.items():
             first, end = entry["data_offsets"]
             arrays[name] = np.frombuffer(data[first:end], KINDS[entry["dtype"]]).reshape(entry["shape"])
-    except (KeyError, ValueError, struct.error) as error:
+    except (OSError, KeyError, ValueError, struct.error) as error:
         raise ValueError(f"'{file}' does not hold the weights of a policy: {error}") from None
     return arrays
 

@@ -7,9 +7,20 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from reachlab.deploy.onboard.arm import Arm, cross, rotation_of
+from reachlab.deploy.onboard.reading import in_words
 
 LENGTH = 1e-9
 """Added to a length that divides [m]."""
+
+
+SHAPES = {"position": (3,), "quaternion": (4,), "half": (3,), "radius": ()}
+"""What an obstacle is made of, and of how many numbers."""
+
+USUAL = {"quaternion": np.array([1.0, 0.0, 0.0, 0.0]), "half": np.zeros(3), "radius": np.array(0.0)}
+"""What an obstacle has where nothing else is given."""
+
+UNIT = 0.01
+"""How far from 1 a quaternion's length may be."""
 
 
 class Obstacles:
@@ -19,19 +30,21 @@ class Obstacles:
     """
 
     def __init__(self, obstacles: Any) -> None:
-        """Of a list of dicts.
+        """Of dicts of arrays, as `read_obstacles` gives them.
 
         Raises:
-            ValueError: a number is missing, or is not finite.
+            ValueError: one of them is none.
         """
-        self.position = np.array([one["position"] for one in obstacles], float).reshape(-1, 3)
-        turns = [rotation_of(np.array(one.get("quaternion", (1, 0, 0, 0)), float)) for one in obstacles]
-        self.rotation = np.array(turns).reshape(-1, 3, 3)
-        self.half = np.array([one.get("half", (0, 0, 0)) for one in obstacles], float).reshape(-1, 3)
-        self.radius = np.array([one.get("radius", 0.0) for one in obstacles], float)
-        parts = (self.position, self.rotation, self.half, self.radius)
-        if len({len(part) for part in parts}) > 1 or not all(np.isfinite(part).all() for part in parts):
-            raise ValueError("every obstacle needs a position, and finite numbers")
+        if isinstance(obstacles, str):
+            raise ValueError("the obstacles are not a list of dicts of numbers")
+        for number, one in enumerate(obstacles, 1):
+            if wrong := _wrong_obstacle(one):
+                raise ValueError(f"obstacle {number} {wrong}")
+        whole = [{**USUAL, **one} for one in obstacles]
+        self.position, turns, self.half, self.radius = (
+            np.array([one[name] for one in whole]).reshape(-1, *shape) for name, shape in SHAPES.items()
+        )
+        self.rotation = np.array([rotation_of(turn / np.sqrt(turn @ turn)) for turn in turns]).reshape(-1, 3, 3)
 
     def off(self, place: np.ndarray) -> np.ndarray:
         """How far places `[K, P, 3]`, each in an obstacle's frame, are out of its box."""
@@ -48,6 +61,22 @@ class Obstacles:
             return np.full(len(points), np.inf)
         away = np.sqrt((self.off(self.inside(points)) ** 2).sum(axis=-1)) - self.radius[:, None]
         return away.min(axis=0)
+
+
+def _wrong_obstacle(obstacle: dict[str, Any]) -> str:
+    """What is wrong with an obstacle, empty where nothing is."""
+    if unknown := [name for name in obstacle if name not in SHAPES]:
+        return f"has {unknown[0]!r}, and an obstacle is made of {', '.join(SHAPES)}"
+    if "position" not in obstacle:
+        return "has no position"
+    for name, numbers in obstacle.items():
+        if not isinstance(numbers, np.ndarray) or numbers.shape != SHAPES[name] or not np.isfinite(numbers).all():
+            return f"must have a {name} of {max(sum(SHAPES[name]), 1)} finite numbers, got {in_words(numbers)}"
+    for name in ("half", "radius"):
+        if name in obstacle and obstacle[name].min() < 0.0:
+            return f"must have a {name} of at least 0 m, got {in_words(obstacle[name])}"
+    turn = obstacle.get("quaternion", USUAL["quaternion"])
+    return "" if abs(turn @ turn - 1.0) <= 2 * UNIT else f"must have a quaternion of length 1, got {in_words(turn)}"
 
 
 class Nearest(NamedTuple):

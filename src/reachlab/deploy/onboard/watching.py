@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections import deque
 from typing import Any
 
 import numpy as np
+
+from reachlab.deploy.onboard.reading import in_words
 
 GRACE = 0.06
 """Time for which the last good measurement is used where none comes that can be [s]; then the arm brakes."""
@@ -25,6 +28,10 @@ DRIFTED = 0.0005
 """Nor is one while its own speeds say that a joint moves so far [rad or m]."""
 
 
+CALLS, OFF = 15, 0.25
+"""Calls whose mean rate is compared with the policy's, and by what share it may differ."""
+
+
 class Watch:
     """Looks at every measurement before it is used.
 
@@ -32,70 +39,87 @@ class Watch:
         q, qd: the last measurement that was good.
     """
 
-    def __init__(self, facts: dict[str, Any]) -> None:
-        """For the arm of a policy's facts."""
-        arm = facts["arm"]
-        self._lower, self._upper = (np.array(arm[side], float) for side in ("lower", "upper"))
-        self._speed, self._lag = (np.array(arm[name], float) for name in ("speed", "lag"))
+    def __init__(self, facts: dict[str, Any], widest: dict[str, np.ndarray]) -> None:
+        """For the arm of a policy's facts, which can do what its widest limits say."""
+        self._names = [joint["name"] for joint in facts["joints"]]
+        self._lower, self._upper, self._speed = (widest[name] for name in ("lower", "upper", "speed"))
+        self._lag = np.array(facts["arm"]["lag"], float)
         self._period = float(facts["control_period"])
         self._repeats = max(int(GRACE / self._period + 1e-6), 2)
-        self.reset(np.array(arm["home"], float))
+        self.reset(np.array(facts["arm"]["home"], float))
 
     def reset(self, q: np.ndarray) -> None:
         """Begin anew with an arm that rests at joints `[n]`."""
         self.q, self.qd = q.copy(), np.zeros_like(q)
         self._time: float | None = None
-        self._good, self._same, self._command = 0.0, 0, q.copy()
+        self._good, self._same, self._command, self._measured = 0.0, 0, q.copy(), False
+        self._passed: deque[float] = deque(maxlen=CALLS)
 
-    def look(self, q: Any, qd: Any, time: Any, command: np.ndarray) -> tuple[str, bool]:
+    def look(self, q: Any, qd: Any, time: float | None, command: np.ndarray) -> tuple[str, bool]:
         """What is wrong, empty where nothing is, and whether the arm has to brake for it.
 
         Args:
-            q: measured joints, whatever that is.
+            q: measured joints, as `read_numbers` gives them.
             qd: their speeds, likewise.
-            time: of this control step [s].
+            time: of this control step [s], as `read_seconds` gives it.
             command: the last joint command `[n]`.
         """
-        if not isinstance(time, (int, float, np.floating, np.integer)) or not np.isfinite(time):
+        if time is None:
             return "the time is not a finite number", True
-        before, self._time = self._time, float(time)
+        before, self._time = self._time, time
         if before is None:
-            self._good = self._time
-        elif self._time <= before:
-            self._good = self._time
+            self._good = time
+        elif time <= before:
+            self._good = time
+            self._passed.clear()
             return f"the clock runs back or stands still, at {time:g} s after {before:g} s", True
-        wrong = self._wrong(q, qd, command, self._time - self._good)
+        wrong = self._wrong(q, qd, command, time - self._good)
         frozen = ""
         if not wrong:
-            frozen = self._frozen(np.asarray(q, float), np.asarray(qd, float), command)
-            self.q, self.qd = np.array(q, float), np.array(qd, float)
-            self._good = self._time
-        if before is not None and self._time - before > GRACE:
-            return f"called {self._time - before:.3f} s after the last time, more than {GRACE:g} s", True
+            frozen = self._frozen(q, qd, command)
+            self.q, self.qd, self._good, self._measured = q, qd, time, True
+        if before is not None and time - before > GRACE:
+            self._passed.clear()
+            return f"called {time - before:.3f} s after the last time, more than {GRACE:g} s", True
         if frozen:
             return frozen, True
-        return wrong, bool(wrong) and self._time - self._good >= GRACE - 1e-9
+        rate, too_fast = ("", False) if before is None else self._off_rate(time - before)
+        return wrong or rate, too_fast or (bool(wrong) and time - self._good >= GRACE - 1e-9)
+
+    def _off_rate(self, passed: float) -> tuple[str, bool]:
+        """What is wrong with the rate of calls, and whether they are too many: commands then leave limits of speed."""
+        self._passed.append(passed)
+        mean = sum(self._passed) / len(self._passed)
+        if len(self._passed) < CALLS or abs(self._period / mean - 1.0) <= OFF:
+            return "", False
+        rates = f"step is called at {1 / mean:.3g} Hz, and the policy's rate is {1 / self._period:.3g} Hz"
+        return f"{rates}: call it every {self._period:g} s", mean < self._period
 
     def _wrong(self, q: Any, qd: Any, command: np.ndarray, since: float) -> str:
         """What is wrong with a measurement that comes so long [s] after the last good one."""
         if q is None or qd is None:
             return "no measurement has come"
-        try:
-            q, qd = np.asarray(q, float), np.asarray(qd, float)
-        except (TypeError, ValueError):
+        if isinstance(q, str) or isinstance(qd, str):
             return "the measurement is not made of numbers"
         if q.shape != self.q.shape or qd.shape != self.q.shape:
             return f"the measurement has {q.size} joints and {qd.size} speeds, the arm {self.q.size}"
         if not (np.isfinite(q).all() and np.isfinite(qd).all()):
             return "the measurement is not finite"
+        jumped = np.abs(q - self.q) > JUMP + FASTER * self._speed * since * self._measured
+        if jumped.any() and not self._measured:
+            i = int(jumped.argmax())
+            return (
+                f"joint {self._names[i]!r} is measured at {in_words(q[i])}, and commands begin at"
+                f" {in_words(self.q[i])}: call reset with the joints at which the arm is measured to rest"
+            )
         for wrong, what in (
             ((q < self._lower - BEYOND) | (q > self._upper + BEYOND), "measured out of its limits"),
             (np.abs(qd) > FASTER * self._speed, "measured faster than it can be"),
-            (np.abs(q - self.q) > JUMP + FASTER * self._speed * since, "measured to have jumped"),
+            (jumped, "measured to have jumped"),
             (np.abs(q - command) > BEYOND + 2 * self._lag * self._speed, "not where it was sent"),
         ):
             if wrong.any():
-                return f"joint {int(wrong.argmax()) + 1} is {what}"
+                return f"joint {self._names[int(wrong.argmax())]!r} is {what}"
         return ""
 
     def _frozen(self, q: np.ndarray, qd: np.ndarray, command: np.ndarray) -> str:

@@ -1,0 +1,48 @@
+"""Numbers as callers give them, whatever that is, and as people read them."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+UNREADABLE = "not made of numbers"
+"""What stands for a value that is not made of numbers; a log holds it as it is."""
+
+
+def read_numbers(value: Any) -> Any:
+    """An array of floats that nobody else holds; None of None, and `UNREADABLE` of what is not made of numbers."""
+    if value is None:
+        return None
+    try:
+        return np.array(value, float)
+    except Exception:  # a caller's object may raise anything, and an arm that moves has to be stopped in order
+        return UNREADABLE
+
+
+def read_seconds(value: Any) -> float | None:
+    """A finite time [s], or None."""
+    try:
+        seconds = float(value) if isinstance(value, (int, float, np.floating, np.integer)) else math.nan
+    except Exception:  # as above: an int may be too large for a float
+        return None
+    return seconds if math.isfinite(seconds) else None
+
+
+def read_obstacles(value: Any) -> Any:
+    """A list of dicts of arrays; None of None, and `UNREADABLE` of anything else."""
+    if value is None:
+        return None
+    try:
+        return [{str(name): read_numbers(part) for name, part in one.items()} for one in value]
+    except Exception:  # as above
+        return UNREADABLE
+
+
+def in_words(numbers: Any) -> str:
+    """Numbers as text, to four digits; anything else as it is."""
+    if not isinstance(numbers, (np.ndarray, np.generic)):
+        return str(numbers)
+    four = "{:.4g}".format
+    return np.array2string(np.asarray(numbers), separator=", ", max_line_width=10_000, formatter={"float_kind": four})

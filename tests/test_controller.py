@@ -1,0 +1,381 @@
+"""The controller of an exported policy: what it loads, which limits hold, and what it makes of what it is given."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from faults.controllers import hostile_commands, written
+from reachlab.cli import main as cli
+from reachlab.deploy.check import PipeLink, start_controller
+from reachlab.deploy.facts import TERMS
+from reachlab.deploy.onboard.controller import NO_GOAL, Controller
+from reachlab.deploy.onboard.deciding import COMMANDED, OBSERVED
+from reachlab.deploy.onboard.folder import LIMITS
+from reachlab.deploy.onboard.reading import read_obstacles
+from reachlab.deploy.onboard.scene import Obstacles
+from reachlab.deploy.ros2 import PolicyNode
+from reachlab.deploy.topics import Topics
+from reachlab.settings.validation import InputError
+from reachlab.tasks.actions import OWN
+from reachlab.tasks.observations import OBSERVATIONS
+
+GOAL = [0.5, 0.2, 0.4]
+"""A goal in the workspace of the iiwa [m]."""
+
+FIRST, SECOND = "joint_1", "joint_2"
+
+Facts = dict[str, Any]
+
+
+@pytest.fixture(scope="module")
+def precise(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return written(tmp_path_factory.mktemp("precise") / "policy", "precise")
+
+
+@pytest.fixture(scope="module")
+def clutter(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return written(tmp_path_factory.mktemp("clutter") / "policy", "clutter", robot="ur5e")
+
+
+@pytest.fixture
+def folder(precise: Path, tmp_path: Path) -> Path:
+    """A copy that may be changed."""
+    return shutil.copytree(precise, tmp_path / "policy")
+
+
+def change(folder: Path, edit: Callable[[Facts], Any]) -> None:
+    facts = json.loads((folder / "policy.json").read_text())
+    edit(facts)
+    (folder / "policy.json").write_text(json.dumps(facts))
+
+
+def limit(name: str, value: Any, joint: str = FIRST) -> Callable[[Facts], Any]:
+    return lambda facts: facts["limits"][joint].update({name: value})
+
+
+def play(controller: Any, steps: int, first: int = 0, **call: Any) -> list[str]:
+    """Problems of so many steps of an arm that follows at once, from where the commands are."""
+    q, problems = controller.motion.position, []
+    qd = 0 * q
+    for number in range(first, first + steps):
+        given = {"q": q, "qd": qd, "goal": GOAL, "time": number * controller.period, **call}
+        command = controller.step(**given)
+        problems.append(controller.problem)
+        q, qd = command, (command - q) / controller.period
+    return problems
+
+
+# --- the folder -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["policy.safetensors", "policy.onnx", "controller.py"])
+def test_a_file_of_another_export_is_refused(
+    folder: Path, clutter: Path, name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with (folder / name).open("ab") as file:
+        file.write(b"\n")
+    if name != "controller.py":
+        shutil.copyfile(clutter / name, folder / name)
+    with pytest.raises(ValueError, match=rf"{name}' is not the file that was exported with the policy.json"):
+        Controller(folder)
+    for words in (["deploy", "check"], ["eval"]):
+        assert cli.main([*words, str(folder)]) == cli.WRONG_INPUT
+        assert "different exports" in capsys.readouterr().err
+
+
+def test_a_file_that_the_controller_does_not_need_may_be_absent(folder: Path) -> None:
+    for name in ("policy.onnx", "README.md"):
+        (folder / name).unlink()
+    assert play(Controller(folder), 3) == [""] * 3
+    (folder / "policy.safetensors").unlink()
+    with pytest.raises(ValueError, match="does not hold the weights"):
+        Controller(folder)
+
+
+CHANGED: dict[str, tuple[Callable[[Facts], Any], str]] = {
+    "arm": (lambda facts: facts["arm"]["home"].__setitem__(0, 0.5), "was changed beside its `limits`"),
+    "widest": (lambda facts: facts["joints"][0]["widest"].update(speed=99.0), "was changed beside"),
+    "hash": (lambda facts: facts["files"].update({"policy.onnx": "0"}), "was changed beside"),
+    "no_hash": (lambda facts: facts.pop("sha256"), "is not complete"),
+    "format": (lambda facts: facts.update(format=3), "has format 3, and formats 1 and 2 are read here"),
+    "no_format": (lambda facts: facts.pop("format"), "cannot be read as what `reachlab export` wrote"),
+    "upper": (limit("upper", 99.0), f"'{FIRST}'.*upper must be -2.9.* to 2.9.*, got 99.0.*never widened"),
+    "lower": (limit("lower", -99), "lower must be"),
+    "speed": (limit("speed", 99.0), "speed must be above 0 and at most 1.48.*, got 99.0"),
+    "still": (limit("speed", 0), "speed must be above 0"),
+    "acceleration": (limit("acceleration", -1.0), "acceleration must be above 0"),
+    "jerk": (limit("jerk", 10**400), "jerk must be above 0"),
+    "nan": (limit("speed", float("nan")), "speed must be a finite number, got nan"),
+    "text": (limit("speed", "slow"), "speed must be a finite number, got 'slow'"),
+    "crossed": (lambda facts: facts["limits"][FIRST].update(lower=1.0, upper=0.5), "lower must be below upper"),
+    "missing": (lambda facts: facts["limits"][FIRST].pop("jerk"), "they must be lower, upper, speed"),
+    "joint": (lambda facts: facts["limits"].pop(FIRST), f"must be those of the joints {FIRST}"),
+    "list": (lambda facts: facts.update(limits=[1]), "limits"),
+}
+
+
+@pytest.mark.parametrize("name", CHANGED)
+def test_a_description_that_was_changed_is_refused_in_one_sentence(folder: Path, name: str) -> None:
+    edit, sentence = CHANGED[name]
+    change(folder, edit)
+    with pytest.raises(ValueError, match=sentence):
+        Controller(folder)
+    with pytest.raises(InputError, match=sentence):
+        start_controller(folder)
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{", "\xff", "[" * 100_000], ids=["empty", "list", "half", "bytes", "deep"])
+def test_a_description_that_is_none_is_refused(folder: Path, text: str) -> None:
+    (folder / "policy.json").write_bytes(text.encode("latin-1"))
+    with pytest.raises(ValueError, match="cannot be read as what `reachlab export` wrote"):
+        Controller(folder)
+
+
+def test_limits_that_are_lowered_hold_and_are_all_that_is_shown(folder: Path) -> None:
+    def lower(facts: Facts) -> None:
+        for limits in facts["limits"].values():
+            limits.update(speed=0.2, acceleration=1, lower=-0.3, upper=0.3)
+
+    change(folder, lower)
+    controller = Controller(folder)
+    assert controller.limits.speed == pytest.approx(0.2)
+    assert controller.limits.acceleration == pytest.approx(1.0)
+    assert (controller.limits.lower == -0.3).all()
+    with pytest.raises(ValueError, match=rf"'{SECOND}' is at 0.6, out of its limits -0.3 to 0.3"):
+        controller.reset([0.0, 0.6, 0.0, 0.0, 0.0, 0.0, 0.0])
+    assert hostile_commands(folder, 1500).wrong == []
+
+
+def test_a_description_may_be_laid_out_anew(folder: Path) -> None:
+    text = (folder / "policy.json").read_text()
+    facts = json.loads(text, parse_float=lambda one: int(one[:-2]) if one.endswith(".0") else float(one))
+    (folder / "policy.json").write_text(json.dumps(facts, sort_keys=True, indent=4))
+    assert play(Controller(folder), 1) == [""]
+
+
+@pytest.mark.parametrize("place", ["joint", "arm"])
+def test_a_folder_of_the_format_before_loads_and_its_lower_limits_hold(folder: Path, place: str) -> None:
+    def back(facts: Facts) -> None:
+        limits = facts.pop("limits")
+        facts["format"] = 1
+        del facts["sha256"]
+        for joint in facts["joints"]:
+            del joint["widest"]
+            joint.update(limits[joint["name"]])
+        facts["arm"].update({name: [one[name] for one in limits.values()] for name in ("lower", "upper", "speed")})
+        facts["joints"][0].update({"speed": 0.1} if place == "joint" else {})
+        facts["arm"]["speed"][0] = 0.1 if place == "arm" else facts["arm"]["speed"][0]
+
+    usual = Controller(folder).limits
+    change(folder, back)
+    limits = Controller(folder).limits
+    assert limits.speed[0] == pytest.approx(0.1)
+    assert (limits.speed[1:] == usual.speed[1:]).all()
+    assert all((getattr(limits, name) == getattr(usual, name)).all() for name in LIMITS if name != "speed")
+    with (folder / "policy.safetensors").open("ab") as file:
+        file.write(b"\n")
+    with pytest.raises(ValueError, match="is not the file that was exported"):
+        Controller(folder)
+
+
+def test_a_check_whose_arm_begins_outside_lowered_limits_says_so() -> None:
+    pipe = SimpleNamespace(send=lambda _: None, poll=lambda _: True, recv=lambda: "joint 'j1' is at 2")
+    with pytest.raises(InputError, match="joint 'j1' is at 2"):
+        PipeLink(pipe).begin(np.zeros(1))  # type: ignore[arg-type]
+
+
+def test_the_controller_knows_every_term_and_action_that_an_export_allows() -> None:
+    assert {term.name for term in TERMS if not term.picture} == set(OBSERVED)
+    assert {term for design in OBSERVATIONS.values() for term in design.terms} == set(TERMS)
+    assert set(OWN) == set(COMMANDED)
+
+
+# --- obstacles ------------------------------------------------------------------------------------
+
+BALL: dict[str, Any] = {"position": [0.4, 0.0, 0.3], "radius": 0.05}
+
+BAD = {
+    "radius": ({**BALL, "radius": -1}, "obstacle 2 must have a radius of at least 0 m, got -1"),
+    "half": ({**BALL, "half": [0.1, -0.1, 0.1]}, r"a half of at least 0 m, got \[0.1, -0.1, 0.1\]"),
+    "no_turn": ({**BALL, "quaternion": [0, 0, 0, 0]}, "a quaternion of length 1"),
+    "long_turn": ({**BALL, "quaternion": [2, 0, 0, 0]}, "a quaternion of length 1"),
+    "unknown": ({**BALL, "size": 0.1}, "has 'size', and an obstacle is made of position, quaternion, half, radius"),
+    "nowhere": ({"radius": 0.1}, "has no position"),
+    "short": ({**BALL, "half": [1.0]}, r"a half of 3 finite numbers, got \[1\]"),
+    "nan": ({"position": [np.nan] * 3}, "a position of 3 finite numbers"),
+    "none": ({**BALL, "radius": None}, "a radius of 1 finite numbers, got None"),
+    "huge": ({**BALL, "radius": 10**400}, "a radius of 1 finite numbers, got not made of numbers"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_an_obstacle_that_cannot_be_is_refused(name: str) -> None:
+    obstacle, sentence = BAD[name]
+    with pytest.raises(ValueError, match=sentence):
+        Obstacles(read_obstacles([BALL, obstacle]))
+
+
+def test_a_quaternion_a_little_off_is_taken_as_a_turn() -> None:
+    around = Obstacles(read_obstacles([{**BALL, "quaternion": [1.004, 0.0, 0.0, 0.0]}]))
+    assert around.rotation[0] == pytest.approx(np.eye(3), abs=1e-12)
+
+
+@pytest.mark.parametrize("bad", ["wall", [1.0], [{**BALL, "radius": -1}]], ids=str)
+def test_the_problem_stays_while_obstacles_stay_bad(clutter: Path, bad: Any) -> None:
+    controller = Controller(clutter)
+    middle = controller.goal_box.mean(axis=0)
+    assert play(controller, 60, goal=middle, obstacles=[BALL])[-1] == ""
+    problems = play(controller, 50, 60, goal=middle, obstacles=bad)
+    assert len(set(problems)) == 1
+    assert "obstacle" in problems[0]
+    assert "Error" not in problems[0]
+    assert controller.braking
+    assert np.abs(controller.motion.speed).max() < 1e-9
+    assert play(controller, 20, 110, goal=middle, obstacles=[BALL])[-1] == ""
+    assert not controller.braking
+
+
+# --- measurements ---------------------------------------------------------------------------------
+
+
+class Raising:
+    def __array__(self, *_: Any, **__: Any) -> Any:
+        raise RuntimeError("out of order")
+
+    def __iter__(self) -> Any:
+        raise KeyError("out of order")
+
+
+class Sensor:
+    """What is measured, in an object of its own."""
+
+    def __init__(self, numbers: Any) -> None:
+        self.numbers = np.array(numbers)
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        del copy
+        return self.numbers.astype(dtype)
+
+
+ODD = [10**400, [10**400] * 7, [1j] * 7, Raising(), [Raising()] * 7, object(), {}, "seven"]
+
+
+@pytest.mark.parametrize("odd", ODD, ids=lambda odd: str(odd)[:20])
+@pytest.mark.parametrize("name", ["q", "qd", "goal", "time", "velocity"])
+def test_what_is_odd_brakes_the_arm_raises_nothing_and_is_replayed(
+    precise: Path, tmp_path: Path, name: str, odd: Any
+) -> None:
+    controller = Controller(precise)
+    play(controller, 10)
+    play(controller, 15, 10, **{name: odd})
+    assert controller.problem
+    assert controller.braking
+    assert np.abs(controller.motion.speed).max() < 1e-9
+    controller.save_log(tmp_path / "log.jsonl")
+    assert Controller(precise).replay(tmp_path / "log.jsonl") == 0.0
+
+
+def test_reset_refuses_what_is_odd(precise: Path) -> None:
+    controller = Controller(precise)
+    for odd in (*ODD, None, np.zeros(6), np.full(7, np.nan)):
+        with pytest.raises(ValueError, match="reset takes 7 measured joints, got"):
+            controller.reset(odd)
+
+
+def test_a_replay_is_the_same_where_the_caller_changes_its_own_lists(clutter: Path, tmp_path: Path) -> None:
+    controller = Controller(clutter)
+    goal, obstacle = controller.goal_box.mean(axis=0).tolist(), {"position": [0.5, 0.0, 0.3], "radius": 0.05}
+    joints, q = [0.0] * 6, controller.home.tolist()
+    for number in range(60):
+        goal[0] += 0.001
+        obstacle["position"][1] += 0.002  # type: ignore[index]
+        joints[0] = 0.01 * number
+        command = controller.step(
+            Sensor(q) if number % 2 else q, [0.0] * 6, goal, 0.02 * number, obstacles=[obstacle], joints=joints
+        )
+        q[:] = command
+    controller.save_log(tmp_path / "log.jsonl")
+    assert Controller(clutter).replay(tmp_path / "log.jsonl") == 0.0
+
+
+# --- what it says ---------------------------------------------------------------------------------
+
+
+def test_without_a_goal_it_says_so_and_holds_the_arm(precise: Path) -> None:
+    controller = Controller(precise)
+    assert play(controller, 5, goal=None) == [NO_GOAL] * 5
+    assert not controller.braking
+    assert play(controller, 5, 5) == [""] * 5
+
+
+def test_a_step_before_reset_away_from_home_stays_there_and_names_joint_and_remedy(
+    precise: Path, tmp_path: Path
+) -> None:
+    controller = Controller(precise)
+    there = controller.home + 0.3 * (np.arange(7) == 1)
+    for number in range(10):
+        assert controller.step(there, 0 * there, GOAL, 0.02 * number) == pytest.approx(there)
+        assert re.search(
+            rf"joint '{SECOND}' is measured at 0\.\d+, and without a reset .*call reset", controller.problem
+        )
+    controller.reset(there)
+    assert play(controller, 10) == [""] * 10
+    controller.save_log(tmp_path / "log.jsonl")
+    assert controller.replay(tmp_path / "log.jsonl") == 0.0
+
+
+def test_an_arm_that_is_not_where_it_was_reset_is_named_with_the_remedy(precise: Path) -> None:
+    controller = Controller(precise)
+    controller.reset(controller.home)
+    play(controller, 5, q=controller.home + 0.3 * (np.arange(7) == 1))
+    assert f"joint '{SECOND}' is measured at" in controller.problem
+    assert "call reset" in controller.problem
+    assert controller.braking
+
+
+@pytest.mark.parametrize(("rate", "brakes"), [(25, False), (50, False), (60, False), (100, True)])
+def test_calls_at_another_rate_are_named_and_too_many_brake_the_arm(precise: Path, rate: int, brakes: bool) -> None:
+    controller = Controller(precise)
+    problems = [play(controller, 1, time=number / rate)[0] for number in range(30)]
+    said = f"step is called at {rate} Hz, and the policy's rate is 50 Hz: call it every 0.02 s"
+    assert problems[-1] == ("" if rate in (50, 60) else said)
+    assert controller.braking == brakes
+
+
+def test_numbers_are_printed_to_four_digits(precise: Path) -> None:
+    problem = play(Controller(precise), 1, goal=[0.1 + 0.2, 3.0, 0.4])[0]
+    assert problem.startswith("the goal [0.3, 3, 0.4] is out of the workspace, [")
+    assert not re.search(r"\d\.\d{5}", problem)
+
+
+def test_the_node_says_that_no_goal_has_come(precise: Path) -> None:
+    pytest.importorskip("rclpy")
+    from geometry_msgs.msg import PoseStamped
+    from sensor_msgs.msg import JointState
+
+    said: list[str] = []
+    made = SimpleNamespace(publish=lambda _: None)
+    node = SimpleNamespace(
+        **dict.fromkeys(("create_publisher", "create_subscription", "create_timer"), lambda *_: made),
+        get_logger=lambda: SimpleNamespace(warning=said.append),
+    )
+    controller = Controller(precise)
+    policy = PolicyNode(node, controller, Topics(), trajectory=False)
+    home = controller.home.tolist()
+    policy._on_joints(JointState(name=controller.joints, position=home, velocity=[0.0] * 7))
+    assert said == ["no goal has come on 'reachlab/goal', and the arm is held where it is"]
+    message = PoseStamped()
+    place = message.pose.position
+    place.x, place.y, place.z = GOAL
+    policy._on_goal(message)
+    policy._step()
+    assert said[1:] == ["all is well again"]
