@@ -23,6 +23,7 @@ import safetensors.numpy
 from reachlab import sims
 from reachlab.cli import main as cli
 from reachlab.envs.core import Env
+from reachlab.jax_setup import jit
 from reachlab.learn.load import load_policy
 from reachlab.learn.ppo_method import TrainState, initial_state
 from reachlab.runs.checkpoint import seal
@@ -37,7 +38,7 @@ STEP = "checkpoints/step_000000000512"
 
 @pytest.fixture(scope="module")
 def config() -> RunConfig:
-    return configure(num_envs=8, rollout_steps=8, seed=3)
+    return configure(num_envs=8, rollout_steps=8, seed=3, max_steps=30)
 
 
 @pytest.fixture(scope="module")
@@ -79,29 +80,24 @@ def plain(tree: object) -> list[np.ndarray]:
 # --- there and back -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("part", ["learner", "env", "key"])
-def test_a_training_state_comes_back_bit_for_bit(finished: Path, state: TrainState, part: str) -> None:
-    saved = vars(state)[part]
-    loaded = RunDirectory(finished).read_checkpoint(part, jax.eval_shape(lambda: saved))
-    assert jax.tree.structure(loaded) == jax.tree.structure(saved)
-    for one, other in zip(plain(loaded), plain(saved), strict=True):
-        assert one.dtype == other.dtype
-        assert np.array_equal(one, other)
-
-
-def test_random_keys_come_back_as_keys_that_draw_the_same(finished: Path, state: TrainState) -> None:
-    key = RunDirectory(finished).read_checkpoint("key", state.key)
-    assert np.array_equal(jax.random.normal(key, (4,)), jax.random.normal(state.key, (4,)))
+def test_configuration_and_training_state_come_back_bit_for_bit(
+    finished: Path, config: RunConfig, state: TrainState
+) -> None:
+    assert RunDirectory(finished).read_config() == config
+    for part in ("learner", "env", "key"):
+        saved = vars(state)[part]
+        loaded = RunDirectory(finished).read_checkpoint(part, jax.eval_shape(lambda tree: tree, saved))
+        assert jax.tree.structure(loaded) == jax.tree.structure(saved)
+        for one, other in zip(plain(loaded), plain(saved), strict=True):
+            assert one.dtype == other.dtype
+            assert np.array_equal(one, other)
 
 
 def test_a_loaded_policy_acts_as_the_saved_one(finished: Path, env: Env, state: TrainState) -> None:
-    policy = load_policy(RunDirectory(finished), env)
-    observation = env.observe(state.env)
-    assert np.array_equal(policy.act(observation), state.learner.policy.act(observation))
-
-
-def test_the_configuration_comes_back(finished: Path, config: RunConfig) -> None:
-    assert RunDirectory(finished).read_config() == config
+    act, observation = jit(lambda policy, observation: policy.act(observation)), env.observe_now(state.env)
+    assert np.array_equal(
+        act(load_policy(RunDirectory(finished), env), observation), act(state.learner.policy, observation)
+    )
 
 
 def test_the_newest_checkpoint_is_read(run: Path) -> None:
@@ -190,22 +186,14 @@ DAMAGES: dict[str, tuple[Callable[[Path], None], str]] = {
     "another shape": (edit_config(lambda c: c["learner"].update(hidden=[32])), "does not fit the run's configuration"),
     "no manifest": (remove(f"{STEP}/manifest.json"), "manifest.json' is missing"),
     "a manifest that is no JSON": (write(f"{STEP}/manifest.json", b"{"), "manifest.json' is not JSON"),
-    "a manifest that is a list": (write(f"{STEP}/manifest.json", b"[]"), "is damaged"),
     "a manifest without a checksum": (write(f"{STEP}/manifest.json", b"{}"), "is damaged"),
-    "a manifest of numbers": (write(f"{STEP}/manifest.json", b'{"sha256": 3}'), "is damaged"),
     "no configuration": (remove("config.json"), "config.json' is missing"),
-    "an empty configuration": (write("config.json", b""), "config.json' is not JSON"),
-    "a configuration in binary": (write("config.json", b"\xff\xfe\x00"), "config.json' is not JSON"),
     "a bottomless configuration": (write("config.json", b"[" * 100_000), "config.json' is not JSON"),
     "a configuration that is a list": (write("config.json", b"[]"), "config.json' is not usable: .*got list"),
     "a setting too few": (edit_config(lambda c: c.pop("seed")), "has no setting 'seed'"),
     "a setting too many": (edit_config(lambda c: c.update(colour="red")), "unknown setting 'colour'"),
-    "a setting of another type": (
-        edit_config(lambda c: c["loop"].update(num_envs="many")),
-        "num_envs must be a whole number",
-    ),
+    "a setting of another type": (edit_config(lambda c: c["loop"].update(num_envs="x")), "num_envs must be a whole"),
     "a setting out of range": (edit_config(lambda c: c["ppo"].update(gamma=2.0)), "gamma must be at least 0 and"),
-    "a section that is none": (edit_config(lambda c: c.update(rules=3)), "must be an object of settings, got int"),
     "a name that does not exist": (edit_config(lambda c: c["rules"].update(reward="gold")), "reward 'gold' is not one"),
     "a robot that is gone": (edit_config(lambda c: c.update(robot="gone.xml")), "gone.xml' does not exist"),
     "no checkpoint": (remove("checkpoints"), "holds no checkpoint"),
@@ -240,11 +228,11 @@ def write_reports(run: Path, writers: range, times: int = 20) -> None:
 def test_reports_written_at_once_are_whole_and_of_one_writer(tmp_path: Path) -> None:
     (tmp_path / "reports").mkdir()
     write_reports(tmp_path, range(1), 1)
-    with ThreadPoolExecutor(3) as threads, ProcessPoolExecutor(2, get_context("spawn")) as processes:
+    with ThreadPoolExecutor(3) as threads, ProcessPoolExecutor(1, get_context("spawn")) as processes:
         jobs = [threads.submit(write_reports, tmp_path, range(i, i + 1)) for i in (1, 2, 3)]
-        jobs += [processes.submit(write_reports, tmp_path, range(i, i + 1)) for i in (4, 5)]
+        jobs += [processes.submit(write_reports, tmp_path, range(4, 5))]
         while not all(job.done() for job in jobs):
-            assert json.loads((tmp_path / "reports/same.json").read_text())["writer"] in range(6)
+            assert json.loads((tmp_path / "reports/same.json").read_text())["writer"] in range(5)
             with safetensors.safe_open(tmp_path / "reports/same.safetensors", "numpy") as file:
                 report = json.loads(file.metadata()["report"])
                 assert set(file.get_tensor("rows")) == {report["writer"]}, "a report with the episodes of another"
@@ -330,7 +318,7 @@ def test_a_run_is_never_overwritten(finished: Path, config: RunConfig) -> None:
     assert contents(finished) == before
 
 
-@pytest.mark.parametrize("out", [".", "", "/", ".."])
+@pytest.mark.parametrize("out", [".", ""])
 def test_an_out_without_a_name_is_refused_in_one_sentence(
     out: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -340,12 +328,8 @@ def test_an_out_without_a_name_is_refused_in_one_sentence(
     assert not list(tmp_path.iterdir())
 
 
-def test_a_name_that_is_too_long_is_refused(tmp_path: Path, config: RunConfig) -> None:
-    with pytest.raises(InputError, match="cannot be made: File name too long"):
-        RunDirectory(tmp_path / ("x" * 5000)).create(config)
-
-
-def test_a_directory_that_cannot_be_made_is_refused(tmp_path: Path, config: RunConfig) -> None:
+@pytest.mark.parametrize(("name", "why"), [("x" * 5000, "File name too long"), ("file/run", "Not a directory")])
+def test_a_directory_that_cannot_be_made_is_refused(tmp_path: Path, config: RunConfig, name: str, why: str) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="cannot be made: Not a directory"):
-        RunDirectory(tmp_path / "file" / "run").create(config)
+    with pytest.raises(InputError, match=f"cannot be made: {why}"):
+        RunDirectory(tmp_path / name).create(config)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
 import os
 import re
 import subprocess
 import sys
-import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -17,7 +18,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from reachlab import sims
 from reachlab.agents import AGENTS
 from reachlab.bench import SUITES
 from reachlab.cli import main as cli
@@ -28,6 +28,7 @@ from reachlab.envs.setup import make_setup, settled
 from reachlab.learn.ppo_method import initial_state
 from reachlab.robots.catalogue import ROBOTS
 from reachlab.runs.directory import RunDirectory
+from reachlab.runs.metrics import read_metrics
 from reachlab.runs.shipped import shipped
 from reachlab.scale import ENGINES
 from reachlab.scale.goals import GOALS
@@ -44,17 +45,7 @@ from reachlab.tasks.reach import AT_GOAL
 from reachlab.tasks.rewards import REWARDS
 from reachlab.tasks.targets import TARGETS
 
-TINY = [
-    "--num-envs",
-    "16",
-    "--rollout-steps",
-    "16",
-    "--total-steps",
-    "1024",
-    "--no-stop-early",
-    "--report-episodes",
-    "10",
-]
+TINY = "--num-envs 16 --rollout-steps 16 --total-steps 1024 --no-stop-early --report-episodes 10 --max-steps 300"
 """A training of four iterations."""
 
 TABLES = {
@@ -109,7 +100,7 @@ def reachlab(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: py
 @pytest.fixture(scope="module")
 def untrained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run directory with the checkpoint of a policy that has learnt nothing."""
-    config = configure(num_envs=8)
+    config = configure(num_envs=8, max_steps=300)
     env = Env(config, 8)
     run = RunDirectory(tmp_path_factory.mktemp("cli") / "untrained")
     run.create(config)
@@ -125,10 +116,10 @@ def in_a_process(*words: str) -> Said:
 # --- help and lists -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("words", [[], ["--help"], ["-h"]], ids=str)
-def test_the_overview_names_every_command(reachlab: Shell, words: list[str]) -> None:
-    said = reachlab(*words)
+def test_the_overview_names_every_command(reachlab: Shell) -> None:
+    said = reachlab()
     assert (said.status, said.err) == (0, "")
+    assert said == reachlab("--help") == reachlab("-h")
     for name, verb in VERBS.items():
         assert f"  {name} " in said.out
         assert verb.flags.__doc__
@@ -136,13 +127,15 @@ def test_the_overview_names_every_command(reachlab: Shell, words: list[str]) -> 
 
 
 @pytest.mark.parametrize("verb", VERBS)
-def test_every_command_has_help(reachlab: Shell, verb: str) -> None:
+def test_every_command_has_help_with_every_name_of_its_table(reachlab: Shell, verb: str) -> None:
     said = reachlab(verb, "--help")
     assert (said.status, said.err) == (0, "")
     assert f"usage: reachlab {verb}" in said.out
+    names = {"eval": AGENTS, "video": AGENTS, "view": AGENTS, "bench": SUITES}.get(verb)
+    assert not names or f": {', '.join(names)}." in " ".join(said.out.replace("│", " ").split())
 
 
-def test_every_setting_is_a_flag_of_train(reachlab: Shell) -> None:
+def test_every_setting_is_a_flag_of_train_and_the_last_task_sets_the_defaults(reachlab: Shell) -> None:
     text = reachlab("train", "--help").out
     config = RunConfig()
     names = [name for part in (config.rules, config.physics, config.ppo) for name in vars(part)]
@@ -150,6 +143,8 @@ def test_every_setting_is_a_flag_of_train(reachlab: Shell) -> None:
     assert len(names) == len(set(names)), "flags are flat"
     for name in names:
         assert f"--{name.replace('_', '-')}" in text
+    help_of = reachlab("train", "--task", "tutorial", "--task=precise", "--help").out
+    assert help_of == reachlab("train", "--task", "precise", "--help").out != text
 
 
 def test_list_prints_the_tables_as_json(reachlab: Shell) -> None:
@@ -201,24 +196,16 @@ def test_the_table_of_poses_tells_both_errors(reachlab: Shell) -> None:
 
 
 def test_reports_of_a_run_on_other_goals_are_not_kept_in_it(reachlab: Shell, untrained: Path) -> None:
-    words = ("eval", untrained, "--agent", "zero", "--episodes", 2, "--seed", 77)
+    words = ("eval", untrained, "--agent", "zero", "--episodes", 20, "--seed", 77)
     assert reachlab(*words, "--max-steps", 5, "--json").status == 0
     assert not list(untrained.rglob("*-77.json"))
-    assert reachlab(*words).status == 0
-    assert len(list(untrained.rglob("*-77.json"))) == 1
 
 
 def test_the_version_is_told(reachlab: Shell) -> None:
     assert reachlab("--version") == Said(0, f"reachlab {version('reachlab')}\n", "")
 
 
-@pytest.mark.parametrize(("verb", "names"), [("eval", AGENTS), ("video", AGENTS), ("view", AGENTS), ("bench", SUITES)])
-def test_help_lists_every_name_of_the_table(reachlab: Shell, verb: str, names: dict[str, object]) -> None:
-    text = " ".join(reachlab(verb, "--help").out.replace("│", " ").split())
-    assert f": {', '.join(names)}." in text
-
-
-@pytest.mark.parametrize("words", [["--help"], ["train", "--help"], ["list"], ["list", "--json"]], ids=" ".join)
+@pytest.mark.parametrize("words", [["train", "--help"], ["list"]], ids=" ".join)
 def test_a_reader_who_has_gone_ends_a_command_silently(words: list[str]) -> None:
     reader, writer = os.pipe()
     os.close(reader)
@@ -236,7 +223,6 @@ WRONG = {
     "unknown command": ("trian", "Did you mean 'train'"),
     "unknown flag": ("train --rewrd dense", "Did you mean --reward"),
     "unknown flag of eval": ("eval run --epsiodes 3", "Did you mean --episodes"),
-    "unknown flag of list": ("list --jsn", "Did you mean --json"),
     "far-off flag": ("train --zzzz", "--zzzz"),
     "word too many": ("train extra", "extra"),
     "no value": ("train --out", "--out"),
@@ -248,7 +234,6 @@ WRONG = {
     "infinite": ("train --learning-rate inf", "learning_rate must be .*inf"),
     "wrong entry": ("train --hidden 64 0", "each entry of hidden must be at least 1 and at most 2147483647, got 0"),
     "unknown task": ("train --task tutoral", "Did you mean 'tutorial'"),
-    "unknown task with =": ("train --task=tutoral", "Did you mean 'tutorial'"),
     "task without a value": ("train --task", "--task"),
     "unknown robot": ("train --robot iiwa15", "robot 'iiwa15' is not one of.*Did you mean 'iiwa14'"),
     "robot file that is not there": ("train --robot arm.xml", "robot file '/.*/arm.xml' does not exist: put it there"),
@@ -259,24 +244,14 @@ WRONG = {
     "unknown observation": ("train --observation targt", "Did you mean 'target'"),
     "unknown action": ("train --action tool-delta", "Did you mean 'tool_delta'"),
     "unknown reward": ("train --reward spars", "Did you mean 'sparse'"),
-    "minibatches that do not divide": (
-        "train --num-envs 10 --rollout-steps 7 --minibatches 4",
-        "10.*4 minibatches",
-    ),
+    "minibatches that do not divide": ("train --num-envs 10 --rollout-steps 7 --minibatches 4", "10.*4 minibatches"),
     "existing out": ("train --out taken", "'taken' exists and is not overwritten"),
-    "eval without a run": (
-        "eval",
-        "agent 'trained' needs a run: name its directory or a policy of `reachlab list`, or",
-    ),
+    "eval without a run": ("eval", "agent 'trained' needs a run: name its directory or a policy of `reachlab list`"),
     "eval of no run": ("eval nothing", "'nothing' does not exist: train one with"),
     "eval of an empty folder": ("eval taken", "config.json' is missing"),
     "eval of an unknown agent": ("eval taken --agent tained", "Did you mean 'trained'"),
-    "eval of no episodes": (
-        "eval untrained --agent ik --episodes 0",
-        "episodes must be at least 1 and at most 2147483647, got 0",
-    ),
+    "eval of no episodes": ("eval untrained --agent ik --episodes 0", "episodes must be at least 1 and .*, got 0"),
     "eval of a negative seed": ("eval untrained --seed -1 --agent ik", "seed"),
-    "eval of an immense seed": ("eval untrained --seed 99999999999 --agent ik", "seed"),
     "video of no run": ("video nothing", "'nothing' does not exist"),
     "video of an unknown agent": ("video untrained --agent tained", "Did you mean 'trained'"),
     "video to an unknown ending": ("video untrained --out film.avi", "video format '.avi' is not one of: .gif, .mp4"),
@@ -287,7 +262,6 @@ WRONG = {
     "plot of no run": ("plot nothing", "'nothing' holds no metrics.jsonl"),
     "plot to an unknown ending": ("plot young --out curve.xyz", "cannot be written to 'curve.xyz'"),
     "plot to a folder": ("plot young --out .", "cannot be written to '.': name a file that ends in .png or .svg"),
-    "plot to no ending": ("plot young --out curve", "cannot be written to 'curve': name a file that ends in"),
     "plot into no folder": ("plot young --out no/curve.png", "cannot be written to 'no/curve.png'"),
 }
 
@@ -330,18 +304,10 @@ def test_a_refusal_is_told_whole_however_long_it_is(reachlab: Shell, monkeypatch
     assert said == Said(2, "", f"reachlab: name must be short, got '{name}'. See `reachlab list --help`.\n")
 
 
-def test_the_last_of_several_tasks_sets_the_defaults(reachlab: Shell) -> None:
-    help_of = reachlab("train", "--task", "tutorial", "--task=precise", "--help").out
-    assert help_of == reachlab("train", "--task", "precise", "--help").out
-    assert help_of != reachlab("train", "--help").out
-
-
-def test_a_process_ends_with_the_same_statuses() -> None:
+def test_a_process_ends_with_the_same_status() -> None:
     wrong = in_a_process("train", "--reward", "spars")
     assert (wrong.status, wrong.out, wrong.err.count("\n")) == (2, "", 1)
     assert wrong.err.startswith("reachlab: reward 'spars' is not one of")
-    right = in_a_process("train", "--help")
-    assert (right.status, right.err) == (0, "")
 
 
 def test_an_interruption_is_told_by_its_status(reachlab: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -365,10 +331,12 @@ def test_a_backend_that_mujoco_does_not_know_is_refused(monkeypatch: pytest.Monk
 
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Said]:
-    """A run of the command itself, in a process of its own."""
-    out = tmp_path_factory.mktemp("cli") / "trained"
-    flags = ["--seed", "4", "--reward", "sparse", "--action-repeat", "1", "--no-clip-actions", "--hidden", "16", "16"]
-    return out, in_a_process("train", "--out", str(out), *TINY, *flags, "--json")
+    """A run of the command, and what it said."""
+    out, said, errors = tmp_path_factory.mktemp("cli") / "trained", io.StringIO(), io.StringIO()
+    flags = "--seed 4 --reward sparse --action-repeat 1 --no-clip-actions --hidden 16 16 --json"
+    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(errors):
+        status = cli.main(["train", "--out", str(out), *f"{TINY} {flags}".split()])
+    return out, Said(status, said.getvalue(), errors.getvalue())
 
 
 def test_train_prints_one_json_object_and_nothing_else(trained: tuple[Path, Said]) -> None:
@@ -376,9 +344,11 @@ def test_train_prints_one_json_object_and_nothing_else(trained: tuple[Path, Said
     assert said.status == 0, said.err
     result = json.loads(said.out)
     assert result == json.loads((out / "report.json").read_text())
-    assert result["steps"] == 1024
-    assert result["agent"] == "trained"
-    assert "Traceback" not in said.err
+    assert (result["agent"], result["steps"], result["episodes"]) == ("trained", 1024, 10)
+    rows = read_metrics(out / "metrics.jsonl")
+    assert [row["steps"] for row in rows] == [256, 512, 768, 1024], "without early stopping all steps are taken"
+    assert result["validated"] is None
+    assert not any("validation_success" in row for row in rows)
     assert "Next: reachlab eval" in said.err
     assert "Success: the tool comes within 100 mm of the target" in said.err
     lines = [line for line in said.err.splitlines() if "M steps" in line]
@@ -388,18 +358,9 @@ def test_train_prints_one_json_object_and_nothing_else(trained: tuple[Path, Said
 
 def test_flags_reach_the_configuration(trained: tuple[Path, Said]) -> None:
     config = RunDirectory(trained[0]).read_config()
-    asked = configure(
-        seed=4,
-        reward="sparse",
-        action_repeat=1,
-        clip_actions=False,
-        hidden=(16, 16),
-        num_envs=16,
-        rollout_steps=16,
-        total_steps=1024,
-        stop_early=False,
-        report_episodes=10,
-    )
+    given = {"num_envs": 16, "rollout_steps": 16, "total_steps": 1024, "stop_early": False, "report_episodes": 10}
+    given |= {"max_steps": 300, "seed": 4, "reward": "sparse", "action_repeat": 1, "clip_actions": False, "hidden": (16, 16)}
+    asked = configure(**given)
     assert config == settled(asked, make_setup(asked))
 
 
@@ -407,25 +368,17 @@ def test_without_flags_the_tutorials_task_is_trained() -> None:
     assert cli._parse("train", Train, []).run == configure()
 
 
-@pytest.mark.parametrize("reward", ["sparse", "dense"])
-def test_of_a_flag_given_twice_the_last_one_counts(reward: str) -> None:
-    other = {"sparse": "dense", "dense": "sparse"}[reward]
-    chosen = cli._parse("train", Train, ["--reward", other, f"--reward={reward}"])
-    assert chosen.run == configure(reward=reward)
+def test_of_a_flag_given_twice_the_last_one_counts() -> None:
+    assert cli._parse("train", Train, ["--reward", "dense", "--reward=sparse"]).run == configure(reward="sparse")
 
 
-def test_train_leaves_its_curve(trained: tuple[Path, Said]) -> None:
-    with Image.open(trained[0] / "curve.png") as picture:
-        assert picture.format == "PNG"
-
-
-def test_a_trained_run_is_evaluated_and_drawn(trained: tuple[Path, Said], reachlab: Shell) -> None:
+def test_a_trained_run_has_its_curve_and_is_evaluated_and_drawn(trained: tuple[Path, Said], reachlab: Shell) -> None:
     out, _ = trained
-    said = reachlab("eval", out, "--episodes", 7, "--json")
+    with Image.open(out / "curve.png") as picture:
+        assert picture.format == "PNG"
+    said = reachlab("eval", out, "--episodes", 10, "--json")
     assert said.status == 0, said.err
     assert json.loads(said.out)["agent"] == "trained"
-    assert reachlab("plot", out, "--out", "curve.svg").status == 0
-    assert ElementTree.parse("curve.svg").getroot().tag.endswith("svg")
     assert reachlab("plot", out).status == 0
     assert (out / "plots.png").exists()
 
@@ -439,86 +392,61 @@ def evaluated(reachlab: Shell, run: Path, *words: object) -> Any:
     return json.loads(said.out)
 
 
-def test_eval_of_one_agent_prints_an_object_and_saves_it(reachlab: Shell, untrained: Path) -> None:
+def test_eval_prints_and_saves_reports_which_repeat_themselves_and_differ_by_seed(
+    reachlab: Shell, untrained: Path
+) -> None:
     report = evaluated(reachlab, untrained, "--agent", "ik", "--seed", 7)
     assert (report["agent"], report["seed"], report["episodes"], report["sim"]) == ("ik", 7, 20, "kinematic")
     assert report["success_rate"] == 1
     assert json.loads((untrained / "reports" / "kinematic-ik-7.json").read_text()) == report
+    again, idle = evaluated(reachlab, untrained, "--agent", "ik", "zero", "--seed", 7)
+    assert again | {"wall_s": 0} == report | {"wall_s": 0}
+    assert (idle["agent"], idle["success_rate"]) == ("zero", 0)
+    assert (untrained / "reports" / "kinematic-zero-7.json").exists()
+    other = evaluated(reachlab, untrained, "--agent", "ik", "--seed", 8)
+    assert other["final_error_mm"] != report["final_error_mm"]
 
 
-def test_eval_of_several_agents_prints_a_list(reachlab: Shell, untrained: Path) -> None:
-    reports = evaluated(reachlab, untrained, "--agent", "ik", "zero")
-    assert [report["agent"] for report in reports] == ["ik", "zero"]
-    assert [report["success_rate"] for report in reports] == [1, 0]
-    for agent in ("ik", "zero"):
-        assert (untrained / "reports" / f"kinematic-{agent}-1.json").exists()
-
-
-def test_eval_repeats_itself_and_seeds_differ(reachlab: Shell, untrained: Path) -> None:
-    first, again, other = (evaluated(reachlab, untrained, "--agent", "ik", "--seed", seed) for seed in (2, 2, 3))
-    for report in (first, again, other):
-        del report["wall_s"], report["seed"]
-    assert first == again
-    assert first["final_error_mm"] != other["final_error_mm"]
-
-
-def test_eval_shows_a_person_a_table_on_standard_output_and_progress_beside_it(
-    reachlab: Shell, untrained: Path
-) -> None:
-    said = reachlab("eval", untrained, "--episodes", 20, "--agent", "ik")
-    assert said.status == 0
-    assert "100.00 %" in said.out
-    assert "Success: the tool comes within 100 mm of the target" in said.out
-    assert said.err.splitlines()[-1].startswith("ik in kinematic: 20 of 20 episodes, ")
-
-
-def test_of_all_simulators_the_others_are_shown_where_one_is_missing(
-    reachlab: Shell, untrained: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(sys.modules, "pybullet", None)
-    said = reachlab("eval", untrained, "--sim", "all", "--agent", "ik", "--episodes", 8, "--json")
-    assert said.status == cli.WRONG_INPUT
-    assert [report["sim"] for report in json.loads(said.out)] == ["kinematic", "mujoco"]
-    lines = said.err.splitlines()
-    assert lines[0].startswith("pybullet: "), "before time is spent on the others"
-    assert "pip install" in lines[0]
-    assert lines[-1] == "reachlab: no result in pybullet: the reason is above."
-
-
-def test_what_there_is_is_shown_where_a_later_simulator_fails(
+def test_of_all_simulators_there_is_what_there_is_where_one_is_missing_and_another_fails(
     reachlab: Shell, untrained: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(*_: object) -> None:
         raise FloatingPointError("the engine's state is not finite")
 
+    monkeypatch.setitem(sys.modules, "pybullet", None)
     monkeypatch.setattr(MujocoSimulator, "step", fail)
-    monkeypatch.setattr(sims, "SIMULATORS", {name: SIMULATORS[name] for name in ("kinematic", "mujoco")})
-    said = reachlab("eval", untrained, "--sim", "all", "--agent", "ik", "--episodes", 9)
+    said = reachlab("eval", untrained, "--sim", "all", "--agent", "ik", "--episodes", 20, "--seed", 9)
     assert said.status == cli.WRONG_INPUT
     assert "│ ik    │ kinematic │" in said.out
+    lines = said.err.splitlines()
+    assert lines[0].startswith("pybullet: "), "before time is spent on the others"
+    assert "pip install" in lines[0]
     assert "mujoco: the engine's state is not finite" in said.err
-    assert json.loads((untrained / "reports" / "kinematic-ik-1.json").read_text())["episodes"] == 9
+    assert lines[-1] == "reachlab: no result in pybullet, mujoco: the reason is above."
+    assert json.loads((untrained / "reports" / "kinematic-ik-9.json").read_text())["episodes"] == 20
 
 
-@pytest.mark.parametrize("json_wanted", [True, False], ids=["json", "table"])
-def test_a_run_that_cannot_be_written_shows_its_result_and_warns(
-    reachlab: Shell, untrained: Path, monkeypatch: pytest.MonkeyPatch, json_wanted: bool
+def test_a_person_sees_a_table_and_progress_though_the_run_cannot_be_written_of_which_a_warning_tells(
+    reachlab: Shell, untrained: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def read_only(self: RunDirectory, name: str, *_: object) -> None:
         raise InputError(f"report '{self.reports / name}.json' cannot be written: Read-only file system.")
 
     monkeypatch.setattr(RunDirectory, "write_report", read_only)
-    said = reachlab("eval", untrained, "--agent", "ik", "--episodes", 5, *["--json"] * json_wanted)
+    said = reachlab("eval", untrained, "--agent", "ik", "--episodes", 20)
     assert said.status == 0
-    assert ('"success_rate": 1.0' if json_wanted else "100.00 %") in said.out
-    assert re.search("Warning: report .* cannot be written: Read-only file system", said.err)
+    assert "100.00 %" in said.out
+    assert "Success: the tool comes within 100 mm of the target" in said.out
+    told, warning = said.err.splitlines()[-2:]
+    assert told.startswith("ik in kinematic: 20 of 20 episodes, ")
+    assert re.search("Warning: report .* cannot be written: Read-only file system", warning)
 
 
 # --- video ----------------------------------------------------------------------------------------
 
 
 def test_video_tells_what_it_filmed(reachlab: Shell, untrained: Path) -> None:
-    said = reachlab("video", untrained, "--agent", "ik", "--episodes", 1, "--fps", 5, "--out", "film.gif", "--json")
+    said = reachlab("video", untrained, "--agent", "ik", "--episodes", 1, "--fps", 2, "--out", "film.gif", "--json")
     if "pictures need OpenGL" in said.err:
         pytest.skip(said.err)
     clip = json.loads(said.out)

@@ -10,6 +10,7 @@ import pytest
 import extension
 import reachlab
 from conformance import CHECKS, Subject
+from params import tried
 from reachlab.agents import AGENTS
 from reachlab.cli import main as cli
 from reachlab.robots.catalogue import ROBOTS
@@ -54,7 +55,7 @@ def added(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setitem(SINKS, "notebook", extension.SINK)
 
 
-@pytest.mark.parametrize("names", [{}, *({kind: name} for kind, name in ADDED.items()), ADDED], ids=str)
+@pytest.mark.parametrize("names", tried([{"task": "hover"}, {"robot": "three_link"}, ADDED], [ADDED]), ids=str)
 def test_what_is_added_conforms(names: dict[str, str]) -> None:
     subject = Subject(**{**USUAL, **names})
     for check in CHECKS:
@@ -63,7 +64,7 @@ def test_what_is_added_conforms(names: dict[str, str]) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("sim", ["kinematic", "mujoco", "sluggish"])
+@pytest.mark.parametrize("sim", ["mujoco", "sluggish"])
 def test_what_is_added_is_trained_on_evaluated_and_loaded(tmp_path: Path, sim: str) -> None:
     config = reachlab.configure(**{**ADDED, "sim": sim}, **TINY, stop_early=False)
     result = reachlab.train(config, tmp_path / "run")

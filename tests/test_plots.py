@@ -53,15 +53,9 @@ def run(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def figures(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
-    """Figures in the order in which they are saved."""
+    """Figures in the order in which they would be saved: drawing them is what takes long."""
     saved: list[Figure] = []
-    save = Figure.savefig
-
-    def keep(self: Figure, *args: object, **settings: object) -> None:
-        saved.append(self)
-        save(self, *args, **settings)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(Figure, "savefig", keep)
+    monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: saved.append(figure))
     return saved
 
 
@@ -98,13 +92,9 @@ def test_curves_show_success_in_percent_and_distance_in_millimetres(
     assert seconds[-1] == pytest.approx((1.2, 100))
     assert distance[0] == pytest.approx((8192, 460))
     assert distance[-1] == pytest.approx((12 * 8192, 100))
-
-
-def test_validations_are_marked(run: Path, tmp_path: Path, figures: list[Figure]) -> None:
-    plot([run], tmp_path / "curve.png")
     marks = [line for line in figures[0].axes[0].get_lines() if line.get_marker() == "."]
     points = np.concatenate([np.array(line.get_xydata()) for line in marks])
-    assert points.tolist() == [[12 * 8192, 100]]
+    assert points.tolist() == [[12 * 8192, 100]], "validations are marked"
 
 
 def test_runs_are_drawn_beside_each_other(run: Path, tmp_path: Path, figures: list[Figure]) -> None:
@@ -129,9 +119,11 @@ def test_a_last_line_that_was_cut_off_is_left_out(run: Path, tmp_path: Path, fig
 
 
 @pytest.mark.parametrize("rows", [[], [row(1, 0)]], ids=["no row", "no episode"])
-def test_a_training_that_has_hardly_begun_can_be_drawn(tmp_path: Path, rows: list[dict[str, float]]) -> None:
+def test_a_training_that_has_hardly_begun_can_be_drawn(
+    tmp_path: Path, figures: list[Figure], rows: list[dict[str, float]]
+) -> None:
     plot([make_run(tmp_path / "young", rows)], tmp_path / "young.png")
-    assert (tmp_path / "young.png").stat().st_size > 1000
+    assert not curves(figures[0], 0)
 
 
 def test_a_run_without_metrics_is_refused(tmp_path: Path) -> None:
@@ -140,7 +132,7 @@ def test_a_run_without_metrics_is_refused(tmp_path: Path) -> None:
     assert not (tmp_path / "curve.png").exists()
 
 
-@pytest.mark.parametrize("name", ["curve.xyz", "missing/curve.png", ".", ".png", "curve"])
+@pytest.mark.parametrize("name", ["curve.xyz", "missing/curve.png", "."])
 def test_a_picture_that_cannot_be_written_is_refused(run: Path, tmp_path: Path, name: str) -> None:
     with pytest.raises(InputError, match="the picture cannot be written to") as refused:
         plot([run], tmp_path / name)
@@ -148,14 +140,8 @@ def test_a_picture_that_cannot_be_written_is_refused(run: Path, tmp_path: Path, 
     assert list(tmp_path.iterdir()) == [run]
 
 
-def test_metrics_that_are_none_are_refused(tmp_path: Path) -> None:
-    strange = make_run(tmp_path / "strange", [{"colour": 1.0}])
-    with pytest.raises(InputError):
-        plot([strange], tmp_path / "curve.png")
-
-
 @pytest.mark.parametrize("name", ["config.json", "metrics.jsonl", "reports/a.safetensors"])
-@pytest.mark.parametrize("make", [os.mkfifo, lambda path: path.symlink_to("/dev/zero"), lambda path: path.mkdir()])
+@pytest.mark.parametrize("make", [os.mkfifo, lambda path: path.symlink_to("/dev/zero")])
 def test_what_is_not_a_plain_file_is_refused_and_not_waited_for(
     run: Path, tmp_path: Path, name: str, make: Callable[[Path], object]
 ) -> None:
@@ -168,7 +154,7 @@ def test_what_is_not_a_plain_file_is_refused_and_not_waited_for(
     assert "\n" not in str(refused.value)
 
 
-@pytest.mark.parametrize("text", ["[]", "3", "[" * 100_000, '"ppo"'])
+@pytest.mark.parametrize("text", ["[]", "[" * 100_000])
 def test_a_configuration_without_settings_is_refused(run: Path, tmp_path: Path, text: str) -> None:
     (run / "config.json").write_text(text)
     with pytest.raises(InputError, match=r"config.json' is not"):
@@ -201,18 +187,12 @@ def test_runs_that_differ_by_their_seeds_alone_are_one_group(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(
-    ("settings", "labels"),
-    [
-        ({"reward": "sparse"}, ["reward dense", "reward sparse"]),
-        ({"sim": "mujoco"}, ["sim kinematic", "sim mujoco"]),
-        ({"observation": "image"}, ["observation target+tool", "observation image"]),
-    ],
+    ("settings", "label"),
+    [({"reward": "sparse"}, "reward sparse"), ({"observation": "image"}, "observation image")],
 )
-def test_settings_that_follow_from_others_are_not_named(
-    tmp_path: Path, settings: dict[str, Any], labels: list[str]
-) -> None:
+def test_settings_that_follow_from_others_are_not_named(tmp_path: Path, settings: dict[str, Any], label: str) -> None:
     runs = [make_run(tmp_path / str(i), [row(1)], configure(**given)) for i, given in enumerate(({}, settings))]
-    assert [group.label for group in group_runs(runs)] == labels
+    assert group_runs(runs)[1].label == label
 
 
 def test_a_single_group_is_called_by_its_run_or_its_task(tmp_path: Path) -> None:
@@ -338,16 +318,6 @@ def test_targets_of_many_heights_are_seen_from_two_sides(
     assert views == [["Workspace from above"], ["Workspace from above", "Workspace from the front"]]
 
 
-def test_of_two_groups_each_has_its_map(evaluated: Path, tmp_path: Path, figures: list[Figure]) -> None:
-    other = make_run(tmp_path / "other", [row(1)], configure(reward="sparse"))
-    evaluate(other)
-    plot([evaluated, other], tmp_path / "two.png")
-    assert [title.split("\n")[0] for title in titles(figures[0]) if "missed" in title] == [
-        "reward dense",
-        "reward sparse",
-    ]
-
-
 def test_evaluations_of_a_groups_seeds_are_pooled_and_the_trained_agent_comes_first(tmp_path: Path) -> None:
     runs = [make_run(tmp_path / f"run-{seed}", [row(1)], configure(seed=seed)) for seed in (0, 1)]
     for run in runs:
@@ -408,13 +378,18 @@ def test_a_group_has_one_colour_though_another_was_not_evaluated(tmp_path: Path,
     ]
 
 
-def test_a_map_without_a_failure_says_so_in_words(tmp_path: Path, figures: list[Figure]) -> None:
+@pytest.mark.parametrize("episodes", [1, 2, SIDE**2])
+def test_a_map_without_a_failure_says_so_in_words_and_few_episodes_can_be_drawn(
+    tmp_path: Path, figures: list[Figure], episodes: int
+) -> None:
     run = make_run(tmp_path / "all", [row(1)], configure())
-    evaluate(run, success=np.ones(SIDE**2, bool))
+    goal = np.linspace((0.3, -0.2, 0.0), (0.6, 0.2, 0.0), episodes)
+    evaluate(run, goal=goal, distance=np.full(episodes, 0.0), success=np.ones(episodes, bool))
     plot([run], tmp_path / "all.png")
-    name = "Workspace from above\ntrained, kinematic: all 400 reached"
+    (name,) = [title for title in titles(figures[0]) if title.startswith("Workspace from above\ntrained, kinematic: ")]
+    assert episodes < SIDE or name.endswith("all 400 reached")
     (targets,) = figures[0].axes[titles(figures[0]).index(name)].collections
-    assert len(np.asarray(targets.get_offsets())) == SIDE**2
+    assert len(np.asarray(targets.get_offsets())) == episodes
 
 
 def test_the_legend_speaks_of_validations_only_where_there_are_some(tmp_path: Path, figures: list[Figure]) -> None:
@@ -422,15 +397,6 @@ def test_the_legend_speaks_of_validations_only_where_there_are_some(tmp_path: Pa
         plot([make_run(tmp_path / name, [row(1), row(2, **more)])], tmp_path / f"{name}.png")
     texts = [[text.get_text() for text in figure.subfigs[0].legends[0].get_texts()] for figure in figures]
     assert texts == [["with", "validation"], ["without"]]
-
-
-@pytest.mark.parametrize("episodes", [1, 2])
-def test_an_evaluation_of_few_episodes_can_be_drawn(tmp_path: Path, episodes: int) -> None:
-    run = make_run(tmp_path / "few", [row(1)], configure())
-    goal = np.array([[0.4, 0.1, 0.0], [0.5, 0.2, 0.0]])[:episodes]
-    evaluate(run, goal=goal, distance=np.full(episodes, 0.0), success=np.ones(episodes, bool))
-    plot([run], tmp_path / "few.png")
-    assert (tmp_path / "few.png").stat().st_size > 1000
 
 
 def test_damaged_episodes_are_refused(evaluated: Path, tmp_path: Path) -> None:

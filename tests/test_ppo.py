@@ -36,24 +36,34 @@ def policy():
     return replace(made, normaliser=Normaliser(jnp.full(K, 3.0), jnp.full(K, 4.0), jnp.asarray(100.0)))
 
 
+@jit
+def sampled(parameters, inputs, key):
+    """Samples of the policy, and how likely they are."""
+    head = distribution(parameters, inputs)
+    output = head.sample(key)
+    return output, head.log_prob(output)
+
+
+inputs = jit(lambda policy, observation: policy.inputs(observation))
+
+
 @pytest.fixture(scope="module")
 def rollout(policy):
-    keys = jax.random.split(jax.random.key(1), 5)
-    observation = 2 + jax.random.normal(keys[0], (T, B, K))
-    head = distribution(policy.parameters, policy.inputs(observation))
-    output = head.sample(keys[1])
-    terminated = jax.random.bernoulli(keys[2], 0.2, (T, B))
+    random = np.random.default_rng(1)
+    observation, next_observation = (2 + random.normal(size=(2, T, B, K))).astype(np.float32)
+    output, log_prob = sampled(policy.parameters, inputs(policy, observation), jax.random.key(1))
+    terminated = random.random((T, B)) < 0.2
     return Rollout(
         observation=observation,
         output=output,
-        log_prob=head.log_prob(output),
-        next_observation=2 + jax.random.normal(keys[3], (T, B, K)),
-        reward=jax.random.normal(keys[4], (T, B)),
+        log_prob=log_prob,
+        next_observation=next_observation,
+        reward=random.normal(size=(T, B)).astype(np.float32),
         terminated=terminated,
-        truncated=~terminated & (jnp.arange(T) == 3)[:, None],
+        truncated=~terminated & (np.arange(T) == 3)[:, None],
         success=terminated,
-        distance=jnp.ones((T, B)),
-        clock=jnp.ones((T, B), jnp.int32),
+        distance=np.ones((T, B), np.float32),
+        clock=np.ones((T, B), np.int32),
     )
 
 
@@ -100,7 +110,7 @@ def test_gae_values_the_final_state_of_a_truncated_episode_and_lets_nothing_leak
 
 
 def test_gae_of_lambda_0_is_the_one_step_error(rollout):
-    v_t, v_tp1 = jax.random.normal(jax.random.key(2), (2, T, B))
+    v_t, v_tp1 = np.random.default_rng(2).normal(size=(2, T, B)).astype(np.float32)
     result = gae(rollout.reward, v_t, v_tp1, rollout.terminated, rollout.done, 0.9, 0.0)
     expected = rollout.reward + 0.9 * np.where(rollout.terminated, 0.0, v_tp1) - v_t
     np.testing.assert_allclose(result, expected, rtol=1e-5, atol=1e-6)
@@ -108,8 +118,7 @@ def test_gae_of_lambda_0_is_the_one_step_error(rollout):
 
 def test_gae_of_lambda_1_is_the_discounted_return_less_the_value(rollout):
     """Each step's return is summed forwards, to the end of its episode or of the rollout."""
-    v_t = np.asarray(jax.random.normal(jax.random.key(3), (T, B)))
-    last = np.asarray(jax.random.normal(jax.random.key(4), (T, B)))
+    v_t, last = np.random.default_rng(3).normal(size=(2, T, B)).astype(np.float32)
     done, terminated, reward = map(np.asarray, (rollout.done, rollout.terminated, rollout.reward))
     # Within an episode the next value is the value of the next step.
     v_tp1 = np.where(done, last, np.concatenate([v_t[1:], last[-1:]]))
@@ -145,13 +154,12 @@ log_prob = jit(lambda parameters, batch: distribution(parameters, batch.inputs).
 
 def make_batch(policy, advantage, log_ratio: Any = 0.0):
     """Batch whose samples are `exp(log_ratio)` times as likely under the policy as when they were sampled."""
-    n = len(advantage)
-    for_observation, for_output, for_returns = jax.random.split(jax.random.key(5), 3)
-    inputs = Inputs(None, jax.random.normal(for_observation, (n, K)))
-    head = distribution(policy.parameters, inputs)
-    output = head.sample(for_output)
-    log_prob = head.log_prob(output) - jnp.asarray(log_ratio)
-    return ppo.Batch(inputs, output, log_prob, jnp.asarray(advantage), jax.random.normal(for_returns, (n,)))
+    random, n = np.random.default_rng(5), len(advantage)
+    observed = Inputs(None, random.normal(size=(n, K)).astype(np.float32))
+    output, log_prob = sampled(policy.parameters, observed, jax.random.key(5))
+    old = np.asarray(log_prob) - np.asarray(log_ratio, np.float32)
+    returns = random.normal(size=n).astype(np.float32)
+    return ppo.Batch(observed, output, old, np.asarray(advantage, np.float32), returns)  # type: ignore[arg-type]
 
 
 def test_loss_of_the_policy_that_sampled_the_batch(policy):
@@ -251,31 +259,19 @@ def test_the_norm_of_all_gradients_together_is_bounded():
         np.testing.assert_allclose(found[name], -1e-2 * mean / (np.sqrt(square) + 1e-5), rtol=1e-3, atol=1e-7)
 
 
-@pytest.mark.parametrize("action_repeat", [1, 5])
-def test_learning_rate_falls_on_a_line_from_its_first_to_its_final_value(action_repeat):
+def test_learning_rate_falls_on_a_line_from_its_first_to_its_final_value():
     """A constant gradient makes every step of Adam as long as the learning rate."""
-    config = override(
-        CONFIG,
-        num_envs=10,
-        rollout_steps=10 // action_repeat,
-        action_repeat=action_repeat,
-        epochs=2,
-        minibatches=2,
-        anneal_steps=500,
-        max_grad_norm=0.5,
-        learning_rate=1e-2,
-        final_learning_rate=2e-3,
-    )
+    loop = {"num_envs": 10, "rollout_steps": 2, "action_repeat": 5}
+    rate = {"anneal_steps": 500, "max_grad_norm": 0.5, "learning_rate": 1e-2, "final_learning_rate": 2e-3}
+    config = override(CONFIG, **loop, **rate, epochs=2, minibatches=2)
     updates = 500 // 100 * 2 * 2
     rates = -np.ravel(changes(config, [jnp.asarray(0.4)] * (updates + 3)))
     np.testing.assert_allclose(rates[: updates + 1], np.linspace(1e-2, 2e-3, updates + 1), rtol=1e-3)
     np.testing.assert_allclose(rates[updates:], 2e-3, rtol=1e-3)
 
 
-@pytest.mark.parametrize("action_repeat", [1, 4])
-def test_noise_follows_its_schedule_or_what_is_learnt(policy, rollout, action_repeat):
-    anneal_steps = 2 * T * B * action_repeat
-    scheduled = override(CONFIG, initial_std=0.4, final_std=0.1, anneal_steps=anneal_steps, action_repeat=action_repeat)
+def test_noise_follows_its_schedule_or_what_is_learnt(policy, rollout):
+    scheduled = override(CONFIG, initial_std=0.4, final_std=0.1, anneal_steps=2 * T * B * 4, action_repeat=4)
     fresh = replace(policy, normaliser=replace(policy.normaliser, count=jnp.zeros(())))
     learner = start(scheduled, fresh)
     for wanted in (0.2, 0.1, 0.1):
@@ -289,9 +285,18 @@ def test_noise_follows_its_schedule_or_what_is_learnt(policy, rollout, action_re
 # --- minibatches -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("steps", "num_envs", "minibatches"), [(6, 8, 4), (16, 12, 3), (5, 4, 1), (1, 8, 2)])
+def shuffle(seed, steps, num_envs):
+    return np.asarray(shuffler(steps, num_envs)(jax.random.key(seed)))
+
+
+@functools.cache
+def shuffler(steps, num_envs):
+    return jit(lambda key: ppo._shuffle(key, steps, num_envs))
+
+
+@pytest.mark.parametrize(("steps", "num_envs", "minibatches"), [(16, 32, 4), (1, 6, 3)])
 def test_each_minibatch_has_environments_of_its_own_at_every_step(steps, num_envs, minibatches):
-    order = np.asarray(jit(lambda key: ppo._shuffle(key, steps, num_envs))(jax.random.key(0)))
+    order = shuffle(0, steps, num_envs)
     assert sorted(order) == list(range(steps * num_envs))
     for rows in order.reshape(minibatches, -1):
         for step in range(steps):
@@ -300,7 +305,7 @@ def test_each_minibatch_has_environments_of_its_own_at_every_step(steps, num_env
 
 
 def test_minibatches_change_from_epoch_to_epoch_and_mix_environments_from_step_to_step():
-    one, other = (np.asarray(ppo._shuffle(jax.random.key(seed), 16, 32)) for seed in (0, 1))
+    one, other = (shuffle(seed, 16, 32) for seed in (0, 1))
     assert not np.array_equal(one, other)
     half = one[: len(one) // 2]
     envs_by_step = {tuple(sorted(half[half // 32 == step] % 32)) for step in range(16)}
