@@ -73,7 +73,7 @@ class TaskConfig(Checked):
     goal_velocity: bool = True
     """Where the goal moves: the policy and inverse kinematics know its velocity."""
     settle_steps: NonNegativeInt = 50
-    """Where the goal moves: steps at the begin of an episode that do not count."""
+    """Where the goal moves: steps at the beginning of an episode that do not count."""
     start_noise: NonNegative = 0.0
     """Episodes start with every joint within this of its home [rad or m]."""
     hold_steps: NonNegativeInt = 0
