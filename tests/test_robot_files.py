@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from faults.robot_files import HOSTILE
-from faults.robot_parts import JOINT, LINK, mesh_of, mjcf, obj, stl, urdf
+from faults.robot_parts import JOINT, LINK, mesh_of, mjcf, obj, png, stl, urdf
 from reachlab.robots.model_file import JointFacts, read_model_file
 from reachlab.robots.urdf import balance
 from reachlab.settings.validation import InputError
@@ -303,6 +303,23 @@ def test_specifications_are_fresh_and_the_digest_tells_texts_apart(write):
     assert one.spec().body("arm") is not None
     assert one.digest == read_model_file(write(urdf())).digest
     assert one.digest != read_model_file(write(urdf(speed="3"))).digest
+
+
+def test_what_decides_the_arm_is_read_anew_where_it_changed(write):
+    top = '<asset><mesh file="a.stl"/><texture type="2d" file="a.png"/></asset><include file="more.xml"/>'
+    parts = {
+        "urdf__a_dot_stl": stl(),
+        "urdf__more_dot_xml": "<mujocoinclude><worldbody/></mujocoinclude>",
+        "urdf__a_dot_png": png(1, 1),
+    }
+    first = read_model_file(file := write(mjcf(top=top), "arm.xml", **parts))
+    assert read_model_file(file) is first
+    changes = [stl(0.5), "<mujocoinclude><worldbody><site/></worldbody></mujocoinclude>", png(2, 1)]
+    for (name, before), after, decides in zip(parts.items(), changes, (True, True, False), strict=True):
+        changed = read_model_file(write(mjcf(top=top), "arm.xml", **parts | {name: after}))
+        assert changed is not first
+        assert (changed.digest != first.digest) == decides, name
+        assert read_model_file(write(mjcf(top=top), "arm.xml", **parts | {name: before})).digest == first.digest
 
 
 def test_refusal_names_the_file(write):

@@ -56,12 +56,22 @@ def load_robot(
     Raises:
         InputError: unknown name or tool, missing or broken file, or an arm without hinge and slide joints.
     """
+    file = find_model_file(name, packages)
     known = ROBOTS.get(name)
-    if known is None and not is_robot_file(name):
-        choose("robot", name, [*ROBOTS, "a path to an .xml or .urdf file"])
     if known and not tool:
         tool = known.tools.get(kind or "") or next(iter(known.tools.values()))
-    return _load(name if known else str(Path(name).absolute()), tool, base, tuple(packages))
+    return _load(file, name if known else str(Path(name).absolute()), tool, base)
+
+
+def find_model_file(name: str, packages: Sequence[str] = ()) -> ModelFile:
+    """Model file of a robot, as it is now; see `load_robot`.
+
+    Raises:
+        InputError: unknown name, or missing or broken file.
+    """
+    if name not in ROBOTS and not is_robot_file(name):
+        choose("robot", name, [*ROBOTS, "a path to an .xml or .urdf file"])
+    return read_model_file(ROBOTS[name].file if name in ROBOTS else Path(name).absolute(), _folders(packages))
 
 
 def _folders(packages: Sequence[str]) -> dict[str, Path]:
@@ -74,9 +84,8 @@ def _folders(packages: Sequence[str]) -> dict[str, Path]:
 
 
 @functools.cache
-def _load(name: str, tool: str | None, base: str | None, packages: tuple[str, ...]) -> Robot:
+def _load(file: ModelFile, name: str, tool: str | None, base: str | None) -> Robot:
     known = ROBOTS.get(name)
-    file = read_model_file(known.file if known else Path(name), _folders(packages))
     try:
         arm = find_arm(file, tool, base)
     except ValueError as error:

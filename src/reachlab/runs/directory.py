@@ -9,6 +9,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from reachlab.robots.catalogue import ROBOTS
+from reachlab.robots.loading import find_model_file
 from reachlab.runs import checkpoint
 from reachlab.runs.checkpoint import Counters, Manifest
 from reachlab.runs.files import read_json, remove, sync, write_json
@@ -50,6 +52,7 @@ class RunDirectory:
         """Run directory at `path`, which need not exist."""
         self.path = path
         self.config_file = path / "config.json"
+        self.robot_file = path / "robot.json"
         self.metrics_file = path / "metrics.jsonl"
         self.report_file = path / "report.json"
         self.curve_file = path / "curve.png"
@@ -58,16 +61,18 @@ class RunDirectory:
         self.reports = path / "reports"
 
     def create(self, config: RunConfig) -> None:
-        """Make the directory with the configuration in it, the first of all files.
+        """Make the directory with the configuration and the hash of the robot's files in it, the first of all files.
 
         Raises:
-            InputError: it exists, or cannot be made.
+            InputError: it exists, or cannot be made, or the robot cannot be read.
         """
         self.refuse_existing()
+        robot = {"sha256": find_model_file(config.robot, config.package).digest}
         temporary = self.path.parent / f".{self.path.name}.{os.getpid()}.tmp"
         try:
             temporary.mkdir(parents=True)
             write_json(temporary / self.config_file.name, to_json(config))
+            write_json(temporary / self.robot_file.name, robot)
             temporary.rename(self.path)
             sync(self.path.parent)
         except (OSError, ValueError) as error:  # a ValueError where the path cannot be one, as with a zero in it
@@ -96,13 +101,29 @@ class RunDirectory:
         """The run's configuration.
 
         Raises:
-            InputError: there is no such run, or its configuration cannot be used.
+            InputError: there is no such run, its configuration cannot be used, or its robot is not the one that it
+                was trained with.
         """
         if not self.path.is_dir():
             raise InputError(
                 f"run directory '{self.path}' does not exist: train one with `reachlab train --out {self.path}`."
             )
-        return read_config(self.config_file)
+        config = read_config(self.config_file)
+        self._check_robot(config)
+        return config
+
+    def _check_robot(self, config: RunConfig) -> None:
+        """Refuse a robot whose files have changed since the run was made; runs of earlier versions have no hash."""
+        if not self.robot_file.exists():
+            return
+        file, trained = find_model_file(config.robot, config.package), read_json(self.robot_file)
+        if trained == {"sha256": file.digest}:
+            return
+        how = "install the version of reachlab that trained it" if config.robot in ROBOTS else "restore what was there"
+        raise InputError(
+            f"run '{self.path}' was trained with another arm: robot file '{file.file}', or a file that it names, has"
+            f" changed since. Train a new run, or {how}."
+        )
 
     def read_settings(self) -> dict[str, Any]:
         """The configuration as its file has it, of whatever version; empty where there is no file.
@@ -166,7 +187,7 @@ class RunDirectory:
         Raises:
             InputError: no checkpoint, or none that is whole.
         """
-        config, steps, failures = self.read_config(), [], []
+        config, steps, failures = read_config(self.config_file), [], []
         for folder in checkpoint.find(self.checkpoints):
             try:
                 steps.append(checkpoint.verify(folder, config).counters.steps)
@@ -206,7 +227,7 @@ class RunDirectory:
         return None
 
     def _load(self, template: Tree, step: int | None = None) -> tuple[Manifest, Tree]:
-        config = self.read_config()
+        config = read_config(self.config_file)
         if step is not None:
             return checkpoint.load(checkpoint.folder_of(self.checkpoints, step), config, template)
         failures: list[InputError] = []
