@@ -13,7 +13,7 @@ from reachlab.robots.arm import Arm, find_arm
 from reachlab.robots.catalogue import ROBOTS, KnownRobot
 from reachlab.robots.derivation import derived
 from reachlab.robots.isolation import own_servos
-from reachlab.robots.joint_limits import speed_limits, torque_limits
+from reachlab.robots.joint_limits import is_limited, speed_limits, torque_limits
 from reachlab.robots.model_file import JointFacts, ModelFile, read_model_file
 from reachlab.robots.robot import CATALOGUE, DEFAULT, DERIVED, FILE, Robot
 from reachlab.robots.servos import Loads, default_torques, find_loads, payload, servos
@@ -145,7 +145,7 @@ def _limits(
     unlimited = [float("inf") if joint in servoed else float(defaults[joint]) for joint in range(n)]
     speed, speed_sources = _filled(listed.speed, speeds, [DEFAULT_SPEED] * n)
     torque, torque_sources = _filled(listed.torque, torques, unlimited)
-    position = tuple(FILE if limited else DEFAULT for limited in arm.model.jnt_limited)
+    position = tuple(FILE if is_limited(arm.model, joint) else DEFAULT for joint in range(n))
     return speed, torque, {"position": position, "speed": speed_sources, "torque": torque_sources}
 
 
