@@ -104,13 +104,17 @@ class RunDirectory:
             InputError: there is no such run, its configuration cannot be used, or its robot is not the one that it
                 was trained with.
         """
+        config = self._read_config()
+        self._check_robot(config)
+        return config
+
+    def _read_config(self) -> RunConfig:
+        """The configuration, whatever its robot is by now."""
         if not self.path.is_dir():
             raise InputError(
                 f"run directory '{self.path}' does not exist: train one with `reachlab train --out {self.path}`."
             )
-        config = read_config(self.config_file)
-        self._check_robot(config)
-        return config
+        return read_config(self.config_file)
 
     def _check_robot(self, config: RunConfig) -> None:
         """Refuse a robot whose files have changed since the run was made; runs of earlier versions have no hash."""
@@ -187,7 +191,7 @@ class RunDirectory:
         Raises:
             InputError: no checkpoint, or none that is whole.
         """
-        config, steps, failures = read_config(self.config_file), [], []
+        config, steps, failures = self._read_config(), [], []
         for folder in checkpoint.find(self.checkpoints):
             try:
                 steps.append(checkpoint.verify(folder, config).counters.steps)
@@ -227,7 +231,7 @@ class RunDirectory:
         return None
 
     def _load(self, template: Tree, step: int | None = None) -> tuple[Manifest, Tree]:
-        config = read_config(self.config_file)
+        config = self._read_config()
         if step is not None:
             return checkpoint.load(checkpoint.folder_of(self.checkpoints, step), config, template)
         failures: list[InputError] = []
