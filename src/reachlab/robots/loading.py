@@ -10,16 +10,15 @@ from pathlib import Path
 import numpy as np
 
 from reachlab.robots.arm import Arm, find_arm
-from reachlab.robots.catalogue import ROBOTS, KnownRobot
+from reachlab.robots.catalogue import ROBOTS, KnownRobot, find_model_file
 from reachlab.robots.derivation import derived
 from reachlab.robots.isolation import own_servos
 from reachlab.robots.joint_limits import is_limited, speed_limits, torque_limits
-from reachlab.robots.model_file import JointFacts, ModelFile, read_model_file
+from reachlab.robots.model_file import JointFacts, ModelFile
 from reachlab.robots.robot import CATALOGUE, DEFAULT, DERIVED, FILE, Robot
 from reachlab.robots.servos import Loads, default_torques, find_loads, payload, servos
 from reachlab.robots.workspace import Derived, orientation
-from reachlab.settings.config import is_robot_file
-from reachlab.settings.validation import InputError, choose
+from reachlab.settings.validation import InputError
 
 DEFAULT_SPEED = 1.5
 """Joint speed limit where none is known [rad/s or m/s]; slow for an industrial arm."""
@@ -61,26 +60,6 @@ def load_robot(
     if known and not tool:
         tool = known.tools.get(kind or "") or next(iter(known.tools.values()))
     return _load(file, name if known else str(Path(name).absolute()), tool, base)
-
-
-def find_model_file(name: str, packages: Sequence[str] = ()) -> ModelFile:
-    """Model file of a robot, as it is now; see `load_robot`.
-
-    Raises:
-        InputError: unknown name, or missing or broken file.
-    """
-    if name not in ROBOTS and not is_robot_file(name):
-        choose("robot", name, [*ROBOTS, "a path to an .xml or .urdf file"])
-    return read_model_file(ROBOTS[name].file if name in ROBOTS else Path(name).absolute(), _folders(packages))
-
-
-def _folders(packages: Sequence[str]) -> dict[str, Path]:
-    """Folders of packages by name, of `NAME=FOLDER`."""
-    pairs = [package.partition("=") for package in packages]
-    for name, _, folder in pairs:
-        if not name or not folder or not Path(folder).is_dir():
-            raise InputError(f"a package is NAME=FOLDER with a folder that exists, got {name}={folder}.")
-    return {name: Path(folder) for name, _, folder in pairs}
 
 
 @functools.cache

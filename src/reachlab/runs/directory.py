@@ -9,8 +9,6 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from reachlab.robots.catalogue import ROBOTS
-from reachlab.robots.loading import find_model_file
 from reachlab.runs import checkpoint
 from reachlab.runs.checkpoint import Counters, Manifest
 from reachlab.runs.files import read_json, remove, sync, write_json
@@ -66,6 +64,8 @@ class RunDirectory:
         Raises:
             InputError: it exists, or cannot be made, or the robot cannot be read.
         """
+        from reachlab.robots.catalogue import find_model_file
+
         self.refuse_existing()
         robot = {"sha256": find_model_file(config.robot, config.package).digest}
         temporary = self.path.parent / f".{self.path.name}.{os.getpid()}.tmp"
@@ -97,29 +97,35 @@ class RunDirectory:
 
     # --- configuration ----------------------------------------------------------------------------
 
-    def read_config(self) -> RunConfig:
+    def read_config(self, *, check_robot: bool = True) -> RunConfig:
         """The run's configuration.
+
+        Args:
+            check_robot: whether its robot has to be the one that it was trained with, see `check_robot`.
 
         Raises:
             InputError: there is no such run, its configuration cannot be used, or its robot is not the one that it
                 was trained with.
         """
-        config = self._read_config()
-        self._check_robot(config)
-        return config
-
-    def _read_config(self) -> RunConfig:
-        """The configuration, whatever its robot is by now."""
         if not self.path.is_dir():
             raise InputError(
                 f"run directory '{self.path}' does not exist: train one with `reachlab train --out {self.path}`."
             )
-        return read_config(self.config_file)
+        config = read_config(self.config_file)
+        if check_robot:
+            self.check_robot(config)
+        return config
 
-    def _check_robot(self, config: RunConfig) -> None:
-        """Refuse a robot whose files have changed since the run was made; runs of earlier versions have no hash."""
+    def check_robot(self, config: RunConfig) -> None:
+        """Refuse a robot whose files have changed since the run was made; runs of earlier versions have no hash.
+
+        Raises:
+            InputError: they have, or cannot be read.
+        """
         if not self.robot_file.exists():
             return
+        from reachlab.robots.catalogue import ROBOTS, find_model_file
+
         file, trained = find_model_file(config.robot, config.package), read_json(self.robot_file)
         if trained == {"sha256": file.digest}:
             return
@@ -146,7 +152,7 @@ class RunDirectory:
         Raises:
             InputError: there is no such run, it has other settings, or another process trains it.
         """
-        if other := difference(self.read_config(), config):
+        if other := difference(self.read_config(check_robot=False), config):
             raise InputError(
                 f"run '{self.path}' was begun with {other[0]} {other[1]!r} and cannot be resumed with {other[2]!r}:"
                 f" leave the setting out, or train a new run with --out."
@@ -191,7 +197,7 @@ class RunDirectory:
         Raises:
             InputError: no checkpoint, or none that is whole.
         """
-        config, steps, failures = self._read_config(), [], []
+        config, steps, failures = self.read_config(check_robot=False), [], []
         for folder in checkpoint.find(self.checkpoints):
             try:
                 steps.append(checkpoint.verify(folder, config).counters.steps)
@@ -231,7 +237,7 @@ class RunDirectory:
         return None
 
     def _load(self, template: Tree, step: int | None = None) -> tuple[Manifest, Tree]:
-        config = self._read_config()
+        config = self.read_config(check_robot=False)
         if step is not None:
             return checkpoint.load(checkpoint.folder_of(self.checkpoints, step), config, template)
         failures: list[InputError] = []
