@@ -17,6 +17,7 @@ from reachlab import Robot, RunConfig, load_robot
 from reachlab.cli.robot_command import LIMITS, MARKS
 from reachlab.envs.setup import make_setup
 from reachlab.jax_setup import cache_folder
+from reachlab.render.offscreen import portrait
 from reachlab.render.scene import drawn_spec, in_front, scene_spec
 from reachlab.render.view_randomisation import FIELD_OF_VIEW, SAMPLES, make_views
 from reachlab.robots.catalogue import ROBOTS
@@ -294,6 +295,20 @@ def test_the_picture_shows_the_arm(reachlab: Shell) -> None:
     assert len(rows) > 50, "the target is seen"
     assert 200 < rows.mean() < 600
     assert 200 < columns.mean() < 760
+
+
+def test_a_portrait_shows_the_tool_frame_and_leaves_a_margin_around_the_arm() -> None:
+    robot = load_robot("so101")
+    try:
+        picture = portrait(robot, 480, 360).astype(int)
+    except InputError as error:
+        pytest.skip(str(error))
+    red, green, blue = np.moveaxis(picture, -1, 0)
+    for one, *others in ((green, red, blue), (blue, red, green)):
+        assert (one > np.maximum(*others) + 50).sum() > 10, "an axis is seen"
+    yellow = (red > blue + 80) & (green > blue + 60)
+    assert yellow.any()
+    assert not yellow[: 360 // 20].any()
 
 
 def test_an_arm_without_shapes_is_drawn_as_rods(arms: Path) -> None:

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from faults.robot_files import HOSTILE
-from faults.robot_parts import JOINT, LINK, mesh_of, mjcf, obj, stl, urdf
+from faults.robot_parts import JOINT, LINK, mesh_of, mjcf, obj, png, stl, urdf
+from reachlab.robots.arm import find_arm
 from reachlab.robots.model_file import JointFacts, read_model_file
 from reachlab.robots.urdf import balance
 from reachlab.settings.validation import InputError
@@ -235,6 +236,53 @@ def test_encodings_and_loose_comments_are_read(encoding, write):
     assert read_model_file(write(text.encode(encoding))).spec().modelname == "ä"
 
 
+LIMITS = '<joint name="j" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/>{}</joint>'
+
+
+def limited(limits):
+    return f'<robot name="r">{LINK.format("base", "")}{LINK.format("arm", "")}{LIMITS.format(limits)}</robot>'
+
+
+@pytest.mark.parametrize(
+    ("limits", "why"),
+    [
+        ('<limit lower="2" upper="-2"/>', "has the position limits 2 to -2: the upper one has to be the larger one"),
+        ('<limit lower="1" upper="1"/>', "has the position limits 1 to 1: the upper"),
+        ('<limit lower="-1" upper="1" velocity="-2"/>', "has velocity=-2, but a limit is a positive number"),
+        ('<limit lower="-1" upper="1" effort="-5"/>', "has effort=-5, but a limit is a positive number"),
+        (
+            '<limit lower="-1" upper="1"/><safety_controller soft_lower_limit="1" soft_upper_limit="2"/>',
+            "and the soft limits 1 to 2, which leave no way to move",
+        ),
+    ],
+)
+def test_limits_without_sense_are_refused(write, limits, why):
+    with pytest.raises(InputError, match=rf"arm\.urdf': joint 'j' .*{why}"):
+        read_model_file(write(limited(limits)))
+
+
+@pytest.mark.parametrize(
+    ("limits", "lower", "upper", "noted"),
+    [
+        ('<limit lower="0" upper="0"/>', -2 * np.pi, 2 * np.pi, "from 0 to 0 are taken as none"),
+        ('<limit lower="-150" upper="150"/>', -2 * np.pi, 2 * np.pi, "beyond ±100 rad or m are taken as none"),
+        (
+            '<limit lower="-1" upper="1"/><safety_controller soft_lower_limit="-0.5" soft_upper_limit="2"/>',
+            -0.5, 1.0, "narrowed to the soft limits",
+        ),
+        ('<limit lower="-1" upper="1"/><safety_controller soft_upper_limit="0.5"/>', -1.0, 0.5, "narrowed"),
+        ('<limit lower="-1" upper="1"/><safety_controller k_velocity="20"/>', -1.0, 1.0, ""),
+    ],
+)  # fmt: skip
+def test_limits_that_are_changed_are_noted(write, limits, lower, upper, noted):
+    model_file = read_model_file(write(limited(limits)))
+    arm = find_arm(model_file, None, None)
+    assert (*arm.chain.lower, *arm.chain.upper) == pytest.approx((lower, upper))
+    notices = " ".join(model_file.notices + arm.notices)
+    assert notices.endswith(": j.") == bool(noted)
+    assert noted in notices
+
+
 # --- MJCF --------------------------------------------------------------------------------------------
 
 
@@ -249,6 +297,74 @@ def test_includes_folders_and_names_of_meshes_are_kept(write):
     bare, drawn = assert_same_robot(model_file)
     assert [drawn.mesh(i).name for i in range(2)] == ["x", "y"]
     assert (bare.nmesh, bare.ngeom, drawn.ngeom) == (0, 1, 3)
+
+
+GRIPPED = """
+<mujoco>
+  <worldbody>
+    <body name="upper"><joint name="a" range="-90 90"/><geom size="0.1"/>
+      <body name="fore" pos="0.4 0 0"><joint name="b" axis="0 1 0" range="-90 90"/><geom size="0.1"/>
+        <body name="hand" pos="0.4 0 0"><joint name="c" axis="0 1 0" range="-90 90"/><geom size="0.1"/>
+          <body name="left"><joint name="l" type="slide" range="0 0.1"/><geom size="0.01"/></body>
+          <body name="right"><joint name="r" type="slide" range="0 0.1"/><geom size="0.01"/></body>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+  {}
+</mujoco>"""
+
+
+def tendon(first, second):
+    return (
+        f'<tendon><fixed name="t"><joint joint="{first}" coef="1"/><joint joint="{second}" coef="1"/></fixed></tendon>'
+    )
+
+
+@pytest.mark.parametrize(
+    ("coupling", "why"),
+    [
+        (
+            '<equality><joint joint1="c" joint2="b"/></equality>',
+            "joint 'c' of the arm follows joint 'b' by an equality",
+        ),
+        ('<equality><joint joint1="c"/></equality>', "joint 'c' of the arm is held in place"),
+        (tendon("b", "c"), "the tendon 't' couples the joints 'b', 'c' of the arm"),
+    ],
+)
+def test_an_arm_whose_joints_are_coupled_is_refused(write, coupling, why):
+    with pytest.raises(ValueError, match=rf"{why}.*, and every joint of a chain has to move by itself"):
+        find_arm(read_model_file(write(GRIPPED.format(coupling), "arm.xml")), None, None)
+
+
+@pytest.mark.parametrize(
+    "coupling",
+    [
+        "",
+        '<equality><joint joint1="l" joint2="r"/></equality>',
+        '<equality><joint joint1="c" joint2="b" active="false"/></equality>',
+        tendon("l", "r"),
+    ],
+)
+def test_an_arm_whose_fingers_are_coupled_is_read(write, coupling):
+    arm = find_arm(read_model_file(write(GRIPPED.format(coupling), "arm.xml")), None, None)
+    assert arm.names == ("a", "b", "c")
+    assert arm.notices == ("Joints that are not on the way to the tool are locked: l, r.",)
+
+
+def test_a_finger_that_becomes_a_joint_of_the_arm_is_noted(write):
+    arm = find_arm(read_model_file(write(GRIPPED.format(""), "arm.xml")), "left", None)
+    assert arm.names == ("a", "b", "c", "l")
+    assert arm.notices == (
+        "Joints of the gripper that are joints of the arm here; a --tool before them leaves them out: l.",
+        "Joints that are not on the way to the tool are locked: r.",
+    )
+
+
+def test_limits_that_are_exchanged_in_mjcf_are_refused(write):
+    text = GRIPPED.format("").replace('name="c" axis="0 1 0" range="-90 90"', 'name="c" range="90 -90"')
+    with pytest.raises(ValueError, match="joint 'c' has the position limits 90 to -90"):
+        find_arm(read_model_file(write(text, "arm.xml")), None, None)
 
 
 def test_mesh_that_gives_a_body_its_inertia_stays_without_pictures(write):
@@ -303,6 +419,23 @@ def test_specifications_are_fresh_and_the_digest_tells_texts_apart(write):
     assert one.spec().body("arm") is not None
     assert one.digest == read_model_file(write(urdf())).digest
     assert one.digest != read_model_file(write(urdf(speed="3"))).digest
+
+
+def test_what_decides_the_arm_is_read_anew_where_it_changed(write):
+    top = '<asset><mesh file="a.stl"/><texture type="2d" file="a.png"/></asset><include file="more.xml"/>'
+    parts = {
+        "urdf__a_dot_stl": stl(),
+        "urdf__more_dot_xml": "<mujocoinclude><worldbody/></mujocoinclude>",
+        "urdf__a_dot_png": png(1, 1),
+    }
+    first = read_model_file(file := write(mjcf(top=top), "arm.xml", **parts))
+    assert read_model_file(file) is first
+    changes = [stl(0.5), "<mujocoinclude><worldbody><site/></worldbody></mujocoinclude>", png(2, 1)]
+    for (name, before), after, decides in zip(parts.items(), changes, (True, True, False), strict=True):
+        changed = read_model_file(write(mjcf(top=top), "arm.xml", **parts | {name: after}))
+        assert changed is not first
+        assert (changed.digest != first.digest) == decides, name
+        assert read_model_file(write(mjcf(top=top), "arm.xml", **parts | {name: before})).digest == first.digest
 
 
 def test_refusal_names_the_file(write):

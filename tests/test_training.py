@@ -168,7 +168,7 @@ def test_a_run_directory_holds_checkpoint_configuration_metrics_and_report(tutor
     files = sorted(str(path.relative_to(out)) for path in out.rglob("*") if path.is_file())
     checkpoint = f"checkpoints/step_{step:012d}"
     expected = [f"{checkpoint}/manifest.json", f"{checkpoint}/state.safetensors"]
-    assert files == sorted([*expected, ".lock", "config.json", "metrics.jsonl", "report.json"])
+    assert files == sorted([*expected, ".lock", "config.json", "metrics.jsonl", "report.json", "robot.json"])
     assert json.loads((out / f"{checkpoint}/manifest.json").read_text())["counters"]["steps"] == step
 
 

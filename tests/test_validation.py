@@ -12,13 +12,17 @@ import mujoco
 import numpy as np
 import pytest
 
+import reachlab
 from reachlab.cli import main as cli
 from reachlab.envs.core import Env
 from reachlab.envs.gymnasium_single import ReachEnv
 from reachlab.envs.random_streams import env_keys
 from reachlab.envs.setup import check, check_reach, in_evaluation, make_setup, settled
 from reachlab.learn import train as training
+from reachlab.robots import loading
 from reachlab.robots.loading import load_robot
+from reachlab.robots.robot import TUTORIAL_WORKSPACE
+from reachlab.robots.workspace import Derived
 from reachlab.runs.directory import RunDirectory
 from reachlab.settings.config import RunConfig
 from reachlab.settings.needs import NEEDS
@@ -327,6 +331,50 @@ def test_a_robot_file_is_found_from_any_folder(tmp_path: Path, monkeypatch: pyte
     (tmp_path / "here/arm.xml").unlink()
     with pytest.raises(InputError, match=r"robot file '/.*/here/arm.xml' does not exist: put it there"):
         load_robot(config.robot, "base")
+
+
+def test_a_file_that_changed_is_loaded_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    nowhere = Derived((0.0, 0.0), (1.0, 0.0, 0.0, 0.0), TUTORIAL_WORKSPACE, TUTORIAL_WORKSPACE, {})
+    monkeypatch.setattr(loading, "derived", lambda *_: nowhere)
+    file = tmp_path / "arm.xml"
+    file.write_text(ARM)
+    first = load_robot(str(file))
+    assert load_robot(str(file)) is first
+    file.write_text(ARM.replace('pos="0.3 0 0"', 'pos="0.6 0 0"'))
+    assert load_robot(str(file)).chain.longest == pytest.approx(first.chain.longest + 0.3)
+
+
+@pytest.fixture
+def changed(tmp_path: Path) -> Path:
+    """A run whose robot file was edited since."""
+    file = tmp_path / "arm.xml"
+    file.write_text(ARM)
+    run = RunDirectory(tmp_path / "run")
+    run.create(configure(robot=str(file)))
+    file.write_text(ARM.replace('axis="0 1 0"', 'axis="0 -1 0"'))
+    return run.path
+
+
+@pytest.mark.parametrize("command", ["eval {}", "view {}", "video {}", "export {}", "train --resume {}"])
+def test_a_run_whose_robot_file_changed_is_refused(
+    changed: Path, command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(command.format(changed).split()) == cli.WRONG_INPUT
+    said = capsys.readouterr().err
+    assert f"robot file '{changed.parent}/arm.xml', or a file that it names, has changed since. Train a new" in said
+    assert said.count("\n") == 1
+
+
+def test_the_run_of_a_robot_file_that_is_restored_or_of_an_earlier_version_is_read(changed: Path) -> None:
+    run, file = RunDirectory(changed), changed.parent / "arm.xml"
+    with pytest.raises(InputError, match="restore what was there"):
+        reachlab.load(changed)
+    edited = file.read_text()
+    file.write_text(ARM)
+    assert run.read_config().robot == str(file)
+    file.write_text(edited)
+    run.robot_file.unlink()
+    assert run.read_config().robot == str(file)
 
 
 def test_a_mesh_of_a_package_that_is_missing_is_left_out_and_told(tmp_path: Path) -> None:

@@ -136,7 +136,7 @@ def _resumed(chosen: argparse.Namespace) -> RunConfig | None:
         return None
     from reachlab.runs.directory import RunDirectory
 
-    return RunDirectory(Path(chosen.resume)).read_config()
+    return RunDirectory(Path(chosen.resume)).read_config(check_robot=False)
 
 
 def _given(chosen: argparse.Namespace) -> RunConfig | None:

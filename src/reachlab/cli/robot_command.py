@@ -197,16 +197,11 @@ def _check_picture(out: Path) -> None:
 
 
 def _draw(robot: Robot, out: Path) -> None:
-    import numpy as np
     from PIL import Image
 
-    from reachlab.render.offscreen import Camera
+    from reachlab.render.offscreen import portrait
 
-    low, high = np.array(robot.workspace)
-    camera = Camera(robot, PICTURE_WIDTH, PICTURE_HEIGHT)
-    picture = camera.picture(np.array(robot.home), np.array([*((low + high) / 2)[:2], low[2]]))
-    camera.close()
-    Image.fromarray(picture).save(out)
+    Image.fromarray(portrait(robot, PICTURE_WIDTH, PICTURE_HEIGHT)).save(out)
 
 
 # --- for a person ---------------------------------------------------------------------------------

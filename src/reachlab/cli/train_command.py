@@ -35,13 +35,13 @@ def _distillation(arguments: Distil) -> RunConfig:
 
     changes = {name: vars(arguments)[name] for name in LESSON} | vars(arguments.settings)
     if arguments.resume:
-        config = RunDirectory(arguments.resume).read_config()
+        config = RunDirectory(arguments.resume).read_config(check_robot=False)
         changes |= {"sim": arguments.sim} if arguments.sim else {}
         changes |= {"teacher": str(arguments.teacher)} if arguments.teacher else {}
         return override(config, **changes) if isinstance(config, DistilRunConfig) else config
     if arguments.teacher is None:
         raise InputError("distil needs a teacher: name the run directory of one, as `reachlab train` makes it.")
-    taught = find_run(arguments.teacher).read_config()
+    taught = find_run(arguments.teacher).read_config(check_robot=False)
     config = in_simulator(taught, arguments.sim or taught.sim)
     changes["randomise"] = arguments.randomise or taught.randomise
     return distillation(str(arguments.teacher), config, **changes)

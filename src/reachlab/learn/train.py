@@ -89,10 +89,12 @@ def train(
         Interrupted: a signal asked for it.
     """
     start = time.perf_counter()
+    run = RunDirectory(Path(out))
+    if resume:
+        run.check_robot(config)
     inherited = resume or isinstance(config, DistilRunConfig)
     check(config, config if inherited else base)
     asked, config = config, settled(config, make_setup(config))
-    run = RunDirectory(Path(out))
     if resume:
         _check_unfinished(run, config)
     else:

@@ -16,6 +16,7 @@ from reachlab.render.marks import (
     PATH,
     PATH_RADIUS,
     TARGET_RADIUS,
+    TOOL_AXES,
     TRAIL,
     TRAIL_OPACITY,
     TRAIL_RADIUS,
@@ -167,6 +168,24 @@ class LazyCamera:
         if self._camera is not None:
             self._camera.close()
             self._camera = None
+
+
+def portrait(robot: Robot, width: int, height: int) -> np.ndarray:
+    """Picture `[height, width, 3]` uint8 of a robot at home above its workspace, with its tool frame.
+
+    The x axis of the frame is red, y green, z blue; the ball is in the middle of the workspace's lower face.
+
+    Raises:
+        InputError: there is no OpenGL to draw with.
+    """
+    low, high = np.array(robot.workspace)
+    tool = Axes(*robot.chain.tool_at(robot.home), TOOL_AXES)
+    camera = Camera(robot, width, height)
+    try:
+        ground = np.array([*((low + high) / 2)[:2], low[2]])
+        return camera.picture(np.array(robot.home), ground, Marks(TARGET_RADIUS * robot.scale, axes=(tool,)))
+    finally:
+        camera.close()
 
 
 def gl_context(width: int, height: int) -> Any:

@@ -24,7 +24,7 @@ FOOTING = 0.25
 GROUND = ((TUTORIAL_WORKSPACE[0][0] + TUTORIAL_WORKSPACE[1][0]) / 2, 0.0, 0.0)
 """Middle of the floor of the tutorial's workspace [m]."""
 
-FILLED = 0.94
+FILLED = 0.85
 """Share of the picture within which an arm at home lies."""
 
 ROD_RADIUS, ROD_COLOUR = 0.025, (0.75, 0.77, 0.8, 1.0)

@@ -8,9 +8,12 @@ import mujoco
 import numpy as np
 
 from reachlab.robots.chain import Chain, chain_from_model, path_joints
+from reachlab.robots.coupling import BY_ITSELF, check_uncoupled
 from reachlab.robots.isolation import Isolation, apply, isolate
+from reachlab.robots.joint_limits import LARGEST, is_limited
 from reachlab.robots.model_file import ModelFile
 from reachlab.robots.tool_frames import find_tool
+from reachlab.robots.urdf import some
 
 
 @dataclass(frozen=True)
@@ -59,23 +62,18 @@ def find_arm(file: ModelFile, tool: str | None, base: str | None) -> Arm:
     """
     whole = file.spec(pictures=False).compile()
     below = _body(whole, base) if base else 0
-    notices: tuple[str, ...] = ()
+    found = find_tool(whole, [name for name, joint in file.joints.items() if joint.mimics], below)
+    notices = []
     if not tool:
-        mimics = [name for name, joint in file.joints.items() if joint.mimics]
-        found = find_tool(whole, mimics, below)
         tool = found.name
         if not tool:
             raise ValueError("nothing in it has a name that is moved by a joint: name a body or site, and say --tool")
         if found.others:
-            notices = (f"it has several arms; this one ends in {tool!r}, others in {', '.join(found.others)}",)
+            notices = [f"it has several arms; this one ends in {tool!r}, others in {', '.join(found.others)}"]
     numbers = path_joints(whole, tool, below)
-    for number in numbers:
-        fact = file.joints.get(str(whole.joint(number).name))
-        if fact and fact.mimics:
-            raise ValueError(
-                f"joint {whole.joint(number).name!r} of the arm follows joint {fact.mimics!r}, and every joint of a"
-                " chain has to move by itself: choose a --tool before it"
-            )
+    _check_joints(file, whole, numbers)
+    shorter = path_joints(whole, found.name, below) if found.name else []
+    notices += _notices(whole, numbers, shorter)
     key = mujoco.mj_name2id(whole, mujoco.mjtObj.mjOBJ_KEY, "home")
     rest = whole.key_qpos[key] if key >= 0 else whole.qpos0
     isolation = isolate(whole, numbers, rest)
@@ -90,8 +88,43 @@ def find_arm(file: ModelFile, tool: str | None, base: str | None) -> Arm:
         names=tuple(str(model.joint(joint).name) for joint in range(model.njnt)),
         tool=tool,
         home=tuple(float(rest[whole.jnt_qposadr[number]]) for number in numbers) if key >= 0 else None,
-        notices=notices,
+        notices=tuple(notices),
     )
+
+
+def _check_joints(file: ModelFile, whole: mujoco.MjModel, numbers: list[int]) -> None:
+    """Make sure that each joint of an arm moves by itself, and somewhere."""
+    for number in numbers:
+        low, high = whole.jnt_range[number]
+        if low >= high and (low or high):  # which MuJoCo takes as no limits
+            raise ValueError(
+                f"joint {whole.joint(number).name!r} has the position limits {low:g} to {high:g}: the upper one has to"
+                " be the larger one"
+            )
+        fact = file.joints.get(str(whole.joint(number).name))
+        if fact and fact.mimics:
+            raise ValueError(
+                f"joint {whole.joint(number).name!r} of the arm follows joint {fact.mimics!r}, {BY_ITSELF} it"
+            )
+    check_uncoupled(whole, numbers)
+
+
+def _notices(whole: mujoco.MjModel, numbers: list[int], shorter: list[int]) -> list[str]:
+    """Sentences on the joints of an arm, given the joints up to the tool frame that would be found by itself."""
+    beyond = numbers[len(shorter) :] if shorter and numbers[: len(shorter)] == shorter else []
+    free = int(mujoco.mjtJoint.mjJNT_FREE)
+    others = [joint for joint in range(whole.njnt) if joint not in numbers and whole.jnt_type[joint] != free]
+    absurd = [joint for joint in numbers if whole.jnt_limited[joint] and not is_limited(whole, joint)]
+    noted = {
+        "Joints of the gripper that are joints of the arm here; a --tool before them leaves them out": beyond,
+        "Joints that are not on the way to the tool are locked": others,
+        f"Position limits beyond ±{LARGEST:g} rad or m are taken as none, so a turn or a metre either way": absurd,
+    }
+    return [
+        f"{what}: {some(whole.joint(joint).name or f'number {joint}' for joint in joints)}."
+        for what, joints in noted.items()
+        if joints
+    ]
 
 
 def _body(model: mujoco.MjModel, name: str) -> int:

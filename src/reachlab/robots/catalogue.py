@@ -1,12 +1,15 @@
-"""The robots that come with reachlab."""
+"""The robots that come with reachlab, and where the model file of any robot is."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from reachlab.robots.model_file import ModelFile, read_model_file
 from reachlab.robots.robot import TUTORIAL_WORKSPACE, Box, PybulletModel
+from reachlab.settings.config import is_robot_file
+from reachlab.settings.validation import InputError, choose
 
 ASSETS = Path(__file__).parent / "assets"
 
@@ -103,3 +106,27 @@ ROBOTS: dict[str, KnownRobot] = {
     ),
 }
 """Robots by name. Adding one takes its record here and its assets."""
+
+
+def find_model_file(name: str, packages: Sequence[str] = ()) -> ModelFile:
+    """Model file of a robot, as it is now.
+
+    Args:
+        name: name in `ROBOTS` or path of a file.
+        packages: where ROS packages are that the file names, each as `NAME=FOLDER`.
+
+    Raises:
+        InputError: unknown name, or missing or broken file.
+    """
+    if name not in ROBOTS and not is_robot_file(name):
+        choose("robot", name, [*ROBOTS, "a path to an .xml or .urdf file"])
+    return read_model_file(ROBOTS[name].file if name in ROBOTS else Path(name).absolute(), _folders(packages))
+
+
+def _folders(packages: Sequence[str]) -> dict[str, Path]:
+    """Folders of packages by name, of `NAME=FOLDER`."""
+    pairs = [package.partition("=") for package in packages]
+    for name, _, folder in pairs:
+        if not name or not folder or not Path(folder).is_dir():
+            raise InputError(f"a package is NAME=FOLDER with a folder that exists, got {name}={folder}.")
+    return {name: Path(folder) for name, _, folder in pairs}

@@ -12,6 +12,9 @@ from reachlab.settings.validation import InputError
 TURNS, TRAVEL = 2 * np.pi, 1.0
 """Position limits where a file states none, either way: of hinges [rad], and of slides [m]."""
 
+LARGEST = 100.0
+"""Position limits beyond this, either way, are none that any arm has [rad or m]."""
+
 Limits = tuple[float | None, ...]
 """A limit of each joint, None where the file states none."""
 
@@ -19,8 +22,13 @@ Limits = tuple[float | None, ...]
 def position_limits(model: mujoco.MjModel, joint: int) -> tuple[float, float]:
     """Lower and upper limit of a joint [rad or m], as float32 numbers not beyond the file's."""
     free = TRAVEL if model.jnt_type[joint] == int(mujoco.mjtJoint.mjJNT_SLIDE) else TURNS
-    low, high = model.jnt_range[joint] if model.jnt_limited[joint] else (-free, free)
+    low, high = model.jnt_range[joint] if is_limited(model, joint) else (-free, free)
     return _inward(low, np.inf), _inward(high, -np.inf)
+
+
+def is_limited(model: mujoco.MjModel, joint: int) -> bool:
+    """Whether the file gives a joint position limits that can be meant."""
+    return bool(model.jnt_limited[joint]) and bool(np.abs(model.jnt_range[joint]).max() <= LARGEST)
 
 
 def _inward(limit: float, inside: float) -> float:
@@ -36,14 +44,16 @@ def speed_limits(model: mujoco.MjModel, n: int) -> Limits:
     Of one for every joint of the file, an arm that ends at an earlier tool takes the first.
 
     Raises:
-        InputError: it has another number of entries.
+        InputError: it has another number of entries, or a negative one.
     """
     if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, "speed_limit") < 0:
         return (None,) * n
     speeds = model.numeric("speed_limit").data
     if len(speeds) not in (n, model.njnt):
         raise InputError(f"numeric 'speed_limit' has {len(speeds)} entries, the arm {n} joints; give one for each.")
-    return tuple(float(speed) for speed in speeds[:n])
+    if min(speeds) < 0:
+        raise InputError(f"numeric 'speed_limit' has the entry {min(speeds):g}, but a limit is a positive number.")
+    return tuple(float(speed) or None for speed in speeds[:n])
 
 
 def torque_limits(model: mujoco.MjModel, joints: Sequence[int]) -> Limits:

@@ -10,16 +10,15 @@ from pathlib import Path
 import numpy as np
 
 from reachlab.robots.arm import Arm, find_arm
-from reachlab.robots.catalogue import ROBOTS, KnownRobot
+from reachlab.robots.catalogue import ROBOTS, KnownRobot, find_model_file
 from reachlab.robots.derivation import derived
 from reachlab.robots.isolation import own_servos
-from reachlab.robots.joint_limits import speed_limits, torque_limits
-from reachlab.robots.model_file import JointFacts, ModelFile, read_model_file
+from reachlab.robots.joint_limits import is_limited, speed_limits, torque_limits
+from reachlab.robots.model_file import JointFacts, ModelFile
 from reachlab.robots.robot import CATALOGUE, DEFAULT, DERIVED, FILE, Robot
 from reachlab.robots.servos import Loads, default_torques, find_loads, payload, servos
 from reachlab.robots.workspace import Derived, orientation
-from reachlab.settings.config import is_robot_file
-from reachlab.settings.validation import InputError, choose
+from reachlab.settings.validation import InputError
 
 DEFAULT_SPEED = 1.5
 """Joint speed limit where none is known [rad/s or m/s]; slow for an industrial arm."""
@@ -56,27 +55,16 @@ def load_robot(
     Raises:
         InputError: unknown name or tool, missing or broken file, or an arm without hinge and slide joints.
     """
+    file = find_model_file(name, packages)
     known = ROBOTS.get(name)
-    if known is None and not is_robot_file(name):
-        choose("robot", name, [*ROBOTS, "a path to an .xml or .urdf file"])
     if known and not tool:
         tool = known.tools.get(kind or "") or next(iter(known.tools.values()))
-    return _load(name if known else str(Path(name).absolute()), tool, base, tuple(packages))
-
-
-def _folders(packages: Sequence[str]) -> dict[str, Path]:
-    """Folders of packages by name, of `NAME=FOLDER`."""
-    pairs = [package.partition("=") for package in packages]
-    for name, _, folder in pairs:
-        if not name or not folder or not Path(folder).is_dir():
-            raise InputError(f"a package is NAME=FOLDER with a folder that exists, got {name}={folder}.")
-    return {name: Path(folder) for name, _, folder in pairs}
+    return _load(file, name if known else str(Path(name).absolute()), tool, base)
 
 
 @functools.cache
-def _load(name: str, tool: str | None, base: str | None, packages: tuple[str, ...]) -> Robot:
+def _load(file: ModelFile, name: str, tool: str | None, base: str | None) -> Robot:
     known = ROBOTS.get(name)
-    file = read_model_file(known.file if known else Path(name), _folders(packages))
     try:
         arm = find_arm(file, tool, base)
     except ValueError as error:
@@ -136,7 +124,7 @@ def _limits(
     unlimited = [float("inf") if joint in servoed else float(defaults[joint]) for joint in range(n)]
     speed, speed_sources = _filled(listed.speed, speeds, [DEFAULT_SPEED] * n)
     torque, torque_sources = _filled(listed.torque, torques, unlimited)
-    position = tuple(FILE if limited else DEFAULT for limited in arm.model.jnt_limited)
+    position = tuple(FILE if is_limited(arm.model, joint) else DEFAULT for joint in range(n))
     return speed, torque, {"position": position, "speed": speed_sources, "torque": torque_sources}
 
 

@@ -6,7 +6,7 @@ import dataclasses
 import functools
 import logging
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,7 +15,7 @@ import numpy as np
 
 from reachlab.robots.mesh_search import Folders
 from reachlab.robots.mjcf import rewrite_mjcf
-from reachlab.robots.picture_files import MOST_MESH, PictureFiles
+from reachlab.robots.picture_files import MESHES, MOST_MESH, PictureFiles
 from reachlab.robots.pictures import leave_out, without_pictures
 from reachlab.robots.safe_xml import XmlFiles, read_regular
 from reachlab.robots.urdf import JointFacts, rewrite_urdf, some
@@ -35,6 +35,10 @@ LARGEST_MASS = 1e6
 """Largest mass of a body [kg]."""
 
 
+Stamp = tuple[tuple[Path, int, int, int], ...]
+"""Size [bytes] and times of change of files [ns]."""
+
+
 @dataclass(frozen=True, eq=False)
 class ModelFile:
     """A robot's model file, read.
@@ -44,10 +48,11 @@ class ModelFile:
         joints: what a URDF says of its joints, by name; empty for MJCF.
         notices: one sentence on each thing that was left out, guessed or changed.
         kind: MJCF or URDF.
-        digest: SHA-256 of all XML text that was read.
+        digest: SHA-256 of all that decides the arm: the XML text and the meshes that were read.
         text: XML text that MuJoCo gets.
         parts: XML text of sub-models, by the name under which MuJoCo gets them.
         pictures: paths of meshes and textures, by the name under which MuJoCo gets them.
+        stamp: of the files that were read, see `_stamp`.
         balanced: whether MuJoCo replaces inertias that no rigid body has.
     """
 
@@ -59,6 +64,7 @@ class ModelFile:
     text: str
     parts: Mapping[str, bytes]
     pictures: Mapping[str, Path]
+    stamp: Stamp
     balanced: bool = False
 
     def spec(self, *, pictures: bool = True) -> mujoco.MjSpec:
@@ -118,14 +124,13 @@ class ModelFile:
         return None
 
     def _bytes(self, name: str) -> bytes:
-        try:
-            return read_regular(self.pictures[name], MOST_MESH)[0]
-        except OSError as error:
-            raise InputError(f"file {str(self.pictures[name])!r} cannot be read any more: {error}.") from None
+        return _content(self.pictures[name])
 
 
 def read_model_file(file: Path, packages: Mapping[str, Path] | None = None) -> ModelFile:
     """A robot's model file, checked: its joints and bodies compile.
+
+    It is the same object until one of the files that were read changes.
 
     Args:
         file: MJCF or URDF.
@@ -134,7 +139,28 @@ def read_model_file(file: Path, packages: Mapping[str, Path] | None = None) -> M
     Raises:
         InputError: it is missing, no MJCF or URDF, harmful, or MuJoCo refuses it.
     """
-    folders = Folders(file, packages or {})
+    asked = (file.absolute(), tuple(sorted((packages or {}).items())))
+    known = _READ.get(asked)
+    if known is None or known.stamp != _stamp(path for path, *_ in known.stamp):
+        known = _READ[asked] = _read(file, packages or {})
+    return known
+
+
+_READ: dict[tuple[Path, tuple[tuple[str, Path], ...]], ModelFile] = {}
+"""Model files that this process has read, by path and packages."""
+
+
+def _stamp(files: Iterable[Path]) -> Stamp | None:
+    """What tells that files have changed, without reading them; None where one is gone."""
+    try:
+        found = [(file, file.stat()) for file in files]
+    except OSError:
+        return None
+    return tuple((file, status.st_size, status.st_mtime_ns, status.st_ctime_ns) for file, status in found)
+
+
+def _read(file: Path, packages: Mapping[str, Path]) -> ModelFile:
+    folders = Folders(file, packages)
     texts, pictures = XmlFiles(file, folders.find), PictureFiles(folders)
     root = texts.root()
     joints: dict[str, JointFacts] = {}
@@ -144,12 +170,30 @@ def read_model_file(file: Path, packages: Mapping[str, Path] | None = None) -> M
     else:
         text, parts, notices = rewrite_mjcf(root, texts, pictures)
     kind = "URDF" if root.tag == "robot" else "MJCF"
-    model = ModelFile(file, joints, tuple(notices), kind, texts.digest(), text, parts, dict(pictures.files))
+    stamp = _stamp((*texts.files, *pictures.files.values())) or ()
+    digest = _digest(texts, pictures)
+    model = ModelFile(file, joints, tuple(notices), kind, digest, text, parts, dict(pictures.files), stamp)
     if light := leave_out(model.parsed(), frozenset()):
         model = _noticed(
             model, f"Moving bodies whose mass came from a mesh that is missing get 0.01 kg: {some(light)}."
         )
     return _checked(model)
+
+
+def _digest(texts: XmlFiles, pictures: PictureFiles) -> str:
+    """SHA-256 of XML text and meshes; not of textures, which the arm does not depend on."""
+    whole = texts.hash.copy()
+    for name, path in pictures.files.items():
+        if Path(name).suffix in MESHES:
+            whole.update(name.encode() + _content(path))
+    return whole.hexdigest()
+
+
+def _content(picture: Path) -> bytes:
+    try:
+        return read_regular(picture, MOST_MESH)[0]
+    except OSError as error:
+        raise InputError(f"file {str(picture)!r} cannot be read any more: {error}.") from None
 
 
 def _checked(model: ModelFile) -> ModelFile:

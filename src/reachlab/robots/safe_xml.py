@@ -116,11 +116,19 @@ def numbers(text: str | None, count: int, default: float = 0.0) -> tuple[float, 
 
 
 class XmlFiles:
-    """Reads the XML files of one robot: together no larger than `MOST_XML`."""
+    """Reads the XML files of one robot: together no larger than `MOST_XML`.
+
+    Attributes:
+        file: the robot file.
+        files: all that were read.
+        hash: SHA-256 of their text.
+    """
 
     def __init__(self, file: Path, find: Callable[[str], Path | None]) -> None:
         self.file = file
-        self._find, self._left, self._elements, self._hash = find, MOST_XML, 0, hashlib.sha256()
+        self.files: list[Path] = []
+        self.hash = hashlib.sha256()
+        self._find, self._left, self._elements = find, MOST_XML, 0
 
     def root(self) -> Element:
         """Root of the robot file itself.
@@ -156,17 +164,14 @@ class XmlFiles:
             )
         return self._parse(path)
 
-    def digest(self) -> str:
-        """SHA-256 of all text that was read."""
-        return self._hash.hexdigest()
-
     def _parse(self, file: Path) -> Element:
         try:
             data, _ = read_regular(file, self._left)
         except OSError as error:
             raise InputError(f"robot file {str(file)!r} cannot be read: {error.strerror or error}.") from None
         self._left -= len(data)
-        self._hash.update(data)
+        self.files.append(file)
+        self.hash.update(data)
         root = parse_xml(data, file)
         self._elements += sum(1 for _ in root.iter())
         if self._elements > MOST_ELEMENTS:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +11,7 @@ import numpy as np
 
 from reachlab.robots.picture_files import MISSING, PictureFiles
 from reachlab.robots.safe_xml import MOST_NESTING, Element, numbers, to_text
+from reachlab.robots.urdf_limits import Noted, rewrite_limits
 from reachlab.settings.validation import InputError
 
 MOST_BODIES = 2000
@@ -56,7 +57,9 @@ def rewrite_urdf(root: Element, pictures: PictureFiles) -> tuple[str, dict[str, 
     for other in [child for child in root if child.tag not in ("link", "joint", "material", "mujoco")]:
         root.remove(other)
     _check_tree(links, joints, file)
-    facts = {name: _rewrite_joint(name, joint, file, notices) for name, joint in joints.items()}
+    noted: Noted = defaultdict(list)
+    facts = {name: _rewrite_joint(name, joint, file, notices, noted) for name, joint in joints.items()}
+    notices += [f"{what}: {some(names)}." for what, names in noted.items()]
     moving = {_end(joint, "child") for joint in joints.values() if joint.get("type") in MOVING}
     _rewrite_masses(links, moving, file, notices)
     extension = _compiler(root)
@@ -119,7 +122,7 @@ def _check_tree(links: Mapping[str, Element], joints: Mapping[str, Element], fil
             )
 
 
-def _rewrite_joint(name: str, joint: Element, file: Path, notices: list[str]) -> JointFacts:
+def _rewrite_joint(name: str, joint: Element, file: Path, notices: list[str], noted: Noted) -> JointFacts:
     kind = joint.get("type", "")
     if kind not in JOINT_TYPES:
         raise InputError(
@@ -132,15 +135,9 @@ def _rewrite_joint(name: str, joint: Element, file: Path, notices: list[str]) ->
     axis = joint.find("axis")
     if axis is not None and kind in MOVING and not any(numbers(axis.get("xyz"), 3, 1.0)):
         raise InputError(f"robot file {str(file)!r}: the axis of joint {name!r} is zero; give it a direction.")
-    limit, mimic = joint.find("limit"), joint.find("mimic")
-    speed, torque = (numbers(limit.get(key), 1)[0] if limit is not None else 0.0 for key in ("velocity", "effort"))
-    if limit is not None and torque <= 0.0:
-        limit.attrib.pop("effort", None)
-    return JointFacts(
-        speed if speed > 0.0 else None,
-        torque if torque > 0.0 else None,
-        None if mimic is None else mimic.get("joint"),
-    )
+    speed, torque = rewrite_limits(joint, f"robot file {str(file)!r}: joint {name!r}", noted)
+    mimic = joint.find("mimic")
+    return JointFacts(speed, torque, None if mimic is None else mimic.get("joint"))
 
 
 def _rewrite_masses(links: Mapping[str, Element], moving: set[str], file: Path, notices: list[str]) -> None:

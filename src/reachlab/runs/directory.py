@@ -50,6 +50,7 @@ class RunDirectory:
         """Run directory at `path`, which need not exist."""
         self.path = path
         self.config_file = path / "config.json"
+        self.robot_file = path / "robot.json"
         self.metrics_file = path / "metrics.jsonl"
         self.report_file = path / "report.json"
         self.curve_file = path / "curve.png"
@@ -58,16 +59,20 @@ class RunDirectory:
         self.reports = path / "reports"
 
     def create(self, config: RunConfig) -> None:
-        """Make the directory with the configuration in it, the first of all files.
+        """Make the directory with the configuration and the hash of the robot's files in it, the first of all files.
 
         Raises:
-            InputError: it exists, or cannot be made.
+            InputError: it exists, or cannot be made, or the robot cannot be read.
         """
+        from reachlab.robots.catalogue import find_model_file
+
         self.refuse_existing()
+        robot = {"sha256": find_model_file(config.robot, config.package).digest}
         temporary = self.path.parent / f".{self.path.name}.{os.getpid()}.tmp"
         try:
             temporary.mkdir(parents=True)
             write_json(temporary / self.config_file.name, to_json(config))
+            write_json(temporary / self.robot_file.name, robot)
             temporary.rename(self.path)
             sync(self.path.parent)
         except (OSError, ValueError) as error:  # a ValueError where the path cannot be one, as with a zero in it
@@ -92,17 +97,43 @@ class RunDirectory:
 
     # --- configuration ----------------------------------------------------------------------------
 
-    def read_config(self) -> RunConfig:
+    def read_config(self, *, check_robot: bool = True) -> RunConfig:
         """The run's configuration.
 
+        Args:
+            check_robot: whether its robot has to be the one that it was trained with, see `check_robot`.
+
         Raises:
-            InputError: there is no such run, or its configuration cannot be used.
+            InputError: there is no such run, its configuration cannot be used, or its robot is not the one that it
+                was trained with.
         """
         if not self.path.is_dir():
             raise InputError(
                 f"run directory '{self.path}' does not exist: train one with `reachlab train --out {self.path}`."
             )
-        return read_config(self.config_file)
+        config = read_config(self.config_file)
+        if check_robot:
+            self.check_robot(config)
+        return config
+
+    def check_robot(self, config: RunConfig) -> None:
+        """Refuse a robot whose files have changed since the run was made; runs of earlier versions have no hash.
+
+        Raises:
+            InputError: they have, or cannot be read.
+        """
+        if not self.robot_file.exists():
+            return
+        from reachlab.robots.catalogue import ROBOTS, find_model_file
+
+        file, trained = find_model_file(config.robot, config.package), read_json(self.robot_file)
+        if trained == {"sha256": file.digest}:
+            return
+        how = "install the version of reachlab that trained it" if config.robot in ROBOTS else "restore what was there"
+        raise InputError(
+            f"run '{self.path}' was trained with another arm: robot file '{file.file}', or a file that it names, has"
+            f" changed since. Train a new run, or {how}."
+        )
 
     def read_settings(self) -> dict[str, Any]:
         """The configuration as its file has it, of whatever version; empty where there is no file.
@@ -121,7 +152,7 @@ class RunDirectory:
         Raises:
             InputError: there is no such run, it has other settings, or another process trains it.
         """
-        if other := difference(self.read_config(), config):
+        if other := difference(self.read_config(check_robot=False), config):
             raise InputError(
                 f"run '{self.path}' was begun with {other[0]} {other[1]!r} and cannot be resumed with {other[2]!r}:"
                 f" leave the setting out, or train a new run with --out."
@@ -166,7 +197,7 @@ class RunDirectory:
         Raises:
             InputError: no checkpoint, or none that is whole.
         """
-        config, steps, failures = self.read_config(), [], []
+        config, steps, failures = self.read_config(check_robot=False), [], []
         for folder in checkpoint.find(self.checkpoints):
             try:
                 steps.append(checkpoint.verify(folder, config).counters.steps)
@@ -206,7 +237,7 @@ class RunDirectory:
         return None
 
     def _load(self, template: Tree, step: int | None = None) -> tuple[Manifest, Tree]:
-        config = self.read_config()
+        config = self.read_config(check_robot=False)
         if step is not None:
             return checkpoint.load(checkpoint.folder_of(self.checkpoints, step), config, template)
         failures: list[InputError] = []

@@ -152,6 +152,7 @@ def _check_folder(folder: SweepDirectory, run: RunDirectory, config: RunConfig, 
     if resume:
         folder.read()
         run.read_unfinished(config)
+        run.check_robot(config)
     else:
         run.refuse_existing()
 
