@@ -1,4 +1,4 @@
-"""PPO of Stable-Baselines3: an arm learns to touch a point on the table. Needs `pip install 'reachlab[sb3]'`."""
+"""PPO of Stable-Baselines3: an arm learns to touch a point on the table. Needs `pip install -e '.[sb3]'`."""
 
 import argparse
 import json

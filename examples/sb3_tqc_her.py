@@ -1,4 +1,4 @@
-"""TQC of sb3-contrib with hindsight replay: an arm learns to hold a point. Needs `pip install 'reachlab[sb3]'`."""
+"""TQC of sb3-contrib with hindsight replay: an arm learns to hold a point. Needs `pip install -e '.[sb3]'`."""
 
 import argparse
 import json

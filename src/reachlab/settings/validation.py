@@ -35,6 +35,21 @@ def choose(kind: str, name: str, names: Iterable[str]) -> str:
     raise InputError(f"{kind} {name!r} is not one of: {', '.join(allowed)}.{hint}")
 
 
+def installing(extra: str) -> str:
+    """The command that installs an extra in the way in which reachlab was installed: an editable one stays editable."""
+    import json
+    from importlib.metadata import PackageNotFoundError, distribution
+    from urllib.parse import unquote, urlsplit
+
+    try:
+        origin = json.loads(distribution("reachlab").read_text("direct_url.json") or "{}")
+    except (PackageNotFoundError, ValueError):
+        origin = {}
+    folder = origin.get("dir_info")
+    place = "reachlab" if folder is None else unquote(urlsplit(origin["url"]).path)
+    return f"pip install {'-e ' * bool(folder and folder.get('editable'))}'{place}[{extra}]'"
+
+
 @dataclass(frozen=True)
 class Range:
     """Allowed values of a number; infinite and undefined ones never are."""
