@@ -230,6 +230,14 @@ def test_a_reader_who_has_gone_ends_a_command_silently(words: list[str]) -> None
     assert (done.returncode, done.stderr) == (cli.UNREAD, "")
 
 
+@pytest.mark.parametrize("stream", ["stdin", "stdout", "stderr"])
+def test_a_stream_that_is_closed_ends_no_command(stream: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, stream, None)
+    assert cli.main(["--version"]) == cli.DONE
+    assert cli.main(["nosuch"]) == cli.WRONG_INPUT
+    vars(sys)[stream].close()
+
+
 # --- wrong input ----------------------------------------------------------------------------------
 
 WRONG = {

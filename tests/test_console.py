@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import os
+import pty
 import re
+import sys
+from collections.abc import Callable
 
 import pytest
 
-from reachlab.cli.console import asked
+from reachlab.cli.console import asked, note, say
 from reachlab.cli.progress import EvalDisplay, TrainDisplay, explained, parts_of_time, train_line
 from reachlab.learn.loop import Progress
 from reachlab.settings.config import RunConfig
@@ -89,3 +93,15 @@ def test_the_end_of_an_evaluation_is_told_once(capsys: pytest.CaptureFixture[str
                 display(ended)
     lines = capsys.readouterr().err.splitlines()
     assert [line.partition(":")[0] for line in lines] == ["trained in kinematic", "ik in kinematic"]
+
+
+@pytest.mark.parametrize(("write", "stream"), [(say, "stdout"), (note, "stderr")])
+def test_what_is_written_to_a_terminal_that_was_closed_is_dropped(
+    write: Callable[[str], None], stream: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    terminal, end = pty.openpty()
+    with os.fdopen(end, "w") as screen:
+        monkeypatch.setattr(sys, stream, screen)
+        os.close(terminal)
+        write("nobody reads this")
+        write("nor this")

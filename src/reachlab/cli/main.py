@@ -11,13 +11,14 @@ import sys
 from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import tyro
 
 from reachlab.cli.flags import LESSON, Distil, Train
 from reachlab.cli.sweep_flags import Sweep
 from reachlab.cli.verbs import VERBS
+from reachlab.learn.interrupts import raise_on_termination
 from reachlab.settings.config import DistilRunConfig, RunConfig
 from reachlab.settings.json_form import flatten, to_json
 from reachlab.settings.presets import CHOICES, preset
@@ -39,16 +40,37 @@ MORE: dict[type, str] = {
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Exit status of the command line; see `DONE`, `WRONG_INPUT`, `NOT_FINITE`, `INTERRUPTED`, `UNREAD`."""
+    _open_closed_streams()
+    raise_on_termination()
     try:
         try:
             return _run(list(sys.argv[1:] if arguments is None else arguments))
         finally:
             sys.stdout.flush()
     except BrokenPipeError:
-        # The buffers have no reader either: writing them out must not fail again as Python ends.
-        for stream in (sys.stdout, sys.stderr):
-            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+        _drop(sys.stdout)
+        _drop(sys.stderr)
         return UNREAD
+
+
+def _open_closed_streams() -> None:
+    """Where a standard stream is closed, as by `>&-`, what is written to it is dropped; no file gets its number."""
+    sys.stdin = sys.stdin or os.fdopen(os.open(os.devnull, os.O_RDONLY))
+    sys.stdout = sys.stdout or os.fdopen(os.open(os.devnull, os.O_WRONLY), "w")
+    sys.stderr = sys.stderr or os.fdopen(os.open(os.devnull, os.O_WRONLY), "w")
+
+
+def _say(sentence: object) -> None:
+    """Write to the terminal, if it is still open."""
+    try:
+        print(f"reachlab: {sentence}", file=sys.stderr, flush=True)
+    except OSError:
+        _drop(sys.stderr)
+
+
+def _drop(stream: TextIO) -> None:
+    """Write to nothing from here on: what is buffered has no reader either, and must not fail again as Python ends."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def _run(words: list[str]) -> int:
@@ -67,18 +89,18 @@ def _run(words: list[str]) -> int:
         verb = VERBS[choose("command", words[0], VERBS)]
         verb.run(_parse(words[0], verb.flags, words[1:]))
     except InputError as error:
-        print(f"reachlab: {error}", file=sys.stderr)
+        _say(error)
         return WRONG_INPUT
     except BrokenPipeError:
         raise
     except OSError as error:
-        print(f"reachlab: {error.filename or 'a file'} cannot be used: {error.strerror or error}.", file=sys.stderr)
+        _say(f"{error.filename or 'a file'} cannot be used: {error.strerror or error}.")
         return WRONG_INPUT
     except FloatingPointError as error:
-        print(f"reachlab: {error}", file=sys.stderr)
+        _say(error)
         return NOT_FINITE
     except KeyboardInterrupt as interruption:
-        print(f"reachlab: {str(interruption) or 'interrupted.'}", file=sys.stderr)
+        _say(str(interruption) or "interrupted.")
         return vars(interruption).get("status", INTERRUPTED)
     return DONE
 

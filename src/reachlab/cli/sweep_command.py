@@ -24,9 +24,6 @@ SHOWN = 10
 
 def sweep(arguments: Sweep) -> None:
     """Run `reachlab sweep`."""
-    from reachlab.learn.interrupts import raise_on_termination
-
-    raise_on_termination()
     prepare()
     from reachlab.runs.directory import read_config
     from reachlab.scale.sweep import SweepDirectory

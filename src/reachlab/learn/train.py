@@ -70,7 +70,8 @@ def train(
 ) -> TrainResult:
     """Result of training, whose files are in the directory `out`.
 
-    SIGINT and SIGTERM end it after the iteration under way, with everything saved; a second one ends the process.
+    SIGINT, SIGTERM and SIGHUP end it after the iteration under way, with everything saved; a second one, but for
+    SIGHUP, ends the process.
 
     Args:
         config: every setting.
