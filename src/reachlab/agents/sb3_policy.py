@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import io
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +16,7 @@ from reachlab.agents.acting import Function
 from reachlab.envs.gymnasium_shared import SETTINGS
 from reachlab.settings.config import RunConfig
 from reachlab.settings.json_form import from_json
+from reachlab.settings.reading import MOST_MODEL, read_regular
 from reachlab.settings.validation import InputError
 from reachlab.tasks.schema import Schema
 
@@ -65,14 +67,15 @@ def load_model(file: Path, normaliser: Path | None = None) -> SavedModel:
     except ModuleNotFoundError:
         raise InputError("models of Stable-Baselines3 need it: pip install 'reachlab[sb3]'.") from None
     with _loading(file, "a model"):
-        digest = hashlib.sha256(file.read_bytes()).hexdigest()
-        data, parameters, _ = load_from_zip_file(file, device="cpu")
+        content = read_regular(file, MOST_MODEL)[0]
+        digest = hashlib.sha256(content).hexdigest()
+        data, parameters, _ = load_from_zip_file(io.BytesIO(content), device="cpu")
         data = data or {}
         policy = _policy(data, parameters)
     normalise = None
     if normaliser:
         with _loading(normaliser, "a normaliser"):
-            normalise = load_from_pkl(normaliser).normalize_obs
+            normalise = load_from_pkl(io.BytesIO(read_regular(normaliser, MOST_MODEL)[0])).normalize_obs
 
     def sb3(observation: Any) -> np.ndarray:
         return policy.predict(normalise(observation) if normalise else observation, deterministic=True)[0]

@@ -20,6 +20,7 @@ from reachlab.deploy.plant_faults import Faults
 from reachlab.envs.setup import in_evaluation
 from reachlab.settings.config import RunConfig
 from reachlab.settings.json_form import from_json
+from reachlab.settings.reading import MOST_TEXT, read_regular
 from reachlab.settings.validation import InputError
 
 PATIENCE = 60.0
@@ -51,8 +52,8 @@ def read_facts(folder: Path) -> dict[str, Any]:
     """
     file = folder / "policy.json"
     try:
-        return json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+        return json.loads(read_regular(file, MOST_TEXT)[0])
+    except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"'{file}' cannot be read as what `reachlab export` wrote: {error}.") from None
 
 

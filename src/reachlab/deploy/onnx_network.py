@@ -13,6 +13,7 @@ import numpy as np
 from reachlab.settings.config import RunConfig
 from reachlab.settings.json_form import from_json
 from reachlab.settings.presets import configure
+from reachlab.settings.reading import MOST_MODEL, MOST_TEXT, read_regular
 from reachlab.settings.validation import InputError
 from reachlab.tasks.schema import Observed, Schema
 
@@ -40,7 +41,7 @@ class OnnxNetwork:
             raise InputError("a policy in ONNX needs the extra 'deploy': pip install 'reachlab[deploy]'.") from None
         self.file = path / "policy.onnx" if path.is_dir() else path
         try:
-            content = self.file.read_bytes()
+            content = read_regular(self.file, MOST_MODEL)[0]
             options = onnxruntime.SessionOptions()
             options.log_severity_level = 4
             self._session: Any = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
@@ -111,11 +112,11 @@ def _settings(file: Path) -> RunConfig | None:
     if not file.exists():
         return None
     try:
-        settings = json.loads(file.read_text(encoding="utf-8"))["settings"]
+        settings = json.loads(read_regular(file, MOST_TEXT)[0])["settings"]
         if "rules" in settings:
             return from_json(settings)
         return configure(**settings)
-    except (ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(f"'{file}' does not say what its policy was trained for: {error!r}.") from None
