@@ -16,6 +16,7 @@ from reachlab.jax_setup import set_threads
 from reachlab.learn import METHODS
 from reachlab.learn.checkpointing import unwritable
 from reachlab.learn.interrupts import Interrupts
+from reachlab.learn.learner import check_memory
 from reachlab.learn.loop import Loop, Progress
 from reachlab.learn.method import Method
 from reachlab.learn.rollout import Collect
@@ -92,7 +93,9 @@ def train(
     start = time.perf_counter()
     inherited = resume or isinstance(config, DistilRunConfig)
     check(config, config if inherited else base)
-    asked, config = config, settled(config, make_setup(config))
+    setup = make_setup(config)
+    check_memory(config, setup)
+    asked, config = config, settled(config, setup)
     run = RunDirectory(Path(out))
     if resume:
         _check_unfinished(run, config)

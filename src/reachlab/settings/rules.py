@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from reachlab.settings.validation import Checked, Count, Length, NonNegative, NonNegativeInt, Point, Positive, Range
+from reachlab.settings.validation import Checked, Length, NonNegative, NonNegativeInt, Point, Positive, Range
 
 Few = Annotated[int, Range(0, 16)]
 """A number of obstacles."""
@@ -40,7 +40,7 @@ class TaskConfig(Checked):
     joint command stays as it is, so that the arm rests there; it acts again when the tool is outside."""
     end_outside: bool = True
     """Leaving the workspace ends the episode, in failure. Where the target has to be held it does not in any case."""
-    max_steps: Count = 1000
+    max_steps: Annotated[int, Range(1, 10**5)] = 1000
     """An episode is truncated on this step."""
     approach_weight: NonNegative | None = None
     """Reward of the `dense` reward for each metre that the tool comes closer [1/m]; by default 5/m, in inverse

@@ -7,7 +7,6 @@ import difflib
 import functools
 import math
 import reprlib
-import sys
 import types
 import typing
 from collections.abc import Iterable
@@ -35,18 +34,22 @@ def choose(kind: str, name: str, names: Iterable[str]) -> str:
     raise InputError(f"{kind} {name!r} is not one of: {', '.join(allowed)}.{hint}")
 
 
+LARGEST = 1e12
+"""Largest number of any setting: also its cube is a number in single precision, with which is computed."""
+
+
 @dataclass(frozen=True)
 class Range:
-    """Allowed values of a number; infinite and undefined ones never are."""
+    """Allowed values of a number; infinite and undefined ones never are, nor any beyond `LARGEST`."""
 
     low: float = -math.inf
     high: float = math.inf
     open_low: bool = False
 
     def __contains__(self, value: float) -> bool:
-        """Whether the value is finite and inside."""
+        """Whether the value is inside."""
         above = value > self.low if self.open_low else value >= self.low
-        return abs(value) <= sys.float_info.max and above and value <= self.high
+        return abs(value) <= LARGEST and above and value <= self.high
 
     def __str__(self) -> str:
         """The range in words."""
@@ -76,11 +79,13 @@ UNIONS = (typing.Union, types.UnionType)
 Count = Annotated[int, Range(1, 2**31 - 1)]
 Steps = Annotated[int, Range(1, 10**12 - 1)]
 """Environment steps of a whole training; a checkpoint's name has twelve digits."""
-NonNegativeInt = Annotated[int, Range(0)]
+NonNegativeInt = Annotated[int, Range(0, 2**31 - 1)]
 Positive = Annotated[float, Range(0.0, open_low=True)]
 NonNegative = Annotated[float, Range(0.0)]
 Fraction = Annotated[float, Range(0.0, 1.0)]
-Point = tuple[float, float, float]
+Coordinate = Annotated[float, Range(-1000.0, 1000.0)]
+"""Along an axis [m]."""
+Point = tuple[Coordinate, Coordinate, Coordinate]
 Seed = Annotated[int, Range(0, 2**31 - 1)]
 
 
@@ -115,10 +120,17 @@ def _check(name: str, value: Any, hint: Any) -> None:
         raise InputError(f"{name} must be {_type_name(base)}, got {reprlib.repr(value)}.") from None
     for limit in limits:
         if isinstance(limit, Range | Length) and value not in limit:
-            raise InputError(f"{name} must be {limit}, got {reprlib.repr(value)}.")
+            raise InputError(f"{name} must be {_passed(limit, value)}, got {reprlib.repr(value)}.")
     if isinstance(value, tuple):
         for item in value:
             _check(f"each entry of {name}", item, typing.get_args(base)[0])
+
+
+def _passed(limit: Range | Length, value: Any) -> Range | Length:
+    """The limit, with that of every number where it is this one that a value passes."""
+    if isinstance(limit, Length) or not LARGEST < abs(value) < math.inf:
+        return limit
+    return dataclasses.replace(limit, high=min(limit.high, LARGEST))
 
 
 def _type_name(hint: Any) -> str:
