@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +15,7 @@ from hypothesis import strategies as st
 from scipy.stats import binomtest, rankdata
 
 from reachlab.agents import AGENTS, AgentEntry
-from reachlab.agents.policy import Policy
+from reachlab.agents.policy import Policy, make_policy
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState
 from reachlab.envs.random_streams import (
@@ -254,6 +255,36 @@ def test_an_unknown_agent_is_refused(env: Env) -> None:
 
 
 # --- reports --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("given", "sentence"),
+    [
+        ({"seed": 2**32}, "seed must be a whole number from 0 to 4294967295, got 4294967296"),
+        ({"seed": -1}, "seed must be a whole number from 0"),
+        ({"seed": 1.5}, "seed must be a whole number from 0"),
+        ({"episodes": "5"}, "episodes must be a whole number from 1 to 2147483647, got '5'"),
+        ({"episodes": 0}, "episodes must be a whole number from 1"),
+    ],
+)
+def test_a_seed_and_a_number_of_episodes_are_whole_numbers(env: Env, given: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(InputError, match=sentence):
+        evaluate(env, "zero", **given)
+
+
+@pytest.mark.parametrize(
+    ("settings", "sentence"),
+    [
+        ({"robot": "panda"}, "the policy is of another arm than 'panda', with other limits of its tool"),
+        ({"observation": "target"}, r"the policy observes goal\[3\] tool\[3\], and the environment gives goal\[3\]:"),
+    ],
+)
+def test_a_policy_that_does_not_fit_the_environment_is_refused(
+    env: Env, settings: dict[str, Any], sentence: str
+) -> None:
+    policy = make_policy(jax.random.key(0), env.schema, env.action_bounds, (8,), 0.1)
+    with pytest.raises(InputError, match=sentence):
+        evaluate(Env(configure(**settings), 1), "trained", policy, episodes=1)
 
 
 def test_a_report_has_all_its_fields(idle: Report) -> None:

@@ -17,7 +17,7 @@ from reachlab.envs.random_streams import REPORT_STREAM
 from reachlab.evaluation.episodes import Episodes, Runner, Track, Watch, ignore, make_runner, run_episodes
 from reachlab.evaluation.tracking import followed
 from reachlab.runs.versions import versions
-from reachlab.settings.validation import InputError
+from reachlab.settings.validation import LAST_SEED, whole_number
 
 QUANTILES = {"median": 0.5, "p95": 0.95, "p99": 0.99, "max": 1.0}
 """Quantiles of the final error in a report."""
@@ -30,6 +30,9 @@ WITHIN = (100, 50, 20, 10, 5, 2, 1)
 
 WITHIN_PAIRS = ((50, 0.2), (10, 0.05), (2, 0.02))
 """Errors of which `success_within_pairs` speaks [mm, rad]; the first are Isaac Lab's for its pose tasks."""
+
+MOST_EPISODES = 2**31 - 1
+"""Episodes of an evaluation."""
 
 FRESH_SEED = 5000
 """Tables take their held-out goals from this seed on. No setting was chosen on them: choose on the seeds below."""
@@ -158,11 +161,10 @@ def examine(
         checkpoint: what names the policy in the report, see `Manifest.identity`.
 
     Raises:
-        InputError: no episodes, no such agent, agent `trained` without a policy, or a function's actions are misshapen
-            or not finite.
+        InputError: a seed or a number of episodes that cannot be, no such agent, agent `trained` without a policy or
+            with one of another arm, or a function's actions are misshapen or not finite.
     """
-    if episodes < 1:
-        raise InputError(f"episodes must be at least 1, got {episodes}.")
+    seed, episodes = whole_number("seed", seed, 0, LAST_SEED), whole_number("episodes", episodes, 1, MOST_EPISODES)
     start = time.perf_counter()
     result = run_episodes(runner or make_runner(env, agent), policy, seed, REPORT_STREAM, episodes, watch=watch)
     return summarise(env, agent, result, seed, time.perf_counter() - start, checkpoint), result

@@ -23,6 +23,9 @@ from reachlab.settings.validation import (
     Steps,
 )
 
+MOST_ENVS = 2**17
+"""Environments of a batch."""
+
 
 @dataclass(frozen=True)
 class SimConfig(Checked):
@@ -64,7 +67,7 @@ class LoopConfig(Checked):
     """Iterations between validations, once 90 % of the training episodes succeed, or `stop_success` if that is less."""
     report_episodes: Count = 1000
     """Held-out episodes of the report at the end of training."""
-    num_envs: Annotated[int, Range(1, 2**17)] = 128
+    num_envs: Annotated[int, Range(1, MOST_ENVS)] = 128
     """Environments stepped together."""
     rollout_steps: Count = 64
     """Actions in each environment between two updates."""

@@ -6,6 +6,7 @@ import dataclasses
 import difflib
 import functools
 import math
+import operator
 import reprlib
 import types
 import typing
@@ -58,6 +59,21 @@ class Range:
         return " and ".join(part for part in (low, high) if part)
 
 
+def whole_number(name: str, value: Any, low: int, high: int) -> int:
+    """A whole number within limits, of Python or NumPy.
+
+    Raises:
+        InputError: it is something else.
+    """
+    try:
+        number = None if isinstance(value, bool) else operator.index(value)
+    except TypeError:
+        number = None
+    if number is None or not low <= number <= high:
+        raise InputError(f"{name} must be a whole number from {low} to {high}, got {reprlib.repr(value)}.")
+    return number
+
+
 @dataclass(frozen=True)
 class Length:
     """Allowed lengths of a list."""
@@ -86,6 +102,8 @@ Fraction = Annotated[float, Range(0.0, 1.0)]
 Coordinate = Annotated[float, Range(-1000.0, 1000.0)]
 """Along an axis [m]."""
 Point = tuple[Coordinate, Coordinate, Coordinate]
+LAST_SEED = 2**32 - 1
+"""Largest seed of an evaluation or an environment; the first ones come after it."""
 Seed = Annotated[int, Range(0, 2**31 - 1)]
 
 
