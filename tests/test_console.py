@@ -7,10 +7,11 @@ import pty
 import re
 import sys
 from collections.abc import Callable
+from typing import Any
 
 import pytest
 
-from reachlab.cli.console import asked, note, say
+from reachlab.cli.console import asked, note, print_reports, say
 from reachlab.cli.progress import EvalDisplay, TrainDisplay, explained, parts_of_time, train_line
 from reachlab.learn.loop import Progress
 from reachlab.settings.config import RunConfig
@@ -77,6 +78,36 @@ def test_a_training_explains_what_its_lines_speak_of() -> None:
     assert "Training episodes explore with noise;" in tutorial
     assert f": {configure('precise').loop.total_steps:,} steps." in precise
     assert "noise and vary in dynamics" in precise
+
+
+REPORT: dict[str, Any] = {
+    "task": "tutorial",
+    "robot": "iiwa14",
+    "sim": "kinematic",
+    "agent": "trained",
+    "seed": 1,
+    "episodes": 4,
+    "randomised": [],
+    "success_rate": 0.5,
+    "success_interval": (0.15, 0.85),
+    "success_within": None,
+    "success_within_pairs": None,
+    "final_error_mm": {"median": 2.0, "p95": 3.0, "p99": 3.0, "max": 3.0},
+    "final_angle_rad": None,
+    "tracking": None,
+    "time_to_reach_s": 0.5,
+    "contact": None,
+    "self_contact": None,
+}
+"""A report of episodes that end once the tool was held."""
+
+
+def test_a_table_of_episodes_that_end_once_the_tool_was_held(capsys: pytest.CaptureFixture[str]) -> None:
+    print_reports([REPORT], configure(hold_steps=2))
+    out = capsys.readouterr().out
+    assert "for 2 steps (0.0083 s), no joint faster than 0.05 rad/s, which ends the episode." in out
+    assert "median error" in out
+    assert "2.0 mm" in out
 
 
 @pytest.mark.parametrize(("distance", "said"), [(0.05, "within 50 mm"), (0.0125, "within 12.5 mm")])

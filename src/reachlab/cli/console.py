@@ -131,7 +131,8 @@ def _figures(report: dict[str, Any], *, held: bool) -> dict[str, str]:
         shares = {f"≤ {pair}": _percent(share) for pair, share in list(pairs.items())[1:]}
         return {"median error": _millimetres(error["median"]), "median angle": median, **shares, **reached}
     if held:
-        shares = {f"≤ {limit} mm": _percent(report["success_within"][limit]) for limit in ("2", "1")}
+        within = report["success_within"] or {}
+        shares = {f"≤ {limit} mm": _percent(within[limit]) for limit in ("2", "1") if within}
         return {f"{name} error": _millimetres(error[name]) for name in ("median", "p99")} | shares | reached
     # Where touching ends the episode the final error is always about the success distance, so it is left out.
     return {"mean steps": f"{report['steps_mean']:.0f}", **reached}
