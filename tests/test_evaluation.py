@@ -257,6 +257,16 @@ def test_an_unknown_agent_is_refused(env: Env) -> None:
 # --- reports --------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize(("randomise", "said"), [({}, True), ({"randomise": ()}, False)])
+def test_what_a_preset_varies_in_training_is_said_where_it_varies_in_an_evaluation(
+    randomise: dict[str, Any], said: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    varied = Env(configure("precise", sim="kinematic", max_steps=50, **randomise), 1)
+    with pytest.raises(InputError):  # before anything is compiled
+        evaluate(varied, "zero", episodes=0)
+    assert ("configure('precise', randomise=())" in caplog.text) == said
+
+
 @pytest.mark.parametrize(
     ("given", "sentence"),
     [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import time
 from dataclasses import asdict, dataclass
@@ -17,6 +18,7 @@ from reachlab.envs.random_streams import REPORT_STREAM
 from reachlab.evaluation.episodes import Episodes, Runner, Track, Watch, ignore, make_runner, run_episodes
 from reachlab.evaluation.tracking import followed
 from reachlab.runs.versions import versions
+from reachlab.settings.presets import preset_of
 from reachlab.settings.validation import LAST_SEED, whole_number
 
 QUANTILES = {"median": 0.5, "p95": 0.95, "p99": 0.99, "max": 1.0}
@@ -36,6 +38,8 @@ MOST_EPISODES = 2**31 - 1
 
 FRESH_SEED = 5000
 """Tables take their held-out goals from this seed on. No setting was chosen on them: choose on the seeds below."""
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -125,6 +129,9 @@ def evaluate(
 
     A policy of any other library is evaluated as a function: `evaluate(env, lambda observation: actions)`.
 
+    What the environment's settings vary does vary: a task's preset names what varies in training, and `reachlab eval` is
+    without it, as is `configure(task, randomise=())`. A warning says so.
+
     Args:
         env: the environment.
         agent: name in `AGENTS`, or a function that gives actions `[B, a]` for observations with the batch in front.
@@ -134,6 +141,13 @@ def evaluate(
         runner: of `make_runner`, if there is one already compiled.
         checkpoint: what names the policy in the report.
     """
+    if runner is None and (varied := env.config.randomise) and varied == preset_of(env.config).randomise:
+        log.warning(
+            "reachlab: %s vary in this evaluation, as in the preset's training; `reachlab eval` is without, as is"
+            " configure(%r, randomise=()).",
+            " and ".join(varied),
+            env.config.task,
+        )
     return examine(env, agent, policy, seed=seed, episodes=episodes, runner=runner, checkpoint=checkpoint)[0]
 
 
