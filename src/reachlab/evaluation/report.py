@@ -129,7 +129,7 @@ def evaluate(
 
     A policy of any other library is evaluated as a function: `evaluate(env, lambda observation: actions)`.
 
-    What the environment's settings vary does vary: a task's preset names what varies in training, and `reachlab eval` is
+    What the environment's settings vary does vary: a preset names what varies in training, and `reachlab eval` is
     without it, as is `configure(task, randomise=())`. A warning says so.
 
     Args:
