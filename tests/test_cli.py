@@ -24,7 +24,7 @@ from reachlab.cli import main as cli
 from reachlab.cli.flags import Train
 from reachlab.cli.verbs import VERBS
 from reachlab.envs.core import Env
-from reachlab.envs.setup import make_setup, settled
+from reachlab.envs.setup import NAMES, make_setup, settled
 from reachlab.learn.ppo_method import initial_state
 from reachlab.robots.catalogue import ROBOTS
 from reachlab.runs.directory import RunDirectory
@@ -218,6 +218,18 @@ def test_help_lists_every_name_of_the_table(reachlab: Shell, verb: str, names: d
     assert f": {', '.join(names)}." in text
 
 
+def test_help_of_a_setting_lists_every_name_of_its_table(reachlab: Shell) -> None:
+    text = " ".join(reachlab("train", "--help").out.replace("│", " ").split())
+    for setting, (_, table) in (NAMES | {"robot": ("robot", ROBOTS)}).items():
+        described = re.split(rf"--{setting.replace('_', '-')} \[?STR", text)[1][:700]
+        assert all(re.search(rf"(?<![\w+]){re.escape(name)}(?![\w+])", described) for name in table), setting
+
+
+def test_whole_numbers_are_written_as_numbers_are() -> None:
+    flags = cli._parse("train", Train, ["--total-steps", "1e6", "--num-envs", "2.56e2", "--hidden", "6.4e1", "32"])
+    assert (flags.run.loop.total_steps, flags.run.loop.num_envs, flags.run.learner.hidden) == (10**6, 256, (64, 32))
+
+
 @pytest.mark.parametrize("words", [["--help"], ["train", "--help"], ["list"], ["list", "--json"]], ids=" ".join)
 def test_a_reader_who_has_gone_ends_a_command_silently(words: list[str]) -> None:
     reader, writer = os.pipe()
@@ -251,10 +263,12 @@ WRONG = {
     "word for a number": ("train --num-envs many", "--num-envs.*'many'"),
     "fraction for a whole number": ("train --num-envs 2.5", "--num-envs.*'2.5'"),
     "number out of range": ("train --num-envs 0", "num_envs must be at least 1 and at most 131072, got 0"),
+    "number that is not whole": ("train --num-envs 1.5", "--num-envs: must be a whole number, got '1.5'"),
+    "list with commas": ("train --hidden 64,32", "--hidden is a list, which is written with blanks: --hidden 64 32."),
     "negative seed": ("train --seed -1", "seed must be at least 0"),
     "not a number": ("train --gamma nan", "gamma must be .*nan"),
     "infinite": ("train --learning-rate inf", "learning_rate must be .*inf"),
-    "wrong entry": ("train --hidden 64 0", "each entry of hidden must be at least 1 and at most 2147483647, got 0"),
+    "wrong entry": ("train --hidden 64 0", "each entry of hidden must be at least 1 and at most 4096, got 0"),
     "unknown task": ("train --task tutoral", "Did you mean 'tutorial'"),
     "unknown task with =": ("train --task=tutoral", "Did you mean 'tutorial'"),
     "task without a value": ("train --task", "--task"),

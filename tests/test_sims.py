@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -134,7 +135,8 @@ def test_mujoco_refuses_to_continue_from_a_broken_state_and_then_continues_from_
 
 def test_one_thread_draws_for_all_simulators(monkeypatch):
     monkeypatch.setattr(LazyCamera, "picture", lambda *_: threading.get_ident())
-    robot, at = load_robot("iiwa14"), SimpleNamespace(q=np.zeros((1, 7)), position=np.zeros((1, 3)))
+    robot = load_robot("iiwa14")
+    at: Any = SimpleNamespace(q=np.zeros((1, 7)), position=np.zeros((1, 3)))
     threads = {Drawn(robot).render(at, at, 0, Marks(0.1)) for _ in range(3)}
     assert len(threads) == 1, "what a thread had taken for its pictures is not given back when it ends"
     assert threads != {threading.get_ident()}

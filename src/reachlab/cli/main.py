@@ -7,6 +7,7 @@ import contextlib
 import io
 import itertools
 import os
+import re
 import sys
 from collections.abc import Sequence
 from importlib.metadata import version
@@ -14,6 +15,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 import tyro
+from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from reachlab.cli.flags import LESSON, Distil, Train
 from reachlab.cli.sweep_flags import Sweep
@@ -36,6 +38,30 @@ MORE: dict[type, str] = {
     " groups change the rules of the task, the physics and the training."
 }
 """Added to the docstring in the help of some commands."""
+
+
+NUMBERS = ConstructorRegistry()
+"""How flags that are whole numbers are read."""
+
+COMMAS = re.compile(r"(--\S+): Could not find valid parse for arguments: \['([^' ]+,[^' ]*)'\]")
+"""What tyro says of a list that is written with commas."""
+
+
+@NUMBERS.primitive_rule
+def _whole_numbers(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[int] | None:
+    """Whole numbers are written in any way that numbers are, as 1e6."""
+    if info.type is not int:
+        return None
+    return PrimitiveConstructorSpec(1, "INT", _whole_number, lambda value: isinstance(value, int), lambda n: [str(n)])
+
+
+def _whole_number(words: list[str]) -> int:
+    with contextlib.suppress(ValueError):
+        return int(words[0])
+    with contextlib.suppress(ValueError):
+        if (number := float(words[0])).is_integer():
+            return int(number)
+    raise ValueError(f"must be a whole number, got {words[0]!r}")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -129,7 +155,7 @@ def _parse(verb: str, flags: type, words: list[str]) -> Any:
         default = Distil(**{name: settings[name] for name in LESSON}, settings=config.dagger)
     said = io.StringIO()
     try:
-        with contextlib.redirect_stderr(said):
+        with contextlib.redirect_stderr(said), NUMBERS:
             return tyro.cli(
                 flags,
                 prog=f"reachlab {verb}",
@@ -201,6 +227,9 @@ def _sentence(box: str) -> str:
     rows = [line.strip("│╭╮╰╯|+ ") for line in box.splitlines()[1:]]
     parts = [list(part) for rule, part in itertools.groupby(rows, lambda row: not row.strip("─-")) if not rule]
     text = " ".join(parts[0]).rstrip(".") + "."
+    if found := COMMAS.search(text):
+        flag, entries = found.groups()
+        return f"{flag} is a list, which is written with blanks: {flag} {entries.replace(',', ' ')}."
     for heading, *rest in parts[1:]:
         if heading.startswith("Perhaps you meant"):
             text += f" Did you mean {next(row for row in rest if row.startswith('--')).split()[0].rstrip(',')}?"

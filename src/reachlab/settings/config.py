@@ -139,15 +139,15 @@ class RunConfig(Checked):
     """How its policy is learnt; see `reachlab.learn.METHODS`."""
 
     task: str = "tutorial"
-    """Task preset; it sets the other defaults."""
+    """Task preset, which sets the other defaults: clutter, pose, precise, track or tutorial."""
     robot: str = "iiwa14"
-    """Robot: a name of `reachlab list`, or the path of an MJCF or URDF file; see `reachlab robot`."""
+    """Robot: gen3, iiwa14, panda, so101, ur5e, xarm7, or the path of an MJCF or URDF file; see `reachlab robot`."""
     base: str | None = None
     """Body of the robot's file that holds the arm; joints before it are locked. By default its first."""
     package: Annotated[tuple[str, ...], Length(64)] = ()
     """Folders of the ROS packages that the robot's file names, each as NAME=FOLDER."""
     sim: str = "kinematic"
-    """Simulator."""
+    """Simulator: kinematic, mujoco or pybullet."""
     seed: Seed = 0
     """Seed of everything random."""
     randomise: Annotated[tuple[str, ...], Length(8)] = ()
