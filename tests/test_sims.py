@@ -137,6 +137,6 @@ def test_one_thread_draws_for_all_simulators(monkeypatch):
     monkeypatch.setattr(LazyCamera, "picture", lambda *_: threading.get_ident())
     robot = load_robot("iiwa14")
     at: Any = SimpleNamespace(q=np.zeros((1, 7)), position=np.zeros((1, 3)))
-    threads = {Drawn(robot).render(at, at, 0, Marks(0.1)) for _ in range(3)}
+    threads = {int(Drawn(robot).render(at, at, 0, Marks(0.1))) for _ in range(3)}
     assert len(threads) == 1, "what a thread had taken for its pictures is not given back when it ends"
     assert threads != {threading.get_ident()}

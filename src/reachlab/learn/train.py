@@ -71,8 +71,7 @@ def train(
 ) -> TrainResult:
     """Result of training, whose files are in the directory `out`.
 
-    SIGINT, SIGTERM and SIGHUP end it after the iteration under way, with everything saved; a second one, but for
-    SIGHUP, ends the process.
+    SIGINT, SIGTERM and SIGHUP end it after the iteration under way, with everything saved, a second one at once.
 
     Args:
         config: every setting.
@@ -93,9 +92,7 @@ def train(
     start = time.perf_counter()
     inherited = resume or isinstance(config, DistilRunConfig)
     check(config, config if inherited else base)
-    setup = make_setup(config)
-    check_memory(config, setup)
-    asked, config = config, settled(config, setup)
+    asked, config = config, _settled(config)
     run = RunDirectory(Path(out))
     if resume:
         _check_unfinished(run, config)
@@ -142,6 +139,12 @@ def distil(
         InputError: see `train`; or a teacher, observation or simulator that cannot be learnt with.
     """
     return train(config, out, watch, resume=resume, sinks=sinks)
+
+
+def _settled(config: RunConfig) -> RunConfig:
+    setup = make_setup(config)
+    check_memory(config, setup)
+    return settled(config, setup)
 
 
 def _check_shared(env: Env, method: Method) -> None:
