@@ -119,6 +119,17 @@ def test_wrong_settings_are_refused_in_one_sentence() -> None:
         make_vec_env(n_envs=2, max_step=3)
 
 
+@pytest.mark.parametrize("argument", [{"wrapper_class": RescaleAction}, {"monitor_dir": "logs"}, {"start_index": 3}])
+def test_an_argument_for_single_environments_is_refused_in_one_sentence(argument: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match=f"{next(iter(argument))} is for single environments, and these are one batch"):
+        make_vec_env(n_envs=2, **argument)
+
+
+def test_settings_are_given_as_stable_baselines3_takes_them_too() -> None:
+    env = make_vec_env(n_envs=1, env_kwargs=SHORT, wrapper_class=None, monitor_dir=None, start_index=0)
+    assert getattr(env.action_space, SETTINGS)["rules"]["max_steps"] == 40
+
+
 def test_an_id_of_others_is_refused_in_one_sentence() -> None:
     with pytest.raises(InputError, match=r"environment id 'CartPole-v1' is not one of: .*reachlab/ReachGoal-v0"):
         make_vec_env("CartPole-v1")
