@@ -43,7 +43,7 @@ def main() -> None:
     args = parser.parse_args()
     torch.set_num_threads(1)  # the networks are small
     began = time.perf_counter()
-    env = VecNormalize(make_vec_env("reachlab/Reach-v0", 64, args.seed, **SETTINGS), norm_reward=False)
+    env = VecNormalize(make_vec_env("reachlab/Reach-v0", 64, args.seed, env_kwargs=SETTINGS), norm_reward=False)
     model = PPO(
         "MlpPolicy",
         env,

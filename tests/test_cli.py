@@ -24,7 +24,7 @@ from reachlab.cli import main as cli
 from reachlab.cli.flags import Train
 from reachlab.cli.verbs import VERBS
 from reachlab.envs.core import Env
-from reachlab.envs.setup import make_setup, settled
+from reachlab.envs.setup import NAMES, make_setup, settled
 from reachlab.learn.ppo_method import initial_state
 from reachlab.robots.catalogue import ROBOTS
 from reachlab.runs.directory import RunDirectory
@@ -205,6 +205,24 @@ def test_the_version_is_told(reachlab: Shell) -> None:
     assert reachlab("--version") == Said(0, f"reachlab {version('reachlab')}\n", "")
 
 
+@pytest.mark.parametrize(("verb", "names"), [("eval", AGENTS), ("video", AGENTS), ("view", AGENTS), ("bench", SUITES)])
+def test_help_lists_every_name_of_the_table(reachlab: Shell, verb: str, names: dict[str, object]) -> None:
+    text = " ".join(reachlab(verb, "--help").out.replace("│", " ").split())
+    assert f": {', '.join(names)}." in text
+
+
+def test_help_of_a_setting_lists_every_name_of_its_table(reachlab: Shell) -> None:
+    text = " ".join(reachlab("train", "--help").out.replace("│", " ").split())
+    for setting, (_, table) in (NAMES | {"robot": ("robot", ROBOTS)}).items():
+        described = re.split(rf"--{setting.replace('_', '-')} \[?STR", text)[1][:700]
+        assert all(re.search(rf"(?<![\w+]){re.escape(name)}(?![\w+])", described) for name in table), setting
+
+
+def test_whole_numbers_are_written_as_numbers_are() -> None:
+    flags = cli._parse("train", Train, ["--total-steps", "1e6", "--num-envs", "2.56e2", "--hidden", "6.4e1", "32"])
+    assert (flags.run.loop.total_steps, flags.run.loop.num_envs, flags.run.learner.hidden) == (10**6, 256, (64, 32))
+
+
 @pytest.mark.parametrize("words", [["train", "--help"], ["list"]], ids=" ".join)
 def test_a_reader_who_has_gone_ends_a_command_silently(words: list[str]) -> None:
     reader, writer = os.pipe()
@@ -215,6 +233,14 @@ def test_a_reader_who_has_gone_ends_a_command_silently(words: list[str]) -> None
     finally:
         os.close(writer)
     assert (done.returncode, done.stderr) == (cli.UNREAD, "")
+
+
+@pytest.mark.parametrize("stream", ["stdin", "stdout", "stderr"])
+def test_a_stream_that_is_closed_ends_no_command(stream: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, stream, None)
+    assert cli.main(["--version"]) == cli.DONE
+    assert cli.main(["nosuch"]) == cli.WRONG_INPUT
+    vars(sys)[stream].close()
 
 
 # --- wrong input ----------------------------------------------------------------------------------
@@ -229,10 +255,12 @@ WRONG = {
     "word for a number": ("train --num-envs many", "--num-envs.*'many'"),
     "fraction for a whole number": ("train --num-envs 2.5", "--num-envs.*'2.5'"),
     "number out of range": ("train --num-envs 0", "num_envs must be at least 1 and at most 131072, got 0"),
+    "number that is not whole": ("train --num-envs 1.5", "--num-envs: must be a whole number, got '1.5'"),
+    "list with commas": ("train --hidden 64,32", "--hidden is a list, which is written with blanks: --hidden 64 32."),
     "negative seed": ("train --seed -1", "seed must be at least 0"),
     "not a number": ("train --gamma nan", "gamma must be .*nan"),
     "infinite": ("train --learning-rate inf", "learning_rate must be .*inf"),
-    "wrong entry": ("train --hidden 64 0", "each entry of hidden must be at least 1 and at most 2147483647, got 0"),
+    "wrong entry": ("train --hidden 64 0", "each entry of hidden must be at least 1 and at most 4096, got 0"),
     "unknown task": ("train --task tutoral", "Did you mean 'tutorial'"),
     "task without a value": ("train --task", "--task"),
     "unknown robot": ("train --robot iiwa15", "robot 'iiwa15' is not one of.*Did you mean 'iiwa14'"),
@@ -359,7 +387,14 @@ def test_train_prints_one_json_object_and_nothing_else(trained: tuple[Path, Said
 def test_flags_reach_the_configuration(trained: tuple[Path, Said]) -> None:
     config = RunDirectory(trained[0]).read_config()
     given = {"num_envs": 16, "rollout_steps": 16, "total_steps": 1024, "stop_early": False, "report_episodes": 10}
-    given |= {"max_steps": 300, "seed": 4, "reward": "sparse", "action_repeat": 1, "clip_actions": False, "hidden": (16, 16)}
+    given |= {
+        "max_steps": 300,
+        "seed": 4,
+        "reward": "sparse",
+        "action_repeat": 1,
+        "clip_actions": False,
+        "hidden": (16, 16),
+    }
     asked = configure(**given)
     assert config == settled(asked, make_setup(asked))
 

@@ -3,6 +3,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+from importlib import metadata
 
 import pytest
 
@@ -10,7 +11,7 @@ from reachlab.settings.config import LearnerConfig, LoopConfig, PPOConfig, RunCo
 from reachlab.settings.json_form import flatten, from_json, to_json
 from reachlab.settings.presets import RULES, Rule, configure, in_simulator, preset
 from reachlab.settings.rules import TaskConfig
-from reachlab.settings.validation import InputError, choose
+from reachlab.settings.validation import InputError, choose, installing
 from reachlab.tasks import TASKS
 
 PHYSICS = to_json(RunConfig())["physics"]
@@ -136,13 +137,26 @@ def test_settings_cannot_be_changed_behind_the_checks():
         ("learning_rate", 0.0, r"learning_rate must be above 0, got 0\.0"),
         ("learning_rate", math.nan, "learning_rate must be above 0, got nan"),
         ("learning_rate", math.inf, "learning_rate must be above 0, got inf"),
+        ("learning_rate", 1e308, r"learning_rate must be above 0 and at most 1e\+12, got 1e\+308"),
+        (
+            "target_low",
+            (math.nan, 0.0, 0.0),
+            "each entry of target_low must be at least -1000 and at most 1000, got nan",
+        ),
+        ("target_high", (0.0, math.inf, 0.0), "each entry of target_high must be at least -1000 and at most 1000"),
+        ("target_high", (0.0, 0.0, 1e308), "each entry of target_high must be at least -1000 and at most 1000"),
+        ("hold_steps", 2**31, "hold_steps must be at least 0 and at most 2147483647"),
+        ("physics_steps", 2**31 - 1, "physics_steps must be at least 1 and at most 1000"),
+        ("validation_episodes", 10**6, "validation_episodes must be at least 1 and at most 100000"),
+        ("max_steps", 10**6, "max_steps must be at least 1 and at most 100000"),
+        ("epochs", 2**31 - 1, "epochs must be at least 1 and at most 1000"),
         ("target_height", -math.inf, "target_height must be"),
         ("approach_weight", -1.0, "approach_weight must be at least 0"),
         ("num_envs", 0, "num_envs must be at least 1 and at most 131072, got 0"),
         ("seed", -1, "seed must be"),
         ("seed", 2**31, "seed must be"),
-        ("hidden", (64, 0), r"each entry of hidden must be at least 1 and at most 2147483647, got 0"),
-        ("control_period", -0.01, "control_period must be above 0"),
+        ("hidden", (64, 0), r"each entry of hidden must be at least 1 and at most 4096, got 0"),
+        ("control_period", -0.01, "control_period must be at least 1e-05 and at most 10"),
     ],
 )
 def test_number_out_of_range_is_refused(name, value, message):
@@ -207,7 +221,10 @@ def test_config_survives_json_text():
         (plain(physics={}), "physics, has no setting 'collisions'"),
         (plain(physics=PHYSICS | {"gravity": 1}), "physics, holds an unknown setting 'gravity'"),
         (plain(physics=PHYSICS | {"control_period": "fast"}), "control_period must be a number, got 'fast'"),
-        (plain(physics=PHYSICS | {"control_period": math.nan}), "control_period must be above 0, got nan"),
+        (
+            plain(physics=PHYSICS | {"control_period": math.nan}),
+            "control_period must be at least 1e-05 and at most 10, got nan",
+        ),
         (plain(seed=None), "seed must be"),
         (plain(seed=1.0), "seed must be"),
         (plain(seed=[1]), "seed must be"),
@@ -218,3 +235,20 @@ def test_config_survives_json_text():
 def test_damaged_json_is_refused(data, message):
     with pytest.raises(InputError, match=message):
         from_json(data)
+
+
+@pytest.mark.parametrize(
+    ("origin", "command"),
+    [
+        ('{"url": "file:///a%20b/arm", "dir_info": {"editable": true}}', "pip install -e '/a b/arm[video]'"),
+        ('{"url": "file:///arm", "dir_info": {}}', "pip install '/arm[video]'"),
+        ('{"url": "file:///reachlab.whl", "archive_info": {}}', "pip install 'reachlab[video]'"),
+        (None, "pip install 'reachlab[video]'"),
+    ],
+)
+def test_an_extra_is_installed_in_the_way_in_which_reachlab_was(
+    origin: str | None, command: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(metadata.Distribution, "read_text", lambda _self, _name: origin, raising=False)
+    monkeypatch.setattr(metadata.PathDistribution, "read_text", lambda _self, _name: origin)
+    assert installing("video") == command

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import os
+import pty
 import re
+import sys
+from collections.abc import Callable
+from typing import Any
 
 import pytest
 
-from reachlab.cli.console import asked
+from reachlab.cli.console import asked, note, print_reports, say
 from reachlab.cli.progress import EvalDisplay, TrainDisplay, explained, parts_of_time, train_line
 from reachlab.learn.loop import Progress
 from reachlab.settings.config import RunConfig
@@ -75,6 +80,36 @@ def test_a_training_explains_what_its_lines_speak_of() -> None:
     assert "noise and vary in dynamics" in precise
 
 
+REPORT: dict[str, Any] = {
+    "task": "tutorial",
+    "robot": "iiwa14",
+    "sim": "kinematic",
+    "agent": "trained",
+    "seed": 1,
+    "episodes": 4,
+    "randomised": [],
+    "success_rate": 0.5,
+    "success_interval": (0.15, 0.85),
+    "success_within": None,
+    "success_within_pairs": None,
+    "final_error_mm": {"median": 2.0, "p95": 3.0, "p99": 3.0, "max": 3.0},
+    "final_angle_rad": None,
+    "tracking": None,
+    "time_to_reach_s": 0.5,
+    "contact": None,
+    "self_contact": None,
+}
+"""A report of episodes that end once the tool was held."""
+
+
+def test_a_table_of_episodes_that_end_once_the_tool_was_held(capsys: pytest.CaptureFixture[str]) -> None:
+    print_reports([REPORT], configure(hold_steps=2))
+    out = capsys.readouterr().out
+    assert "for 2 steps (0.0083 s), no joint faster than 0.05 rad/s, which ends the episode." in out
+    assert "median error" in out
+    assert "2.0 mm" in out
+
+
 @pytest.mark.parametrize(("distance", "said"), [(0.05, "within 50 mm"), (0.0125, "within 12.5 mm")])
 def test_what_a_task_asks_for_follows_from_its_settings(distance: float, said: str) -> None:
     assert said in asked(configure(success_distance=distance))
@@ -89,3 +124,15 @@ def test_the_end_of_an_evaluation_is_told_once(capsys: pytest.CaptureFixture[str
                 display(ended)
     lines = capsys.readouterr().err.splitlines()
     assert [line.partition(":")[0] for line in lines] == ["trained in kinematic", "ik in kinematic"]
+
+
+@pytest.mark.parametrize(("write", "stream"), [(say, "stdout"), (note, "stderr")])
+def test_what_is_written_to_a_terminal_that_was_closed_is_dropped(
+    write: Callable[[str], None], stream: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    terminal, end = pty.openpty()
+    with os.fdopen(end, "w") as screen:
+        monkeypatch.setattr(sys, stream, screen)
+        os.close(terminal)
+        write("nobody reads this")
+        write("nor this")

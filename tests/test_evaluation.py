@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +16,7 @@ from hypothesis import strategies as st
 from scipy.stats import binomtest, rankdata
 
 from reachlab.agents import AGENTS, AgentEntry
-from reachlab.agents.policy import Policy
+from reachlab.agents.policy import Policy, make_policy
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState
 from reachlab.envs.random_streams import (
@@ -229,6 +230,46 @@ def test_an_agent_that_there_is_not_and_a_trained_one_without_a_run_are_refused(
 
 
 # --- reports --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("randomise", "said"), [({}, True), ({"randomise": ()}, False)])
+def test_what_a_preset_varies_in_training_is_said_where_it_varies_in_an_evaluation(
+    randomise: dict[str, Any], said: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    varied = Env(configure("precise", sim="kinematic", max_steps=50, **randomise), 1)
+    with pytest.raises(InputError):  # before anything is compiled
+        evaluate(varied, "zero", episodes=0)
+    assert ("configure('precise', randomise=())" in caplog.text) == said
+
+
+@pytest.mark.parametrize(
+    ("given", "sentence"),
+    [
+        ({"seed": 2**32}, "seed must be a whole number from 0 to 4294967295, got 4294967296"),
+        ({"seed": -1}, "seed must be a whole number from 0"),
+        ({"seed": 1.5}, "seed must be a whole number from 0"),
+        ({"episodes": "5"}, "episodes must be a whole number from 1 to 2147483647, got '5'"),
+        ({"episodes": 0}, "episodes must be a whole number from 1"),
+    ],
+)
+def test_a_seed_and_a_number_of_episodes_are_whole_numbers(env: Env, given: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(InputError, match=sentence):
+        evaluate(env, "zero", **given)
+
+
+@pytest.mark.parametrize(
+    ("settings", "sentence"),
+    [
+        ({"robot": "panda"}, "the policy is of another arm than 'panda', with other limits of its tool"),
+        ({"observation": "target"}, r"the policy observes goal\[3\] tool\[3\], and the environment gives goal\[3\]:"),
+    ],
+)
+def test_a_policy_that_does_not_fit_the_environment_is_refused(
+    env: Env, settings: dict[str, Any], sentence: str
+) -> None:
+    policy = make_policy(jax.random.key(0), env.schema, env.action_bounds, (8,), 0.1)
+    with pytest.raises(InputError, match=sentence):
+        evaluate(Env(configure(**settings), 1), "trained", policy, episodes=1)
 
 
 def test_a_report_has_all_its_fields(idle: Report) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import pickle
 import subprocess
 import sys
 import warnings
@@ -83,7 +84,7 @@ def test_gymnasiums_checker_finds_nothing_in_pictures_but_the_tutorials_box(draw
 
 
 def test_settings_are_keywords_and_the_kuka_environment_is_the_tutorials() -> None:
-    settings = {"task": "tutorial", "observation": "target", "reward": "sparse"}
+    settings: dict[str, Any] = {"task": "tutorial", "observation": "target", "reward": "sparse"}
     for env in (
         gymnasium.make("reachlab/Reach-v0", max_steps=4, **settings),
         gymnasium.make("reachlab:reachlab/KukaReach-v0", max_steps=4),
@@ -425,9 +426,33 @@ def test_an_autoreset_mode_is_named_or_refused() -> None:
         ReachVectorEnv(autoreset_mode="SamStep")
 
 
-def test_a_batch_without_environments_is_refused() -> None:
-    with pytest.raises(InputError, match="num_envs must be at least 1"):
-        ReachVectorEnv(num_envs=0)
+@pytest.mark.parametrize("count", [0, -1, 1.5, "3", 10**9, True])
+def test_a_number_of_environments_that_cannot_be_is_refused(count: Any) -> None:
+    with pytest.raises(InputError, match="num_envs must be a whole number from 1 to 131072, got"):
+        ReachVectorEnv(num_envs=count)
+
+
+@pytest.mark.parametrize("seed", [np.int64(40), np.array([40, 41, 42]), (40, 41, 42)], ids=repr)
+def test_seeds_of_numpy_are_those_of_python(batch: ReachVectorEnv, seed: Any) -> None:
+    counted = batch.reset(seed=40)[0]
+    assert np.array_equal(batch.reset(seed=seed)[0], counted)
+
+
+BAD_SEEDS: list[Any] = [-1, 2**32, 1.5, "3", True, np.float64(3), [1.5, 2, 3], np.array([1, 2, -3])]
+
+
+@pytest.mark.parametrize("seed", BAD_SEEDS, ids=repr)
+def test_what_is_no_seed_is_refused(single: ReachEnv, batch: ReachVectorEnv, seed: Any) -> None:
+    for env in (single, batch):
+        with pytest.raises(InputError, match="seed must be a whole number from 0 to 4294967295, got"):
+            env.reset(seed=seed)
+
+
+@pytest.mark.parametrize("options", [[1], "target", 3], ids=repr)
+def test_options_that_are_no_dict_are_refused(single: ReachEnv, batch: ReachVectorEnv, options: Any) -> None:
+    for env in (single, batch):
+        with pytest.raises(InputError, match="options of reset must be a dict, got"):
+            env.reset(options=options)
 
 
 # --- threads, processes and copies ----------------------------------------------------------------
@@ -481,6 +506,21 @@ def test_a_copy_continues_as_the_original_and_leaves_it_alone(sim: str) -> None:
         one, other = original.step(push), again.step(push)
         assert np.array_equal(one[0], other[0])
         assert one[1:4] == other[1:4]
+
+
+def test_a_closed_environment_takes_no_step_and_no_reset() -> None:
+    for env in (ReachEnv(), ReachVectorEnv(num_envs=1)):
+        env.close()
+        for use in (lambda env=env: env.step(np.zeros((1, 3))), lambda env=env: env.reset(seed=1)):
+            with pytest.raises(InputError, match="the environment is closed: make another"):
+                use()
+        env.close()
+
+
+def test_an_environment_that_is_pickled_says_that_it_cannot_be(single: ReachEnv, batch: ReachVectorEnv) -> None:
+    for env in (single, batch):
+        with pytest.raises(InputError, match="an environment cannot be pickled: make another"):
+            pickle.dumps(env)
 
 
 def test_pybullet_refuses_to_be_copied_and_to_be_used_after_its_end() -> None:

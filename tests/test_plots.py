@@ -82,6 +82,12 @@ def test_an_svg_is_a_drawing_with_the_runs_name(run: Path, tmp_path: Path) -> No
     assert "environment steps" in text
 
 
+def test_a_name_is_no_formula(tmp_path: Path) -> None:
+    named = make_run(tmp_path / r"run $\frac{$ x", [row(number) for number in range(1, 6)])
+    plot([named], tmp_path / "curve.svg")
+    assert r"run $\frac{$ x" in (tmp_path / "curve.svg").read_text()
+
+
 def test_curves_show_success_in_percent_and_distance_in_millimetres(
     run: Path, tmp_path: Path, figures: list[Figure]
 ) -> None:

@@ -17,7 +17,7 @@ import pytest
 from reachlab.cli import main as cli
 from reachlab.envs.setup import make_setup, settled
 from reachlab.jax_setup import VARIABLE, threads
-from reachlab.learn.interrupts import Interrupted
+from reachlab.learn.interrupts import ASKING, Interrupted
 from reachlab.learn.loop import Progress
 from reachlab.learn.train import train
 from reachlab.runs.checkpoint import Counters, seal
@@ -201,16 +201,18 @@ def test_leftovers_of_a_killed_save_are_cleared(tmp_path: Path, config: RunConfi
 # --- signals --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)])
 def test_a_signal_saves_and_leaves_after_the_iteration(
     tmp_path: Path, config: RunConfig, number: int, status: int
 ) -> None:
-    before = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
+    before = {each: signal.getsignal(each) for each in ASKING}
     said = interrupted(config, tmp_path / "run", 2, number)
     assert said.status == status
     assert "interrupted at step 512; step 512 is saved: `reachlab train --resume" in str(said)
     assert [row["steps"] for row in rows(tmp_path / "run")] == [256, 512]
-    assert (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)) == before
+    after = {each: signal.getsignal(each) for each in ASKING}
+    signal.signal(signal.SIGHUP, before[signal.SIGHUP])
+    assert after == before | ({signal.SIGHUP: signal.SIG_IGN} if number == signal.SIGHUP else {})
     with locked(tmp_path / "run"):
         pass  # given back
 

@@ -21,7 +21,7 @@ from pushes import pushes
 from reachlab.envs.gymnasium_shared import SETTINGS
 from reachlab.envs.sb3_vector import ReachVecEnv
 from reachlab.sb3 import make_vec_env
-from reachlab.settings.validation import InputError
+from reachlab.settings.validation import InputError, installing
 
 NUM_ENVS = 3
 SHORT: dict[str, Any] = {"max_steps": 40, "clip_actions": False, "success_distance": 0.4}
@@ -119,6 +119,17 @@ def test_wrong_settings_are_refused_in_one_sentence() -> None:
         make_vec_env(n_envs=2, max_step=3)
 
 
+@pytest.mark.parametrize("argument", [{"wrapper_class": RescaleAction}, {"monitor_dir": "logs"}, {"start_index": 3}])
+def test_an_argument_for_single_environments_is_refused_in_one_sentence(argument: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match=f"{next(iter(argument))} is for single environments, and these are one batch"):
+        make_vec_env(n_envs=2, **argument)
+
+
+def test_settings_are_given_as_stable_baselines3_takes_them_too() -> None:
+    env = make_vec_env(n_envs=1, env_kwargs=SHORT, wrapper_class=None, monitor_dir=None, start_index=0)
+    assert getattr(env.action_space, SETTINGS)["rules"]["max_steps"] == 40
+
+
 def test_an_id_of_others_is_refused_in_one_sentence() -> None:
     with pytest.raises(InputError, match=r"environment id 'CartPole-v1' is not one of: .*reachlab/ReachGoal-v0"):
         make_vec_env("CartPole-v1")
@@ -134,7 +145,7 @@ def test_the_settings_of_an_id_are_its_own_where_they_are_not_changed() -> None:
 def test_without_stable_baselines3_the_extra_is_named() -> None:
     probe = "import sys; sys.modules['stable_baselines3'] = None; from reachlab.sb3 import make_vec_env; make_vec_env()"
     done = subprocess.run([sys.executable, "-c", probe], capture_output=True, text=True, check=False)
-    assert "InputError: ReachVecEnv needs Stable-Baselines3: pip install 'reachlab[sb3]'." in done.stderr
+    assert f"InputError: ReachVecEnv needs Stable-Baselines3: {installing('sb3')}." in done.stderr
 
 
 def test_pictures_are_tiled() -> None:

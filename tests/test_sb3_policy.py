@@ -121,6 +121,15 @@ def test_what_is_no_model_is_refused_in_one_sentence(
     assert sentence in " ".join(said.split())
 
 
+def test_a_model_that_needs_a_normaliser_says_so_without_one(
+    trained: tuple[Path, Path, np.ndarray], caplog: pytest.LogCaptureFixture
+) -> None:
+    load_model(*trained[:2])
+    assert not caplog.records
+    load_model(trained[0])
+    assert "was trained on normalised observations, and gets plain ones" in caplog.text
+
+
 @pytest.mark.parametrize("held", [None, 3])
 def test_a_normaliser_that_is_none_is_named(trained: tuple[Path, Path, np.ndarray], tmp_path: Path, held: Any) -> None:
     if held is not None:

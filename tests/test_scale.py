@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 
 from reachlab.cli.main import main
+from reachlab.cli.sweep_command import SweepDisplay
 from reachlab.learn.interrupts import Interrupted
 from reachlab.learn.train import train
 from reachlab.runs.directory import RunDirectory, read_config
@@ -30,7 +31,7 @@ from reachlab.scale.sweep import SweepProgress, sweep
 from reachlab.scale.trials import SweepConfig, Trials
 from reachlab.settings.config import RunConfig
 from reachlab.settings.presets import configure
-from reachlab.settings.validation import InputError
+from reachlab.settings.validation import InputError, installing
 
 pytestmark = pytest.mark.slow
 
@@ -159,6 +160,10 @@ def test_a_space_is_read(tmp_path: Path) -> None:
         ("[space]\nepochs = [3]", "fewer than two choices"),
         ("[space]\nhidden = { low = [8], high = [16] }", "as its values are no numbers"),
         ("[space]\nseed = [1, 2]", "with --seeds"),
+        ("[space]\nrobot = ['panda', 'nosuch']", "robot 'nosuch' is not one of"),
+        ("[space]\nreward = ['dense', 'spars']", "Did you mean 'sparse'"),
+        ("a = " + 5000 * "[", "nests lists or tables too deep"),
+        (f"[space]\n#{2**20 * ' '}", "larger than 1 MB"),
     ],
 )
 def test_a_space_that_makes_no_sense_is_refused(said: str, refused: str, tmp_path: Path) -> None:
@@ -232,6 +237,16 @@ def test_a_study_continues_as_if_its_process_had_not_died(tmp_path: Path) -> Non
     assert [trial.value for trial in whole.ranked] == [0.4, 0.2, 0.1]
 
 
+def test_a_goal_that_was_not_reached_is_no_value_and_never_the_best(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    study = Study(tmp_path / "journal", dimensions(SPACE, configure()), GOALS["steps"], configure())
+    study.complete(study.ask()[0], float("inf"))
+    assert (study.trials[0].state, study.trials[0].value, study.ranked) == ("complete", None, [])
+    SweepDisplay("steps")(SweepProgress(study.trials, 1, {}, None))
+    assert "  steps not reached\n" in capsys.readouterr().err
+
+
 # --- sweeps ---------------------------------------------------------------------------------------
 
 
@@ -294,6 +309,13 @@ def test_a_trial_with_settings_that_contradict_each_other_fails_with_the_sentenc
     assert result.config is None
     assert [trial.state for trial in result.trials] == ["fail", "fail"]
     assert all("cannot be divided among" in trial.why for trial in result.trials)
+
+
+def test_a_sweep_whose_trials_all_fail_is_no_success(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "space.toml").write_text("[space]\nminibatches = [3, 5]")
+    words = ["sweep", str(tmp_path / "space.toml"), "--out", str(tmp_path / "out"), "--num-envs", "16", "--trials", "2"]
+    assert main([*words, "--minibatches", "4"]) == 2
+    assert "every trial failed" in capsys.readouterr().err
 
 
 def wait_for(found: Any, seconds: float = 60.0) -> None:
@@ -448,16 +470,16 @@ def test_what_cannot_be_used_is_refused_in_a_sentence(
 @pytest.mark.parametrize(
     ("module", "words", "sentence"),
     [
-        ("optuna", ["sweep", "{space}", "--out", "{out}"], "sweep needs Optuna: pip install 'reachlab[sweep]'."),
+        ("optuna", ["sweep", "{space}", "--out", "{out}"], f"sweep needs Optuna: {installing('sweep')}."),
         (
             "ray",
             ["sweep", "{space}", "--engine", "ray", "--out", "{out}"],
-            "engine 'ray' needs Ray: pip install 'reachlab[ray]'.",
+            f"engine 'ray' needs Ray: {installing('ray')}.",
         ),
         (
             "ray",
             ["train", "--task", "precise", "--workers", "2", "--out", "{out}"],
-            "engine 'ray' needs Ray: pip install 'reachlab[ray]'.",
+            f"engine 'ray' needs Ray: {installing('ray')}.",
         ),
     ],
 )

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -13,11 +16,14 @@ from params import tried
 from reachlab.bench.soak import bad_actions, interleavings
 from reachlab.envs.core import Env
 from reachlab.envs.random_streams import env_keys
+from reachlab.render.marks import Marks
+from reachlab.render.offscreen import LazyCamera
 from reachlab.robots.kinematics import forward_kinematics
 from reachlab.robots.loading import load_robot
 from reachlab.settings.presets import configure
 from reachlab.sims import SIMULATORS, make_simulator
 from reachlab.sims.mujoco import MujocoSimulator
+from reachlab.sims.rendering import Drawn
 from reachlab.tasks.task import Goal
 
 NUM_ENVS = 4
@@ -128,3 +134,12 @@ def test_mujoco_refuses_to_continue_from_a_broken_state_and_then_continues_from_
     with pytest.raises(FloatingPointError, match="BADQPOS in environment 2"):
         env.step(replace(state, arm=replace(state.arm, engine=broken)), still)
     assert np.isfinite(np.asarray(env.step(state, still)[0].arm.q)).all()
+
+
+def test_one_thread_draws_for_all_simulators(monkeypatch):
+    monkeypatch.setattr(LazyCamera, "picture", lambda *_: threading.get_ident())
+    robot = load_robot("iiwa14")
+    at: Any = SimpleNamespace(q=np.zeros((1, 7)), position=np.zeros((1, 3)))
+    threads = {int(Drawn(robot).render(at, at, 0, Marks(0.1))) for _ in range(3)}
+    assert len(threads) == 1, "what a thread had taken for its pictures is not given back when it ends"
+    assert threads != {threading.get_ident()}

@@ -18,7 +18,9 @@ from reachlab.envs.core import Env
 from reachlab.envs.gymnasium_single import ReachEnv
 from reachlab.envs.random_streams import env_keys
 from reachlab.envs.setup import check, check_reach, in_evaluation, make_setup, settled
+from reachlab.learn import learner
 from reachlab.learn import train as training
+from reachlab.learn.learner import check_memory
 from reachlab.robots import loading
 from reachlab.robots.loading import load_robot
 from reachlab.robots.robot import TUTORIAL_WORKSPACE
@@ -194,6 +196,28 @@ def test_training_refuses_before_anything_is_written(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="collisions has an effect only with sim mujoco"):
         training.train(configure(collisions=True), tmp_path / "run")
     assert not list(tmp_path.iterdir())
+
+
+TOO_LARGE: list[dict[str, Any]] = [
+    {"num_envs": 131072, "rollout_steps": 10**8},
+    {"num_envs": 131072, "rollout_steps": 10**6, "hidden": (4096,) * 16},
+]
+
+
+@pytest.mark.parametrize("settings", TOO_LARGE, ids=str)
+def test_what_no_memory_holds_is_refused_before_anything_is_made(settings: dict[str, Any], tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"num_envs 131,072 with .* need at least [\d,]+ GB of memory, and there are"):
+        training.train(configure(**settings), tmp_path / "run")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_container_has_less_memory_than_its_machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    config = configure(num_envs=1024, rollout_steps=1024)
+    check_memory(config, make_setup(config))
+    monkeypatch.setattr(learner, "CONTAINER", tmp_path / "memory.max")
+    (tmp_path / "memory.max").write_text(str(2**28))
+    with pytest.raises(InputError, match="GB of memory"):
+        check_memory(config, make_setup(config))
 
 
 CONSEQUENCES: list[tuple[dict[str, Any], str]] = [

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import os
 import shutil
 import signal
@@ -382,6 +383,16 @@ def test_a_handle_outside_comes_back_to_where_targets_lie(viewer: Viewer) -> Non
 def test_the_server_prints_nothing_when_it_starts_and_stops(capfd: pytest.CaptureFixture[str]) -> None:
     start_server(LOCAL, free_port()).stop()
     assert capfd.readouterr() == ("", "")
+
+
+def test_what_is_no_message_of_a_browser_is_told_in_one_line(caplog: pytest.LogCaptureFixture) -> None:
+    start_server(LOCAL, free_port()).stop()
+    try:
+        raise ValueError("no message")
+    except ValueError:
+        logging.getLogger(server_module.WEBSOCKETS).exception("connection handler failed")
+    (record,) = caplog.records
+    assert (record.exc_info, record.getMessage().startswith("reachlab: a connection")) == (None, True)
 
 
 @dataclass

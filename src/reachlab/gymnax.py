@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from reachlab.jax_setup import jit
-from reachlab.settings.validation import InputError
+from reachlab.settings.validation import InputError, installing
 
 if TYPE_CHECKING:
     from gymnax.environments.environment import EnvParams  # pyright: ignore[reportMissingImports]
@@ -30,8 +30,6 @@ def make(task: str = "tutorial", **settings: Any) -> tuple[GymnaxEnv, EnvParams]
     try:
         from reachlab.envs.gymnax_env import GymnaxEnv
     except ModuleNotFoundError as error:
-        raise InputError(
-            f"reachlab.gymnax needs gymnax ({error.name} is missing): pip install 'reachlab[gymnax]'."
-        ) from None
+        raise InputError(f"reachlab.gymnax needs gymnax ({error.name} is missing): {installing('gymnax')}.") from None
     env = GymnaxEnv(task, **settings)
     return env, env.default_params

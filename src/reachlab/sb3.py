@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from reachlab.settings.validation import InputError
+from reachlab.settings.validation import InputError, installing
 
 if TYPE_CHECKING:
     from reachlab.envs.sb3_vector import ReachVecEnv
@@ -12,21 +12,39 @@ if TYPE_CHECKING:
 __all__ = ["make_vec_env"]
 
 
+OF_SINGLE = (
+    *("start_index", "monitor_dir", "wrapper_class", "vec_env_cls"),
+    *("vec_env_kwargs", "monitor_kwargs", "wrapper_kwargs"),
+)
+"""What Stable-Baselines3's function takes for the single environments that it makes."""
+
+
 def make_vec_env(
-    env_id: str = "reachlab/Reach-v0", n_envs: int = 1, seed: int | None = None, **settings: Any
+    env_id: str = "reachlab/Reach-v0",
+    n_envs: int = 1,
+    seed: int | None = None,
+    env_kwargs: dict[str, Any] | None = None,
+    **settings: Any,
 ) -> ReachVecEnv:
     """A `VecEnv` of so many environments of an id, with any field of the configuration, or `render_mode`, changed.
 
     As with Stable-Baselines3's function of that name its environments tell returns and lengths of episodes, as
-    `Monitor` does, and environment i is seeded with seed + i at the next reset.
+    `Monitor` does, and environment i is seeded with seed + i at the next reset. Settings are keywords, or `env_kwargs`
+    as there; what that function takes for single environments is refused, for these are one batch.
 
     Raises:
-        InputError: Stable-Baselines3 is not installed; or see `ReachVecEnv`.
+        InputError: Stable-Baselines3 is not installed, an argument for single environments; or see `ReachVecEnv`.
     """
+    given = {name: settings.pop(name, None) for name in OF_SINGLE}
+    if foreign := [name for name, value in given.items() if value]:
+        raise InputError(
+            f"{foreign[0]} is for single environments, and these are one batch: leave it out, and put a VecEnvWrapper"
+            " around the batch, as VecMonitor(env, FILE), VecNormalize or VecFrameStack."
+        )
     try:
         from reachlab.envs.sb3_vector import ReachVecEnv
     except ModuleNotFoundError:
-        raise InputError("ReachVecEnv needs Stable-Baselines3: pip install 'reachlab[sb3]'.") from None
-    env = ReachVecEnv(env_id, n_envs, **settings)
+        raise InputError(f"ReachVecEnv needs Stable-Baselines3: {installing('sb3')}.") from None
+    env = ReachVecEnv(env_id, n_envs, **{**(env_kwargs or {}), **settings})
     env.seed(seed)
     return env

@@ -87,7 +87,11 @@ def check_pip(words: list[str]) -> int:
     """0 if what is to be installed is this package with extras that it has; nothing is installed."""
     offered = set(metadata("reachlab").get_all("Provides-Extra") or [])
     found = re.fullmatch(r"(?:\.|reachlab)(?:\[([\w,]+)\])?", words[-1])
-    known = words[:2] == ["install", "-e"] and found is not None and set(filter(None, (found[1] or "").split(","))) <= offered
+    known = (
+        words[:2] == ["install", "-e"]
+        and found is not None
+        and set(filter(None, (found[1] or "").split(","))) <= offered
+    )
     if not known:
         note(f"pip {' '.join(words)} names no extra of this package: {', '.join(sorted(offered))}")
     return int(not known)

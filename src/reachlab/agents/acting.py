@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import jax
@@ -15,7 +15,10 @@ from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState, Transition
 from reachlab.envs.gymnasium_shared import checked_actions
 from reachlab.settings.validation import InputError, choose
-from reachlab.tasks.schema import Observed
+from reachlab.tasks.schema import Field, Observed, Schema
+
+OF_THE_ARM = ("joints", "tool")
+"""Parts of an observation whose bounds say which arm it is of."""
 
 Agent = Callable[[Env, Policy | None, EnvState, Array, Array | None], Array]
 """Gives actions `[B, a]` for a state; the key is for agents that sample them, the picture for policies that need it."""
@@ -36,7 +39,29 @@ def trained(env: Env, policy: Policy | None, state: EnvState, key: Array, pictur
     del key
     if policy is None:
         raise InputError("agent 'trained' needs a run: name its directory.")
+    _check_fits(policy.schema, env)
     return policy.act(env.observe(state, picture))
+
+
+def _check_fits(schema: Schema, env: Env) -> None:
+    """Make sure that a policy which observes what a schema says can act in an environment; asked as it is traced.
+
+    Raises:
+        InputError: it observes something else, or another arm.
+    """
+    known, given = ({field.name: field for field in one.fields} for one in (schema, env.schema))
+    mend = "evaluate it in the environment that `reachlab.load` gives of its run"
+    if [(one.name, one.shape) for one in schema.fields] != [(one.name, one.shape) for one in env.schema.fields]:
+        raise InputError(f"the policy observes {_named(known)}, and the environment gives {_named(given)}: {mend}.")
+    for name in known.keys() & OF_THE_ARM:
+        if not np.allclose(known[name].bounds, given[name].bounds):
+            raise InputError(
+                f"the policy is of another arm than {env.setup.robot.name!r}, with other limits of its {name}: {mend}."
+            )
+
+
+def _named(fields: Mapping[str, Field]) -> str:
+    return " ".join(f"{name}{list(field.shape)}" for name, field in fields.items())
 
 
 def name_of(agent: str | Function) -> str:

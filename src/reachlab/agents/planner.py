@@ -18,7 +18,7 @@ from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState, Transition
 from reachlab.jax_setup import jit
 from reachlab.robots.clearance import capsules_at, self_distance
-from reachlab.settings.validation import InputError
+from reachlab.settings.validation import InputError, installing
 from reachlab.tasks.obstacles import Obstacles, nearest
 from reachlab.tasks.scenes import CLEAR
 from reachlab.tasks.task import TaskSetup
@@ -110,7 +110,7 @@ def _ompl() -> tuple[Any, Any, Any]:
     try:
         from ompl import base, geometric, util
     except ModuleNotFoundError:
-        raise InputError("agent 'planner' needs OMPL: pip install 'reachlab[planner]'.") from None
+        raise InputError(f"agent 'planner' needs OMPL: {installing('planner')}.") from None
     return base, geometric, util
 
 

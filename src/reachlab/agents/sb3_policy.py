@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import io
+import logging
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,8 +17,11 @@ from reachlab.agents.acting import Function
 from reachlab.envs.gymnasium_shared import SETTINGS
 from reachlab.settings.config import RunConfig
 from reachlab.settings.json_form import from_json
-from reachlab.settings.validation import InputError
+from reachlab.settings.reading import MOST_MODEL, read_regular
+from reachlab.settings.validation import InputError, installing
 from reachlab.tasks.schema import Schema
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -63,16 +68,23 @@ def load_model(file: Path, normaliser: Path | None = None) -> SavedModel:
     try:
         from stable_baselines3.common.save_util import load_from_pkl, load_from_zip_file
     except ModuleNotFoundError:
-        raise InputError("models of Stable-Baselines3 need it: pip install 'reachlab[sb3]'.") from None
+        raise InputError(f"models of Stable-Baselines3 need it: {installing('sb3')}.") from None
     with _loading(file, "a model"):
-        digest = hashlib.sha256(file.read_bytes()).hexdigest()
-        data, parameters, _ = load_from_zip_file(file, device="cpu")
+        content = read_regular(file, MOST_MODEL)[0]
+        digest = hashlib.sha256(content).hexdigest()
+        data, parameters, _ = load_from_zip_file(io.BytesIO(content), device="cpu")
         data = data or {}
         policy = _policy(data, parameters)
     normalise = None
+    if normaliser is None and _was_normalised(data):
+        log.warning(
+            "reachlab: '%s' was trained on normalised observations, and gets plain ones: name what VecNormalize.save"
+            " has written, --normaliser FILE.",
+            file,
+        )
     if normaliser:
         with _loading(normaliser, "a normaliser"):
-            normalise = load_from_pkl(normaliser).normalize_obs
+            normalise = load_from_pkl(io.BytesIO(read_regular(normaliser, MOST_MODEL)[0])).normalize_obs
 
     def sb3(observation: Any) -> np.ndarray:
         return policy.predict(normalise(observation) if normalise else observation, deterministic=True)[0]
@@ -80,6 +92,15 @@ def load_model(file: Path, normaliser: Path | None = None) -> SavedModel:
     settings = getattr(policy.action_space, SETTINGS, None)
     checkpoint = {"steps": data.get("num_timesteps"), "sha256": digest}
     return SavedModel(sb3, from_json(settings) if settings else None, checkpoint, _shapes(policy.observation_space))
+
+
+def _was_normalised(data: Mapping[str, Any]) -> bool:
+    """Whether a model's last observations in training lie outside their space, as those of `VecNormalize` do."""
+    space, last = data.get("observation_space"), data.get("_last_obs")
+    if space is None or last is None:
+        return False
+    parts = [(space[name], part) for name, part in last.items()] if isinstance(last, Mapping) else [(space, last)]
+    return any(bool(np.any((part < box.low) | (part > box.high))) for box, part in parts)
 
 
 @contextlib.contextmanager

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from reachlab.bench.table import Row, machine, row
-from reachlab.settings.validation import InputError
+from reachlab.settings.validation import InputError, installing
 
 ENVIRONMENT, NUM_ENVS = "reachlab/Reach-v0", 64
 SETTINGS: dict[str, Any] = {"observation": "target+tool", "reward": "dense"}
@@ -42,7 +42,7 @@ def learners() -> Iterator[Row]:
 
         from reachlab.envs.sb3_vector import ReachVecEnv
     except ModuleNotFoundError:
-        raise InputError("suite 'learners' needs Stable-Baselines3: pip install 'reachlab[sb3]'.") from None
+        raise InputError(f"suite 'learners' needs Stable-Baselines3: {installing('sb3')}.") from None
     theirs = learning_steps(make_vec_env(ENVIRONMENT, NUM_ENVS, env_kwargs=SETTINGS))
     ours = learning_steps(ReachVecEnv(ENVIRONMENT, NUM_ENVS, **SETTINGS))
     rates = [(theirs(), ours()) for _ in range(ROUNDS)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -26,6 +27,15 @@ class _Console(Console):
         os.dup2(os.open(os.devnull, os.O_WRONLY), self.file.fileno())
         if not self.stderr:
             raise BrokenPipeError
+
+    def _check_buffer(self) -> None:
+        """Called by rich to write; on a terminal that was closed nothing is, for its signal ends the command."""
+        try:
+            super()._check_buffer()
+        except OSError as error:
+            if error.errno != errno.EIO:
+                raise
+            os.dup2(os.open(os.devnull, os.O_WRONLY), self.file.fileno())
 
 
 def _make_console(*, stderr: bool) -> Console:
@@ -121,7 +131,8 @@ def _figures(report: dict[str, Any], *, held: bool) -> dict[str, str]:
         shares = {f"≤ {pair}": _percent(share) for pair, share in list(pairs.items())[1:]}
         return {"median error": _millimetres(error["median"]), "median angle": median, **shares, **reached}
     if held:
-        shares = {f"≤ {limit} mm": _percent(report["success_within"][limit]) for limit in ("2", "1")}
+        within = report["success_within"] or {}
+        shares = {f"≤ {limit} mm": _percent(within[limit]) for limit in ("2", "1") if within}
         return {f"{name} error": _millimetres(error[name]) for name in ("median", "p99")} | shares | reached
     # Where touching ends the episode the final error is always about the success distance, so it is left out.
     return {"mean steps": f"{report['steps_mean']:.0f}", **reached}

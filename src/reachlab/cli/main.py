@@ -7,17 +7,20 @@ import contextlib
 import io
 import itertools
 import os
+import re
 import sys
 from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import tyro
+from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from reachlab.cli.flags import LESSON, Distil, Train
 from reachlab.cli.sweep_flags import Sweep
 from reachlab.cli.verbs import VERBS
+from reachlab.learn.interrupts import raise_on_termination
 from reachlab.settings.config import DistilRunConfig, RunConfig
 from reachlab.settings.json_form import flatten, to_json
 from reachlab.settings.presets import CHOICES, preset
@@ -37,18 +40,63 @@ MORE: dict[type, str] = {
 """Added to the docstring in the help of some commands."""
 
 
+NUMBERS = ConstructorRegistry()
+"""How flags that are whole numbers are read."""
+
+COMMAS = re.compile(r"(--\S+): Could not find valid parse for arguments: \['([^' ]+,[^' ]*)'\]")
+"""What tyro says of a list that is written with commas."""
+
+
+@NUMBERS.primitive_rule
+def _whole_numbers(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[int] | None:
+    """Whole numbers are written in any way that numbers are, as 1e6."""
+    if info.type is not int:
+        return None
+    return PrimitiveConstructorSpec(1, "INT", _whole_number, lambda value: isinstance(value, int), lambda n: [str(n)])
+
+
+def _whole_number(words: list[str]) -> int:
+    with contextlib.suppress(ValueError):
+        return int(words[0])
+    with contextlib.suppress(ValueError):
+        if (number := float(words[0])).is_integer():
+            return int(number)
+    raise ValueError(f"must be a whole number, got {words[0]!r}")
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Exit status of the command line; see `DONE`, `WRONG_INPUT`, `NOT_FINITE`, `INTERRUPTED`, `UNREAD`."""
+    _open_closed_streams()
+    raise_on_termination()
     try:
         try:
             return _run(list(sys.argv[1:] if arguments is None else arguments))
         finally:
             sys.stdout.flush()
     except BrokenPipeError:
-        # The buffers have no reader either: writing them out must not fail again as Python ends.
-        for stream in (sys.stdout, sys.stderr):
-            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+        _drop(sys.stdout)
+        _drop(sys.stderr)
         return UNREAD
+
+
+def _open_closed_streams() -> None:
+    """Where a standard stream is closed, as by `>&-`, what is written to it is dropped; no file gets its number."""
+    sys.stdin = sys.stdin or os.fdopen(os.open(os.devnull, os.O_RDONLY))
+    sys.stdout = sys.stdout or os.fdopen(os.open(os.devnull, os.O_WRONLY), "w")
+    sys.stderr = sys.stderr or os.fdopen(os.open(os.devnull, os.O_WRONLY), "w")
+
+
+def _say(sentence: object) -> None:
+    """Write to the terminal, if it is still open."""
+    try:
+        print(f"reachlab: {sentence}", file=sys.stderr, flush=True)
+    except OSError:
+        _drop(sys.stderr)
+
+
+def _drop(stream: TextIO) -> None:
+    """Write to nothing from here on: what is buffered has no reader either, and must not fail again as Python ends."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def _run(words: list[str]) -> int:
@@ -67,18 +115,18 @@ def _run(words: list[str]) -> int:
         verb = VERBS[choose("command", words[0], VERBS)]
         verb.run(_parse(words[0], verb.flags, words[1:]))
     except InputError as error:
-        print(f"reachlab: {error}", file=sys.stderr)
+        _say(error)
         return WRONG_INPUT
     except BrokenPipeError:
         raise
     except OSError as error:
-        print(f"reachlab: {error.filename or 'a file'} cannot be used: {error.strerror or error}.", file=sys.stderr)
+        _say(f"{error.filename or 'a file'} cannot be used: {error.strerror or error}.")
         return WRONG_INPUT
     except FloatingPointError as error:
-        print(f"reachlab: {error}", file=sys.stderr)
+        _say(error)
         return NOT_FINITE
     except KeyboardInterrupt as interruption:
-        print(f"reachlab: {str(interruption) or 'interrupted.'}", file=sys.stderr)
+        _say(str(interruption) or "interrupted.")
         return vars(interruption).get("status", INTERRUPTED)
     return DONE
 
@@ -107,7 +155,7 @@ def _parse(verb: str, flags: type, words: list[str]) -> Any:
         default = Distil(**{name: settings[name] for name in LESSON}, settings=config.dagger)
     said = io.StringIO()
     try:
-        with contextlib.redirect_stderr(said):
+        with contextlib.redirect_stderr(said), NUMBERS:
             return tyro.cli(
                 flags,
                 prog=f"reachlab {verb}",
@@ -179,6 +227,9 @@ def _sentence(box: str) -> str:
     rows = [line.strip("│╭╮╰╯|+ ") for line in box.splitlines()[1:]]
     parts = [list(part) for rule, part in itertools.groupby(rows, lambda row: not row.strip("─-")) if not rule]
     text = " ".join(parts[0]).rstrip(".") + "."
+    if found := COMMAS.search(text):
+        flag, entries = found.groups()
+        return f"{flag} is a list, which is written with blanks: {flag} {entries.replace(',', ' ')}."
     for heading, *rest in parts[1:]:
         if heading.startswith("Perhaps you meant"):
             text += f" Did you mean {next(row for row in rest if row.startswith('--')).split()[0].rstrip(',')}?"

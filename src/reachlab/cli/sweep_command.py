@@ -24,9 +24,6 @@ SHOWN = 10
 
 def sweep(arguments: Sweep) -> None:
     """Run `reachlab sweep`."""
-    from reachlab.learn.interrupts import raise_on_termination
-
-    raise_on_termination()
     prepare()
     from reachlab.runs.directory import read_config
     from reachlab.scale.sweep import SweepDirectory
@@ -55,10 +52,12 @@ def sweep(arguments: Sweep) -> None:
         _print(result, settings.goal)
         pictures = ", ".join(picture.name for picture in result.pictures)
         say(f"Written: {out}: trials.csv, best.json{', ' + pictures if pictures else ''}, and a run for each trial.")
-    if result.config is None:
-        note("Warning: no trial was completed: see trials.csv for why.")
-    else:
+    if result.config:
         note(f"Next: reachlab train --config {out / 'best.json'}")
+    elif all(trial.state == "fail" for trial in result.trials):
+        raise InputError(f"every trial failed: '{out / 'trials.csv'}' says why.")
+    else:
+        note(f"Warning: no trial reached a value of {settings.goal}: best.json is not written.")
 
 
 def _settings(arguments: Sweep) -> SweepConfig:
@@ -90,7 +89,9 @@ class SweepDisplay(Bar):
         self._bar.update(self._task, completed=len(ended), total=progress.total, status=running)
 
     def _line(self, trial: Trial, progress: SweepProgress) -> str:
-        came_to = f"{self._goal} {trial.value:.5g}" if trial.value is not None else WORDS[trial.state]
+        came_to = WORDS[trial.state]
+        if trial.state == "complete":
+            came_to = f"{self._goal} {'not reached' if trial.value is None else f'{trial.value:.5g}'}"
         best = progress.best
         if trial.why:
             came_to += f" ({trial.why})"

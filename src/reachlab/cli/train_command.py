@@ -49,9 +49,6 @@ def _distillation(arguments: Distil) -> RunConfig:
 
 def _learn(arguments: Train | Distil, config: RunConfig, verb: str) -> None:
     """Train or distil, and show the result."""
-    from reachlab.learn.interrupts import raise_on_termination
-
-    raise_on_termination()
     if config.verb != verb:
         raise InputError(
             f"run '{arguments.resume}' is resumed with `reachlab {config.verb} --resume {arguments.resume}`."

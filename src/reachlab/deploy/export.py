@@ -30,7 +30,7 @@ from reachlab.runs.directory import RunDirectory
 from reachlab.runs.files import read_json
 from reachlab.runs.shipped import find_run
 from reachlab.runs.versions import versions
-from reachlab.settings.validation import InputError
+from reachlab.settings.validation import InputError, installing
 from reachlab.tasks.actions import bounded
 from reachlab.tasks.schema import Observed
 
@@ -124,7 +124,7 @@ def write_files(folder: Path, env: Env, policy: Policy, facts: dict[str, Any]) -
     try:
         from safetensors.numpy import save_file
     except ModuleNotFoundError:
-        raise InputError("an export needs the extra 'deploy': pip install 'reachlab[deploy]'.") from None
+        raise InputError(f"an export needs the extra 'deploy': {installing('deploy')}.") from None
 
     model = onnx_model(policy, env.action_bounds, clips=env.setup.rules.clip_actions)
     weights = {name: np.ascontiguousarray(array) for name, array in named_weights(policy, env.action_bounds).items()}

@@ -14,7 +14,8 @@ from reachlab.deploy.check import read_facts
 from reachlab.settings.config import RunConfig
 from reachlab.settings.json_form import from_json
 from reachlab.settings.presets import configure
-from reachlab.settings.validation import InputError
+from reachlab.settings.reading import MOST_MODEL, MOST_TEXT, read_regular
+from reachlab.settings.validation import InputError, installing
 from reachlab.tasks.schema import Observed, Schema
 
 FACTS = "policy.json"
@@ -38,10 +39,10 @@ class OnnxNetwork:
         try:
             import onnxruntime
         except ModuleNotFoundError:
-            raise InputError("a policy in ONNX needs the extra 'deploy': pip install 'reachlab[deploy]'.") from None
+            raise InputError(f"a policy in ONNX needs the extra 'deploy': {installing('deploy')}.") from None
         self.file = path / "policy.onnx" if path.is_dir() else path
         try:
-            content = self.file.read_bytes()
+            content = read_regular(self.file, MOST_MODEL)[0]
             options = onnxruntime.SessionOptions()
             options.log_severity_level = 4
             self._session: Any = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
@@ -112,14 +113,14 @@ def _settings(file: Path) -> RunConfig | None:
     if not file.exists():
         return None
     try:
-        facts = json.loads(file.read_text(encoding="utf-8"))
+        facts = json.loads(read_regular(file, MOST_TEXT)[0])
         settings = facts["settings"]
         if "files" in facts:  # of an export, whose parts have to belong together
             read_facts(file.parent)
         if "rules" in settings:
             return from_json(settings)
         return configure(**settings)
-    except (ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(f"'{file}' does not say what its policy was trained for: {error!r}.") from None

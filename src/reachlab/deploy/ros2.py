@@ -13,7 +13,7 @@ import numpy as np
 
 from reachlab.deploy.check import start_controller
 from reachlab.deploy.topics import Topics
-from reachlab.settings.validation import InputError
+from reachlab.settings.validation import InputError, installing
 
 EARLY = 0.25
 """Share of a control period by which a measurement may come before its time and still begins a control step."""
@@ -37,7 +37,7 @@ def ros2() -> Iterator[Any]:
         import rclpy
     except ModuleNotFoundError:
         raise InputError(
-            "this needs ROS 2's Python: source its setup, or pip install 'reachlab[ros2]' for tests on one machine."
+            f"this needs ROS 2's Python: source its setup, or {installing('ros2')} for tests on one machine."
         ) from None
     rclpy.init(args=[])
     try:

@@ -9,7 +9,7 @@ import numpy as np
 
 from reachlab.agents.encoder import CHANNELS, PATCH, WHITE
 from reachlab.agents.policy import OBSERVATION_CLIP, SMALLEST_STD, Policy
-from reachlab.settings.validation import InputError
+from reachlab.settings.validation import InputError, installing
 from reachlab.tasks.schema import GOALS, SIZE, Schema
 from reachlab.tasks.task import Bounds
 
@@ -58,7 +58,7 @@ def onnx_model(policy: Policy, bounds: Bounds, *, clips: bool) -> Any:
     try:
         from onnx import TensorProto, checker, helper, numpy_helper
     except ModuleNotFoundError:
-        raise InputError("an export to ONNX needs the extra 'deploy': pip install 'reachlab[deploy]'.") from None
+        raise InputError(f"an export to ONNX needs the extra 'deploy': {installing('deploy')}.") from None
 
     weights, nodes = named_weights(policy, bounds), []
     constants = {"clip.high": np.float32(OBSERVATION_CLIP), "clip.low": np.float32(-OBSERVATION_CLIP)}

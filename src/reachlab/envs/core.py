@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import copy
 import functools
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, NoReturn, Self
 
 import jax
 import jax.numpy as jnp
@@ -20,7 +21,8 @@ from reachlab.render.marks import NO_PATH, TARGET_AXES, TOOL_AXES, Axes, Block, 
 from reachlab.render.view_randomisation import SAMPLES, develop, make_views
 from reachlab.robots.clearance import capsules_at
 from reachlab.robots.motion_limits import MotionLimits
-from reachlab.settings.config import RunConfig
+from reachlab.settings.config import MOST_ENVS, RunConfig
+from reachlab.settings.validation import InputError, whole_number
 from reachlab.sims import SIMULATORS, ArmState, BatchArray, make_simulator
 from reachlab.tasks.actions import ACTIONS
 from reachlab.tasks.observations import OBSERVATIONS
@@ -86,6 +88,7 @@ class Env:
         Raises:
             InputError: a name in the configuration that does not exist, or a setting that does not fit the arm.
         """
+        num_envs = whole_number("num_envs", num_envs, 1, MOST_ENVS)
         dispatch_inline()
         first_process()  # JAX starts in this one
         dynamics = "dynamics" in config.randomise
@@ -114,6 +117,16 @@ class Env:
         robot = setup.robot
         self._clearances = jit(lambda q, here: clearances(robot, capsules_at(robot.chain, robot.capsules, q), here))
         self._observe, self._view_samples = jit(f.observe), jit(f.view_samples)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        """Copy of its own, which continues as this one."""
+        twin = memo[id(self)] = object.__new__(type(self))
+        vars(twin).update(copy.deepcopy(vars(self), memo))
+        return twin
+
+    def __reduce__(self) -> NoReturn:
+        """Refuse to be pickled: compiled programs cannot be."""
+        raise InputError("an environment cannot be pickled: make another with the same settings where it is needed.")
 
     # --- episodes ---------------------------------------------------------------------------------
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Sequence
 from typing import Any
 
@@ -18,12 +19,9 @@ from reachlab.envs.placing import goal_at, make_place
 from reachlab.envs.setup import configure_env
 from reachlab.jax_setup import refuse_fork
 from reachlab.settings.json_form import to_json
-from reachlab.settings.validation import InputError, choose
+from reachlab.settings.validation import LAST_SEED, InputError, choose, whole_number
 from reachlab.tasks.schema import Schema
 from reachlab.tasks.task import Bounds, Goal
-
-LARGEST_SEED = 2**32
-"""Seeds are taken modulo this."""
 
 RENDER_MODES = ("rgb_array",)
 
@@ -41,11 +39,9 @@ class Episodes:
         Raises:
             InputError: a setting that does not exist, or a value that is not allowed.
         """
-        if num_envs < 1:
-            raise InputError(f"num_envs must be at least 1, got {num_envs}.")
         self.env = Env(configure_env(task, settings), num_envs)
-        self._batch, self._begun = make_batch(self.env, mode, in_numpy=in_numpy), False
-        self._shape = (num_envs, len(self.env.action_bounds[0]))
+        self._batch, self._begun, self._closed = make_batch(self.env, mode, in_numpy=in_numpy), False, False
+        self._shape = (self.env.num_envs, len(self.env.action_bounds[0]))
         self._place = make_place(self.env.setup)
         self._checked = checked_actions if in_numpy else _checked_in_jax
 
@@ -60,8 +56,13 @@ class Episodes:
         return self._batch.state
 
     def _need_episodes(self) -> None:
+        self._need_open()
         if not self._begun:
             raise InputError("the environment has no episode yet: call reset first.")
+
+    def _need_open(self) -> None:
+        if self._closed:
+            raise InputError("the environment is closed: make another.")
 
     def goal_at(self, target: Any) -> Goal:
         """Goal at a target that was asked for.
@@ -77,10 +78,14 @@ class Episodes:
         """Begin new episodes in the environments of `mask [B]`: seeded, or the next of the environment's own stream.
 
         They are of the `goal`, if one is given.
+
+        Raises:
+            InputError: the environment is closed.
         """
         refuse_fork()
+        self._need_open()
         seeded = np.array([seed is not None or not self._begun for seed in seeds])
-        numbers = [int(random.integers(LARGEST_SEED)) if seed is None else seed % LARGEST_SEED for seed in seeds]
+        numbers = [int(random.integers(LAST_SEED + 1)) if seed is None else seed for seed in seeds]
         mask = mask if self._begun else np.ones_like(mask)
         now = self._batch.reset(np.array(numbers, np.uint32), seeded, mask, goal)
         self._begun = True
@@ -100,6 +105,11 @@ class Episodes:
         """Picture of one environment."""
         return self.env.render(self.state, index)
 
+    def close(self) -> None:
+        """Close the simulator; no step or reset follows."""
+        self._closed = True
+        self.env.close()
+
 
 def told(now: Now) -> dict[str, Any]:
     """Infos `[B]` by name: `is_success`, `distance` [m], `elapsed_steps`, and `angle` [rad] where one is asked for."""
@@ -111,9 +121,34 @@ def checked_options(options: dict[str, Any] | None, known: Sequence[str]) -> dic
     """Options of `reset`.
 
     Raises:
-        InputError: one is not among the `known`.
+        InputError: they are no dict, or one is not among the `known`.
     """
+    if not isinstance(options, dict | None):
+        raise InputError(f"options of reset must be a dict, got {reprlib.repr(options)}.")
     return {choose("option of reset", name, known): value for name, value in (options or {}).items()}
+
+
+def checked_seed(seed: Any) -> int | None:
+    """A seed of Gymnasium, None for none.
+
+    Raises:
+        InputError: it is no whole number within the limits.
+    """
+    return None if seed is None else whole_number("seed", seed, 0, LAST_SEED)
+
+
+def checked_seeds(seed: Any, num_envs: int) -> list[int | None]:
+    """Seed of each environment: from one number on, after the last the first, or each its own.
+
+    Raises:
+        InputError: one is no whole number within the limits, or there are more or less than environments.
+    """
+    if isinstance(seed, Sequence | np.ndarray) and np.ndim(seed) and not isinstance(seed, str):
+        if len(seed) != num_envs:
+            raise InputError(f"seed must be one number or {num_envs} of them, got {len(seed)}.")
+        return [checked_seed(one) for one in seed]
+    first = checked_seed(seed)
+    return [None if first is None else (first + i) % (LAST_SEED + 1) for i in range(num_envs)]
 
 
 def checked_render_mode(mode: str | None) -> str | None:

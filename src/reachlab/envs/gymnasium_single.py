@@ -16,6 +16,7 @@ from reachlab.envs.gymnasium_shared import (
     action_space,
     checked_options,
     checked_render_mode,
+    checked_seed,
     observation_space,
     single,
     told,
@@ -56,9 +57,10 @@ class ReachEnv(gymnasium.Env[Any, np.ndarray]):
         in a pose `[7]`: position and quaternion wxyz. Without it the target is drawn.
 
         Raises:
-            InputError: an option that does not exist, or a target that is misshapen or where the arm cannot be.
+            InputError: a seed that is no whole number from 0 to 2³² - 1, an option that does not exist, or a target
+                that is misshapen or where the arm cannot be.
         """
-        given = checked_options(options, OPTIONS)
+        seed, given = checked_seed(seed), checked_options(options, OPTIONS)
         goal = self._episodes.goal_at(given["target"]) if "target" in given else None
         super().reset(seed=seed)
         now = self._episodes.reset([seed], np.ones(1, bool), self.np_random, goal)
@@ -94,7 +96,7 @@ class ReachEnv(gymnasium.Env[Any, np.ndarray]):
 
     def close(self) -> None:
         """Close the simulator."""
-        self._episodes.env.close()
+        self._episodes.close()
 
 
 def _info(now: Now) -> dict[str, Any]:

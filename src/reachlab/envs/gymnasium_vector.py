@@ -15,6 +15,7 @@ from reachlab.envs.gymnasium_shared import (
     action_space,
     checked_options,
     checked_render_mode,
+    checked_seeds,
     observation_space,
     single,
     told,
@@ -62,8 +63,8 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
         self._numpy = choose("arrays", arrays, ARRAYS) == "numpy"
         self.render_mode = checked_render_mode(render_mode)
         self.metadata = {**METADATA, "autoreset_mode": self._mode}
-        self.num_envs = num_envs
         self._episodes = Episodes(num_envs, task, settings, self._mode, in_numpy=self._numpy)
+        self.num_envs = num_envs = self._episodes.env.num_envs
         self.single_observation_space = observation_space(self._episodes.env.schema)
         self.single_action_space = action_space(self._episodes.env)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -78,12 +79,8 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
         Raises:
             InputError: an option that does not exist, or a mask or seeds that do not fit the batch.
         """
-        super().reset(seed=seed if isinstance(seed, int) else None)
-        seeds = (
-            [seed + i for i in range(self.num_envs)] if isinstance(seed, int) else list(seed or [None] * self.num_envs)
-        )
-        if len(seeds) != self.num_envs:
-            raise InputError(f"seed must be one number or {self.num_envs} of them, got {len(seeds)}.")
+        seeds = checked_seeds(seed, self.num_envs)
+        super().reset(seed=None if np.ndim(seed) else seeds[0])  # pyright: ignore[reportArgumentType]
         mask = self._checked_mask(options)
         now = self._episodes.reset(seeds, mask, self.np_random)
         self._ended = self._ended & ~mask
@@ -123,7 +120,7 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
     def close_extras(self, **kwargs: Any) -> None:
         """Close the simulator."""
         del kwargs
-        self._episodes.env.close()
+        self._episodes.close()
 
     def _checked_mask(self, options: dict[str, Any] | None) -> np.ndarray:
         mask = checked_options(options, OPTIONS).get("reset_mask")

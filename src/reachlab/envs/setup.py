@@ -124,7 +124,7 @@ def settled(config: RunConfig, setup: TaskSetup) -> RunConfig:
 def _on_arm(rules: TaskConfig, robot: Robot) -> Rules:
     """The rules with lengths in proportion to the arm's workspace where none are given, to six significant digits."""
     usual, scale = Rules(), robot.scale
-    lengths: dict[str, float] = {
+    lengths: dict[str, Any] = {
         "tool_scale": usual.tool_scale * scale,
         "success_distance": usual.success_distance * scale,
         "approach_weight": usual.approach_weight / scale,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import time
 from dataclasses import asdict, dataclass
@@ -17,7 +18,8 @@ from reachlab.envs.random_streams import REPORT_STREAM
 from reachlab.evaluation.episodes import Episodes, Runner, Track, Watch, ignore, make_runner, run_episodes
 from reachlab.evaluation.tracking import followed
 from reachlab.runs.versions import versions
-from reachlab.settings.validation import InputError
+from reachlab.settings.presets import preset_of
+from reachlab.settings.validation import LAST_SEED, whole_number
 
 QUANTILES = {"median": 0.5, "p95": 0.95, "p99": 0.99, "max": 1.0}
 """Quantiles of the final error in a report."""
@@ -31,8 +33,13 @@ WITHIN = (100, 50, 20, 10, 5, 2, 1)
 WITHIN_PAIRS = ((50, 0.2), (10, 0.05), (2, 0.02))
 """Errors of which `success_within_pairs` speaks [mm, rad]; the first are Isaac Lab's for its pose tasks."""
 
+MOST_EPISODES = 2**31 - 1
+"""Episodes of an evaluation."""
+
 FRESH_SEED = 5000
 """Tables take their held-out goals from this seed on. No setting was chosen on them: choose on the seeds below."""
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -122,6 +129,9 @@ def evaluate(
 
     A policy of any other library is evaluated as a function: `evaluate(env, lambda observation: actions)`.
 
+    What the environment's settings vary does vary: a preset names what varies in training, and `reachlab eval` is
+    without it, as is `configure(task, randomise=())`. A warning says so.
+
     Args:
         env: the environment.
         agent: name in `AGENTS`, or a function that gives actions `[B, a]` for observations with the batch in front.
@@ -131,6 +141,13 @@ def evaluate(
         runner: of `make_runner`, if there is one already compiled.
         checkpoint: what names the policy in the report.
     """
+    if runner is None and (varied := env.config.randomise) and varied == preset_of(env.config).randomise:
+        log.warning(
+            "reachlab: %s vary in this evaluation, as in the preset's training; `reachlab eval` is without, as is"
+            " configure(%r, randomise=()).",
+            " and ".join(varied),
+            env.config.task,
+        )
     return examine(env, agent, policy, seed=seed, episodes=episodes, runner=runner, checkpoint=checkpoint)[0]
 
 
@@ -158,11 +175,10 @@ def examine(
         checkpoint: what names the policy in the report, see `Manifest.identity`.
 
     Raises:
-        InputError: no episodes, no such agent, agent `trained` without a policy, or a function's actions are misshapen
-            or not finite.
+        InputError: a seed or a number of episodes that cannot be, no such agent, agent `trained` without a policy or
+            with one of another arm, or a function's actions are misshapen or not finite.
     """
-    if episodes < 1:
-        raise InputError(f"episodes must be at least 1, got {episodes}.")
+    seed, episodes = whole_number("seed", seed, 0, LAST_SEED), whole_number("episodes", episodes, 1, MOST_EPISODES)
     start = time.perf_counter()
     result = run_episodes(runner or make_runner(env, agent), policy, seed, REPORT_STREAM, episodes, watch=watch)
     return summarise(env, agent, result, seed, time.perf_counter() - start, checkpoint), result

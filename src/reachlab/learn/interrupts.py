@@ -1,4 +1,4 @@
-"""Signals that ask training to end: it saves and leaves, and at the second one it leaves at once."""
+"""Signals that ask a command to end: training saves and leaves, and at the second one it leaves at once."""
 
 from __future__ import annotations
 
@@ -8,7 +8,10 @@ import threading
 from types import FrameType, TracebackType
 from typing import Any, Self
 
-ASKING = (signal.SIGINT, signal.SIGTERM)
+HANGUP = getattr(signal, "SIGHUP", None)
+"""Signal of a terminal that was closed; None where the system has none."""
+
+ASKING = (signal.SIGINT, signal.SIGTERM, *([HANGUP] if HANGUP else []))
 """Signals that ask a process to end."""
 
 EXIT_BASE = 128
@@ -31,7 +34,8 @@ class Interrupted(KeyboardInterrupt):
 class Interrupts:
     """While it is entered the first signal is only noted, in `received`, and the second ends the process at once.
 
-    Outside of the main thread, where Python sets no handlers, it notes nothing.
+    A closed terminal may send SIGHUP twice, by the shell and by the system, so that one ends nothing at once. Outside
+    of the main thread, where Python sets no handlers, nothing is noted.
     """
 
     def __init__(self) -> None:
@@ -41,29 +45,40 @@ class Interrupts:
 
     def __enter__(self) -> Self:
         """Begin to note signals."""
-        if threading.current_thread() is threading.main_thread():
-            self._before = {number: signal.signal(number, self._note) for number in ASKING}
+        self._before = {number: signal.signal(number, self._note) for number in _heard()}
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Put the handlers back that were there."""
+        """Put the handlers back that were there; a terminal that was closed is heard once."""
         for number, handler in self._before.items():
-            signal.signal(number, handler)
+            signal.signal(number, signal.SIG_IGN if number == HANGUP == self.received else handler)
 
     def _note(self, number: int, frame: FrameType | None) -> None:
         del frame
-        if self.received is not None:
+        if self.received is None:
+            self.received = number
+        elif number != HANGUP:
             os._exit(EXIT_BASE + number)
-        self.received = number
 
 
 def raise_on_termination() -> None:
-    """Let SIGTERM raise `Interrupted` from here on, as Ctrl-C raises `KeyboardInterrupt`."""
+    """Let SIGTERM and SIGHUP raise `Interrupted` from here on, as Ctrl-C raises `KeyboardInterrupt`."""
 
     def end(number: int, frame: FrameType | None) -> None:
         del frame
+        if number == HANGUP:
+            signal.signal(number, signal.SIG_IGN)  # the second one must not interrupt what is being put away
         raise Interrupted(number)
 
-    signal.signal(signal.SIGTERM, end)
+    for number in _heard():
+        if number != signal.SIGINT:
+            signal.signal(number, end)
+
+
+def _heard() -> list[int]:
+    """Signals that ask for an end here: none outside of the main thread, and no SIGHUP below `nohup`."""
+    if threading.current_thread() is not threading.main_thread():
+        return []
+    return [number for number in ASKING if number != HANGUP or signal.getsignal(number) != signal.SIG_IGN]

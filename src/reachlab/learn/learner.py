@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
+import itertools
+import os
+import sys
 from dataclasses import dataclass
+from pathlib import Path
 from typing import cast
 
 import jax
@@ -12,10 +17,22 @@ from jax import Array
 
 from reachlab.agents.policy import Policy, make_policy
 from reachlab.envs.core import Env
-from reachlab.settings.config import RunConfig
+from reachlab.settings.config import DistilRunConfig, RunConfig
+from reachlab.settings.validation import InputError
+from reachlab.tasks.observations import OBSERVATIONS
+from reachlab.tasks.task import TaskSetup
 
 ADAM_EPSILON = 1e-5
 """Adam's epsilon, as PPO's reference implementation sets it."""
+
+NUMBER = 4
+"""Size of a number in single precision [bytes]."""
+
+COPIES = 4
+"""Of each parameter: itself, its gradient, and Adam's two moments."""
+
+CONTAINER = Path("/sys/fs/cgroup/memory.max")
+"""Where Linux says how much memory a container may use [bytes]."""
 
 
 @jax.tree_util.register_dataclass
@@ -52,3 +69,35 @@ def make_learner(optimiser: optax.GradientTransformation, policy: Policy) -> Lea
     """Learner that has learnt nothing yet."""
     parameters = cast("optax.Params", policy.parameters)
     return Learner(policy, optimiser.init(parameters), jnp.zeros(()))
+
+
+def check_memory(config: RunConfig, setup: TaskSetup) -> None:
+    """Make sure that a rollout, what is made of it and the networks can fit in this machine's memory.
+
+    Raises:
+        InputError: they cannot, by what they need at least.
+    """
+    loop, hidden = config.loop, config.learner.hidden
+    low = OBSERVATIONS[config.rules.observation].schema(setup).bounds[0]
+    observed = sum(part.nbytes for part in jax.tree.leaves(low))
+    kept = config.dagger.capacity if isinstance(config, DistilRunConfig) else 0
+    actions = loop.num_envs * loop.rollout_steps
+    weights = 2 * sum(wide * high for wide, high in itertools.pairwise(hidden))
+    activations = 2 * sum(hidden) * actions // config.ppo.minibatches
+    needed = (actions + kept) * observed + NUMBER * (COPIES * weights + activations)
+    if needed > (there := _memory()):
+        raise InputError(
+            f"num_envs {loop.num_envs:,} with rollout_steps {loop.rollout_steps:,} and hidden"
+            f" {' '.join(map(str, hidden))} need at least {needed / 2**30:,.0f} GB of memory, and there are"
+            f" {there / 2**30:,.0f} GB: choose less of them."
+        )
+
+
+def _memory() -> int:
+    """Memory of this machine, or of the container where it has less [bytes]; no bound where it is not known."""
+    if not hasattr(os, "sysconf"):
+        return sys.maxsize
+    machine = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    with contextlib.suppress(OSError, ValueError):
+        return min(machine, int(CONTAINER.read_text()))
+    return machine

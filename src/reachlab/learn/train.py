@@ -16,6 +16,7 @@ from reachlab.jax_setup import set_threads
 from reachlab.learn import METHODS
 from reachlab.learn.checkpointing import unwritable
 from reachlab.learn.interrupts import Interrupts
+from reachlab.learn.learner import check_memory
 from reachlab.learn.loop import Loop, Progress
 from reachlab.learn.method import Method
 from reachlab.learn.rollout import Collect
@@ -70,7 +71,7 @@ def train(
 ) -> TrainResult:
     """Result of training, whose files are in the directory `out`.
 
-    SIGINT and SIGTERM end it after the iteration under way, with everything saved; a second one ends the process.
+    SIGINT, SIGTERM and SIGHUP end it after the iteration under way, with everything saved, a second one at once.
 
     Args:
         config: every setting.
@@ -94,7 +95,7 @@ def train(
         run.check_robot(config)
     inherited = resume or isinstance(config, DistilRunConfig)
     check(config, config if inherited else base)
-    asked, config = config, settled(config, make_setup(config))
+    asked, config = config, _settled(config)
     if resume:
         _check_unfinished(run, config)
     else:
@@ -140,6 +141,12 @@ def distil(
         InputError: see `train`; or a teacher, observation or simulator that cannot be learnt with.
     """
     return train(config, out, watch, resume=resume, sinks=sinks)
+
+
+def _settled(config: RunConfig) -> RunConfig:
+    setup = make_setup(config)
+    check_memory(config, setup)
+    return settled(config, setup)
 
 
 def _check_shared(env: Env, method: Method) -> None:

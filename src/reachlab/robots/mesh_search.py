@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from urllib.parse import unquote
 
-from reachlab.robots.safe_xml import read_regular
+from reachlab.settings.reading import read_regular
 
 MOST_PACKAGE_XML = 2**20
 """Size of a package.xml [bytes]."""

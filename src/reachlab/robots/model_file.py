@@ -17,8 +17,9 @@ from reachlab.robots.mesh_search import Folders
 from reachlab.robots.mjcf import rewrite_mjcf
 from reachlab.robots.picture_files import MESHES, MOST_MESH, PictureFiles
 from reachlab.robots.pictures import leave_out, without_pictures
-from reachlab.robots.safe_xml import XmlFiles, read_regular
+from reachlab.robots.safe_xml import XmlFiles
 from reachlab.robots.urdf import JointFacts, rewrite_urdf, some
+from reachlab.settings.reading import read_regular
 from reachlab.settings.validation import InputError
 
 __all__ = ["JointFacts", "ModelFile", "read_model_file"]

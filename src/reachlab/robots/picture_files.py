@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 
 from reachlab.robots.mesh_search import Folders
-from reachlab.robots.safe_xml import read_regular
+from reachlab.settings.reading import read_regular
 from reachlab.settings.validation import InputError
 
 MESHES, TEXTURES = (".stl", ".obj", ".msh"), (".png",)

@@ -5,14 +5,13 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import math
-import os
 import re
-import stat
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from xml.parsers import expat
 
+from reachlab.settings.reading import read_regular
 from reachlab.settings.validation import InputError
 
 MOST_XML = 20 * 2**20
@@ -22,22 +21,6 @@ LARGEST_NUMBER = 1e20
 """Larger numbers overflow when MuJoCo multiplies them."""
 
 Element = ET.Element
-
-
-def read_regular(file: Path, most: int, head: int | None = None) -> tuple[bytes, int]:
-    """The bytes of a regular file (or its first `head`), and its size; never waits for a pipe or a device.
-
-    Raises:
-        OSError: it cannot be read, is not a regular file or is larger than `most` bytes.
-    """
-    handle = os.open(file, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
-    with os.fdopen(handle, "rb") as opened:
-        status = os.fstat(handle)
-        if not stat.S_ISREG(status.st_mode):
-            raise OSError("not a regular file")
-        if status.st_size > most:
-            raise OSError(f"larger than {most / 2**20:.0f} MB")
-        return opened.read(most if head is None else head), status.st_size
 
 
 def parse_xml(data: bytes, file: Path) -> Element:

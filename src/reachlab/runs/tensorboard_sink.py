@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from reachlab.settings.validation import InputError
+from reachlab.settings.validation import InputError, installing
 
 
 class TensorBoard:
@@ -21,7 +21,7 @@ class TensorBoard:
         try:
             from tensorboardX import SummaryWriter
         except ImportError:
-            raise InputError("--tensorboard needs tensorboardX: pip install 'reachlab[tensorboard]'.") from None
+            raise InputError(f"--tensorboard needs tensorboardX: {installing('tensorboard')}.") from None
         self._make_writer = SummaryWriter
 
     def open(self, folder: Path) -> None:

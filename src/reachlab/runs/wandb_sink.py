@@ -8,7 +8,7 @@ from typing import Any
 
 from reachlab.runs.files import read_json
 from reachlab.runs.metrics import read_metrics
-from reachlab.settings.validation import InputError
+from reachlab.settings.validation import InputError, installing
 
 PROJECT = "reachlab"
 """W&B project, where the user names none."""
@@ -38,7 +38,7 @@ class WeightsAndBiases:
         try:
             import wandb
         except ImportError:
-            raise InputError("--wandb needs wandb: pip install 'reachlab[wandb]'.") from None
+            raise InputError(f"--wandb needs wandb: {installing('wandb')}.") from None
         self._wandb = wandb
         try:
             self._settings = wandb.setup().settings

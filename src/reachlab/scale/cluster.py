@@ -8,7 +8,7 @@ import socket
 import warnings
 from typing import Any
 
-from reachlab.settings.validation import InputError
+from reachlab.settings.validation import InputError, installing
 
 LOCAL = "127.0.0.1"
 """Where a Ray that is started here listens: no other machine reaches it."""
@@ -38,7 +38,7 @@ def load_ray() -> Any:
     try:
         import ray
     except ModuleNotFoundError:
-        raise InputError("engine 'ray' needs Ray: pip install 'reachlab[ray]'.") from None
+        raise InputError(f"engine 'ray' needs Ray: {installing('ray')}.") from None
     return ray
 
 

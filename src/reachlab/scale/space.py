@@ -8,8 +8,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from reachlab.envs.setup import check_names
+from reachlab.robots.loading import load_robot
 from reachlab.settings.config import RunConfig
 from reachlab.settings.json_form import flatten, override, to_json
+from reachlab.settings.reading import MOST_TEXT, read_regular
 from reachlab.settings.validation import InputError
 
 TABLE = "space"
@@ -37,9 +40,11 @@ def read_space(path: Path, config: RunConfig) -> dict[str, Any]:
         InputError: it cannot be read, or says nothing of any.
     """
     try:
-        data = tomllib.loads(path.read_text())
+        data = tomllib.loads(read_regular(path, MOST_TEXT)[0].decode())
     except OSError as error:
-        raise InputError(f"space '{path}' cannot be read: {error.strerror}.") from None
+        raise InputError(f"space '{path}' cannot be read: {error.strerror or error}.") from None
+    except RecursionError:
+        raise InputError(f"space '{path}' nests lists or tables too deep.") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"space '{path}' is no TOML file: {error}.") from None
     space = data.get(TABLE)
@@ -66,7 +71,7 @@ def _dimension(name: str, entry: Any, config: RunConfig) -> Dimension:
         if len(set(choices)) < 2:
             raise InputError(f"space has fewer than two choices for {name}: leave it out, and set it by its flag.")
         for choice in choices:
-            override(config, **{name: choice})
+            _check_choice(override(config, **{name: choice}), name)
         return Dimension(name, choices=choices)
     if not isinstance(entry, dict) or not {"low", "high"} <= set(entry) <= {"low", "high", "log"}:
         raise InputError(f"space must give {name} limits or a list of choices, as {EXAMPLE}")
@@ -84,6 +89,17 @@ def _dimension(name: str, entry: Any, config: RunConfig) -> Dimension:
     now = flatten(to_json(config)).get(name)
     whole = isinstance(now, int) and isinstance(low, int) and isinstance(high, int)
     return Dimension(name, low, high, log, whole)
+
+
+def _check_choice(config: RunConfig, name: str) -> None:
+    """Make sure that what a choice names is there; what it contradicts alone may fit other choices.
+
+    Raises:
+        InputError: it is not there.
+    """
+    check_names(config)
+    if name == "robot":
+        load_robot(config.robot)
 
 
 def label(choice: Any) -> str:

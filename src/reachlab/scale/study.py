@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -10,7 +11,7 @@ from reachlab.scale.goals import Goal
 from reachlab.scale.space import Dimension, label, settings_of
 from reachlab.settings.config import RunConfig
 from reachlab.settings.json_form import flatten, to_json
-from reachlab.settings.validation import InputError
+from reachlab.settings.validation import InputError, installing
 
 NAME = "sweep"
 """The study's name in its journal."""
@@ -43,7 +44,7 @@ class Trial(NamedTuple):
         number: in order, from 0.
         settings: those that vary.
         state: "complete", "pruned", "fail" or "running".
-        value: of the goal; None before it is complete.
+        value: of the goal; None before it is complete, or if it was not reached.
         why: what failed.
     """
 
@@ -162,7 +163,7 @@ class Study:
                 number=one.number,
                 settings=settings_of(one.params, self._space),
                 state=one.state.name.lower(),
-                value=one.value if one.state.name == "COMPLETE" else None,
+                value=one.value if one.state.name == "COMPLETE" and math.isfinite(one.value) else None,
                 why=one.user_attrs.get(WHY, ""),
             )
             for one in self._study.get_trials(deepcopy=False)
@@ -171,7 +172,7 @@ class Study:
 
     @property
     def ranked(self) -> list[Trial]:
-        """The complete trials, the best one first; of those that are equal, the first."""
+        """The trials that came to a value, the best one first; of those that are equal, the first."""
         sign = -1 if self._study.direction.name == "MAXIMIZE" else 1
         complete = [(sign * one.value, one.number, one) for one in self.trials if one.value is not None]
         return [one for *_, one in sorted(complete, key=lambda one: one[:2])]
@@ -206,7 +207,7 @@ def load_optuna() -> Any:
     try:
         import optuna
     except ModuleNotFoundError:
-        raise InputError("sweep needs Optuna: pip install 'reachlab[sweep]'.") from None
+        raise InputError(f"sweep needs Optuna: {installing('sweep')}.") from None
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     return optuna
 

@@ -101,7 +101,7 @@ def sweep(
 ) -> SweepResult:
     """Result of a sweep, whose files are in the directory `out`.
 
-    SIGINT and SIGTERM end it, with every training under way saved; nothing of it is lost if it is killed.
+    SIGINT, SIGTERM and SIGHUP end it, with every training under way saved; nothing of it is lost if it is killed.
 
     Args:
         config: the settings of the trainings, but for those that vary.

@@ -23,14 +23,17 @@ from reachlab.settings.validation import (
     Steps,
 )
 
+MOST_ENVS = 2**17
+"""Environments of a batch."""
+
 
 @dataclass(frozen=True)
 class SimConfig(Checked):
     """The physics."""
 
-    control_period: Positive = 1 / 240
+    control_period: Annotated[float, Range(1e-5, 10.0)] = 1 / 240
     """Time from one command to the next [s]."""
-    physics_steps: Count = 5
+    physics_steps: Annotated[int, Range(1, 1000)] = 5
     """MuJoCo: steps of the engine in a control period."""
     collisions: bool = False
     """MuJoCo: the arm meets the table. With the tutorial's targets its flange would enter it."""
@@ -58,13 +61,13 @@ class LoopConfig(Checked):
     """Validations in a row that have to reach it: a policy that only just does often fails in other simulators."""
     stop_success: Fraction = 1.0
     """Success rate that a validation has to reach, of the policy without noise."""
-    validation_episodes: Count = 3000
+    validation_episodes: Annotated[int, Range(1, 10**5)] = 3000
     """Episodes of a validation; their targets are neither those of training nor those of the report."""
     validation_interval: Count = 2
     """Iterations between validations, once 90 % of the training episodes succeed, or `stop_success` if that is less."""
     report_episodes: Count = 1000
     """Held-out episodes of the report at the end of training."""
-    num_envs: Annotated[int, Range(1, 2**17)] = 128
+    num_envs: Annotated[int, Range(1, MOST_ENVS)] = 128
     """Environments stepped together."""
     rollout_steps: Count = 64
     """Actions in each environment between two updates."""
@@ -90,7 +93,7 @@ class LoopConfig(Checked):
 class LearnerConfig(Checked):
     """The networks and their optimiser, whatever the method."""
 
-    hidden: Annotated[tuple[Count, ...], Length(16)] = (64, 64)
+    hidden: Annotated[tuple[Annotated[int, Range(1, 4096)], ...], Length(16)] = (64, 64)
     """Widths of the hidden layers of actor and critic."""
     learning_rate: Positive = 1e-3
     """Learning rate of Adam at the start."""
@@ -108,7 +111,7 @@ class LearnerConfig(Checked):
 class PPOConfig(Checked):
     """Proximal policy optimisation."""
 
-    epochs: Count = 8
+    epochs: Annotated[int, Range(1, 1000)] = 8
     """Passes over a rollout."""
     minibatches: Count = 2
     """Parts of a rollout, one gradient step each."""
@@ -136,15 +139,15 @@ class RunConfig(Checked):
     """How its policy is learnt; see `reachlab.learn.METHODS`."""
 
     task: str = "tutorial"
-    """Task preset; it sets the other defaults."""
+    """Task preset, which sets the other defaults: clutter, pose, precise, track or tutorial."""
     robot: str = "iiwa14"
-    """Robot: a name of `reachlab list`, or the path of an MJCF or URDF file; see `reachlab robot`."""
+    """Robot: gen3, iiwa14, panda, so101, ur5e, xarm7, or the path of an MJCF or URDF file; see `reachlab robot`."""
     base: str | None = None
     """Body of the robot's file that holds the arm; joints before it are locked. By default its first."""
     package: Annotated[tuple[str, ...], Length(64)] = ()
     """Folders of the ROS packages that the robot's file names, each as NAME=FOLDER."""
     sim: str = "kinematic"
-    """Simulator."""
+    """Simulator: kinematic, mujoco or pybullet."""
     seed: Seed = 0
     """Seed of everything random."""
     randomise: Annotated[tuple[str, ...], Length(8)] = ()
@@ -185,9 +188,9 @@ class DaggerConfig(Checked):
     """Iterations at the start in which the teacher acts, before the student does."""
     noise: NonNegative = 0.2
     """Noise of the actions, to learn to come back: standard deviation, where 1 is half the range of an action."""
-    updates: Count = 48
+    updates: Annotated[int, Range(1, 10**5)] = 48
     """Gradient steps of an iteration."""
-    batch: Count = 256
+    batch: Annotated[int, Range(1, 10**5)] = 256
     """Pictures of a gradient step."""
     capacity: Annotated[int, Range(1, 10**6)] = 60_000
     """Pictures that are kept to learn from, of 7 kB each."""

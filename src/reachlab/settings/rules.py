@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from reachlab.settings.validation import Checked, Count, Length, NonNegative, NonNegativeInt, Point, Positive, Range
+from reachlab.settings.validation import Checked, Length, NonNegative, NonNegativeInt, Point, Positive, Range
 
 Few = Annotated[int, Range(0, 16)]
 """A number of obstacles."""
@@ -18,11 +18,12 @@ class TaskConfig(Checked):
     tool: str | None = None
     """Tool frame, a site or body of the robot, that has to reach the target; by default its own for this task."""
     observation: str = "target+tool"
-    """What the policy observes; see `reachlab list`."""
+    """What the policy observes: clutter, goal, goal+state, image, image+tool, pose, state, target, target+tool or
+    track; see `reachlab list`."""
     action: str = "tool_delta"
-    """What the policy commands; see `reachlab list`."""
+    """What the policy commands: joint_delta, joint_residual, tool_delta or tool_step; see `reachlab list`."""
     reward: str = "dense"
-    """Reward; see `reachlab list`."""
+    """Reward: closeness, dense, goal, goal_distance, precise or sparse; see `reachlab list`."""
     clip_actions: bool = True
     """Clip actions to their box. The tutorial's own code does not."""
     tool_scale: Positive | None = None
@@ -40,7 +41,7 @@ class TaskConfig(Checked):
     joint command stays as it is, so that the arm rests there; it acts again when the tool is outside."""
     end_outside: bool = True
     """Leaving the workspace ends the episode, in failure. Where the target has to be held it does not in any case."""
-    max_steps: Count = 1000
+    max_steps: Annotated[int, Range(1, 10**5)] = 1000
     """An episode is truncated on this step."""
     approach_weight: NonNegative | None = None
     """Reward of the `dense` reward for each metre that the tool comes closer [1/m]; by default 5/m, in inverse
@@ -50,7 +51,7 @@ class TaskConfig(Checked):
     angle_weight: NonNegative = 0.1
     """Distance that a radian of the angle to the target counts as in rewards and corrections [m/rad]."""
     targets: str = "table"
-    """Where targets are sampled; see `reachlab list`."""
+    """Where targets are sampled: any, box or table; see `reachlab list`."""
     target_turn: tuple[NonNegative, NonNegative, NonNegative] | None = None
     """Ask for an orientation: the held one turned by up to this roll, pitch and yaw about the world's axes [rad]."""
     target_height: Annotated[float, Range(-10.0, 10.0)] | None = None
@@ -65,7 +66,7 @@ class TaskConfig(Checked):
     end_on_contact: bool = False
     """Touching anything ends the episode, in failure."""
     goal_paths: Annotated[tuple[str, ...], Length(16)] = ("line", "circle", "smooth")
-    """Where the goal moves: the paths of which an episode has one; see `reachlab list`."""
+    """Where the goal moves: the paths of which an episode has one, of circle, jumps, line and smooth."""
     goal_speed: tuple[NonNegative, NonNegative] = (0.0, 0.2)
     """Where the goal moves: least and largest speed, of which an episode has one in between [m/s]."""
     goal_jump: Positive | None = None

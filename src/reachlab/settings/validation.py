@@ -6,8 +6,8 @@ import dataclasses
 import difflib
 import functools
 import math
+import operator
 import reprlib
-import sys
 import types
 import typing
 from collections.abc import Iterable
@@ -50,24 +50,43 @@ def installing(extra: str) -> str:
     return f"pip install {'-e ' * bool(folder and folder.get('editable'))}'{place}[{extra}]'"
 
 
+LARGEST = 1e12
+"""Largest number of any setting: also its cube is a number in single precision, with which is computed."""
+
+
 @dataclass(frozen=True)
 class Range:
-    """Allowed values of a number; infinite and undefined ones never are."""
+    """Allowed values of a number; infinite and undefined ones never are, nor any beyond `LARGEST`."""
 
     low: float = -math.inf
     high: float = math.inf
     open_low: bool = False
 
     def __contains__(self, value: float) -> bool:
-        """Whether the value is finite and inside."""
+        """Whether the value is inside."""
         above = value > self.low if self.open_low else value >= self.low
-        return abs(value) <= sys.float_info.max and above and value <= self.high
+        return abs(value) <= LARGEST and above and value <= self.high
 
     def __str__(self) -> str:
         """The range in words."""
         low = "" if math.isinf(self.low) else f"{'above' if self.open_low else 'at least'} {self.low:.12g}"
         high = "" if math.isinf(self.high) else f"at most {self.high:.12g}"
         return " and ".join(part for part in (low, high) if part)
+
+
+def whole_number(name: str, value: Any, low: int, high: int) -> int:
+    """A whole number within limits, of Python or NumPy.
+
+    Raises:
+        InputError: it is something else.
+    """
+    try:
+        number = None if isinstance(value, bool) else operator.index(value)
+    except TypeError:
+        number = None
+    if number is None or not low <= number <= high:
+        raise InputError(f"{name} must be a whole number from {low} to {high}, got {reprlib.repr(value)}.")
+    return number
 
 
 @dataclass(frozen=True)
@@ -91,11 +110,15 @@ UNIONS = (typing.Union, types.UnionType)
 Count = Annotated[int, Range(1, 2**31 - 1)]
 Steps = Annotated[int, Range(1, 10**12 - 1)]
 """Environment steps of a whole training; a checkpoint's name has twelve digits."""
-NonNegativeInt = Annotated[int, Range(0)]
+NonNegativeInt = Annotated[int, Range(0, 2**31 - 1)]
 Positive = Annotated[float, Range(0.0, open_low=True)]
 NonNegative = Annotated[float, Range(0.0)]
 Fraction = Annotated[float, Range(0.0, 1.0)]
-Point = tuple[float, float, float]
+Coordinate = Annotated[float, Range(-1000.0, 1000.0)]
+"""Along an axis [m]."""
+Point = tuple[Coordinate, Coordinate, Coordinate]
+LAST_SEED = 2**32 - 1
+"""Largest seed of an evaluation or an environment; the first ones come after it."""
 Seed = Annotated[int, Range(0, 2**31 - 1)]
 
 
@@ -130,10 +153,17 @@ def _check(name: str, value: Any, hint: Any) -> None:
         raise InputError(f"{name} must be {_type_name(base)}, got {reprlib.repr(value)}.") from None
     for limit in limits:
         if isinstance(limit, Range | Length) and value not in limit:
-            raise InputError(f"{name} must be {limit}, got {reprlib.repr(value)}.")
+            raise InputError(f"{name} must be {_passed(limit, value)}, got {reprlib.repr(value)}.")
     if isinstance(value, tuple):
         for item in value:
             _check(f"each entry of {name}", item, typing.get_args(base)[0])
+
+
+def _passed(limit: Range | Length, value: Any) -> Range | Length:
+    """The limit, with that of every number where it is this one that a value passes."""
+    if isinstance(limit, Length) or not LARGEST < abs(value) < math.inf:
+        return limit
+    return dataclasses.replace(limit, high=min(limit.high, LARGEST))
 
 
 def _type_name(hint: Any) -> str:

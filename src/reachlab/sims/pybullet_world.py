@@ -15,7 +15,7 @@ import numpy as np
 
 from reachlab.render.view_randomisation import FAR, FIELD_OF_VIEW, NEAR, Views, greys
 from reachlab.robots.robot import PybulletModel, Robot
-from reachlab.settings.validation import InputError
+from reachlab.settings.validation import InputError, installing
 from reachlab.tasks.schema import SIZE
 
 GRAVITY = -10.0
@@ -175,7 +175,7 @@ def import_pybullet() -> ModuleType:
             import pybullet
     except ImportError:
         raise InputError(
-            "simulator 'pybullet' needs PyBullet: pip install 'reachlab[pybullet]' (its wheels end at Python 3.11,"
+            f"simulator 'pybullet' needs PyBullet: {installing('pybullet')} (its wheels end at Python 3.11,"
             f" this is {platform.python_version()}; with a newer one use a 3.11 environment)."
         ) from None
     return pybullet

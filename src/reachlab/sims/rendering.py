@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Self
 
@@ -17,6 +18,15 @@ from reachlab.sims import ArmState
 from reachlab.tasks.task import Goal
 
 
+@functools.cache
+def _painter() -> ThreadPoolExecutor:
+    """The thread that draws: an OpenGL context belongs to one, and pictures may be asked for from any.
+
+    It is one for all simulators: what a thread of its own had taken would not be given back when it ends.
+    """
+    return ThreadPoolExecutor(1)
+
+
 class Drawn:
     """The part of a simulator that draws."""
 
@@ -24,8 +34,7 @@ class Drawn:
         """Nothing is loaded before the first picture; the settings are what else the simulator was made with."""
         self._made_with = (robot, *settings), named
         self._camera, self._observation_camera = LazyCamera(robot), ObservationCamera(robot)
-        # An OpenGL context belongs to one thread; pictures may be asked for from any.
-        self._painter = ThreadPoolExecutor(1)
+        self._painter = _painter()
         self._drew = False
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:

@@ -134,7 +134,8 @@ def _asks(rules: Rules, period: float) -> str:
 
 def _succeeds(rules: Rules, period: float) -> str:
     if rules.hold_steps:
-        return f"at the end {_held(rules, period)}"
+        held = _held(rules, period)
+        return f"{held}, which ends the episode" if rules.at_goal == "end" else f"at the end {held}"
     near = f"{_near(rules)} of the target"
     return (
         f"the tool comes {near}, which ends the episode" if rules.at_goal == "end" else f"at the end the tool is {near}"

@@ -5,12 +5,13 @@ from __future__ import annotations
 import contextlib
 import io
 import ipaddress
+import logging
 import socket
 import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from reachlab.settings.validation import InputError
+from reachlab.settings.validation import InputError, installing
 
 if TYPE_CHECKING:
     import viser
@@ -20,6 +21,9 @@ LOCAL = "127.0.0.1"
 
 TITLE = "reachlab"
 """Title of the panel and the page."""
+
+WEBSOCKETS = "websockets.server"
+"""Logger of the connections."""
 
 ARRIVAL, DRAWING = 3.0, 1.5
 """Time in which a browser comes that was opened at once, and from then until it has drawn the scene [s]."""
@@ -37,7 +41,7 @@ def start_server(host: str, port: int) -> viser.ViserServer:
     try:
         from viser import ViserServer
     except ImportError:
-        raise InputError("viewing needs viser: pip install 'reachlab[viewer]'.") from None
+        raise InputError(f"viewing needs viser: {installing('viewer')}.") from None
     try:
         # Viser tries a thousand ports and waits forever on an address that has none.
         socket.create_server((host, 0)).close()
@@ -55,9 +59,18 @@ def start_server(host: str, port: int) -> viser.ViserServer:
             with contextlib.redirect_stdout(io.StringIO()):
                 super().stop()
 
+    logging.getLogger(WEBSOCKETS).addFilter(_in_one_line)
     # `verbose` does not switch off the box with addresses.
     with contextlib.redirect_stdout(io.StringIO()):
         return LocalServer(host=host, port=port, label=TITLE, verbose=False)
+
+
+def _in_one_line(record: logging.LogRecord) -> bool:
+    """Say of a connection that ends by an error what it was, without its traceback: anyone may send anything."""
+    if record.exc_info:
+        record.msg, record.args = "reachlab: a connection to the viewer is closed: it sent no message of a browser.", ()
+        record.exc_info = None
+    return True
 
 
 def await_picture(server: viser.ViserServer, ended: Callable[[], bool]) -> None:

@@ -26,6 +26,7 @@ STYLE: dict[str, Any] = {
     "legend.fontsize": 8,
     "lines.linewidth": 1.6,
     "svg.hashsalt": "reachlab",
+    "text.parse_math": False,  # a dollar in a run's name is a dollar
 }
 """Settings of matplotlib."""
 

@@ -17,7 +17,7 @@ from PIL import Image
 from reachlab.agents import AGENTS
 from reachlab.agents.policy import Policy
 from reachlab.envs.core import Env
-from reachlab.settings.validation import InputError, choose
+from reachlab.settings.validation import InputError, choose, installing
 from reachlab.watch.captions import Caption, captioned, inset
 from reachlab.watch.player import Player, played
 
@@ -198,7 +198,7 @@ def _ffmpeg() -> str:
         from imageio_ffmpeg import get_ffmpeg_exe
     except ImportError:
         raise InputError(
-            "MP4 needs ffmpeg: pip install 'reachlab[video]', or name a file that ends in .webp or .gif."
+            f"MP4 needs ffmpeg: {installing('video')}, or name a file that ends in .webp or .gif."
         ) from None
     return get_ffmpeg_exe()
 

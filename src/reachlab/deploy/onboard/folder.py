@@ -18,6 +18,25 @@ FREE = ("limits", "sha256")
 """What the fingerprint of `policy.json` leaves out: the limits, which may be lowered, and the fingerprint."""
 
 
+MOST = 2**28
+"""Largest file of an exported folder [bytes]."""
+
+
+def content_of(file: Path) -> bytes:
+    """The bytes of a file of an exported folder; a pipe or a device is not waited for.
+
+    Raises:
+        OSError: it cannot be read, is not a regular file or is larger than `MOST`.
+    """
+    if file.exists() and not file.is_file():
+        raise OSError(f"'{file}' is not a regular file")
+    with file.open("rb") as opened:
+        content = opened.read(MOST + 1)
+    if len(content) > MOST:
+        raise OSError(f"'{file}' is larger than {MOST >> 20} MB")
+    return content
+
+
 def fingerprint(facts: dict[str, Any]) -> str:
     """SHA-256 of the content of `policy.json` but for its limits, however its text is laid out."""
     kept = json.dumps({name: value for name, value in facts.items() if name not in FREE})
@@ -39,7 +58,7 @@ def read_folder(folder: Path) -> dict[str, Any]:
     """
     file = folder / "policy.json"
     try:
-        facts = json.loads(file.read_text(encoding="utf-8"))
+        facts = json.loads(content_of(file))
         known = facts["format"] in (1, FORMAT)
     except (OSError, ValueError, LookupError, TypeError, RecursionError) as error:
         why = (error.strerror if isinstance(error, OSError) else "") or repr(error)
@@ -70,7 +89,7 @@ def _check_files(folder: Path, files: dict[str, str]) -> None:
     """Refuse a file that was not exported together with `policy.json`; one that is not needed may be absent."""
     for name, expected in files.items():
         file = folder / name
-        if file.is_file() and hashlib.sha256(file.read_bytes()).hexdigest() != expected:
+        if file.exists() and hashlib.sha256(content_of(file)).hexdigest() != expected:
             raise ValueError(
                 f"'{file}' is not the file that was exported with the policy.json beside it: the folder is made of"
                 " different exports, or the file was changed; copy the whole folder again."

@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from reachlab.deploy.onboard.folder import content_of
+
 KINDS = {"F32": np.float32, "F64": np.float64}
 """Types of numbers in the file."""
 
@@ -20,7 +22,7 @@ def read_weights(file: Path) -> dict[str, np.ndarray]:
         ValueError: the file is not whole, or not in that form.
     """
     try:
-        content = file.read_bytes()
+        content = content_of(file)
         (size,) = struct.unpack("<Q", content[:8])
         header, data = json.loads(content[8 : 8 + size]), content[8 + size :]
         header.pop("__metadata__", None)

@@ -1,0 +1,54 @@
+"""Signals that ask a command to end."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Iterator
+
+import pytest
+
+from reachlab.cli import main as cli
+from reachlab.cli.flags import List
+from reachlab.cli.verbs import VERBS, Verb
+from reachlab.learn.interrupts import ASKING, Interrupted, Interrupts, raise_on_termination
+
+
+@pytest.fixture(autouse=True)
+def _handlers() -> Iterator[None]:
+    before = {number: signal.getsignal(number) for number in ASKING}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)])
+def test_every_command_that_is_asked_to_end_says_one_line_and_which_signal_it_was(
+    number: int, status: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(VERBS, "list", Verb(List, lambda _: signal.raise_signal(number)))
+    assert cli.main(["list"]) == status
+    assert capsys.readouterr() == ("", "reachlab: interrupted.\n")
+
+
+def test_a_closed_terminal_that_says_so_twice_ends_nothing_at_once() -> None:
+    with Interrupts() as interrupts:
+        signal.raise_signal(signal.SIGHUP)
+        signal.raise_signal(signal.SIGHUP)
+    assert interrupts.received == signal.SIGHUP
+    signal.raise_signal(signal.SIGHUP)  # while what is left is put away
+
+
+def test_a_closed_terminal_raises_once() -> None:
+    raise_on_termination()
+    with pytest.raises(Interrupted):
+        signal.raise_signal(signal.SIGHUP)
+    signal.raise_signal(signal.SIGHUP)
+
+
+def test_below_nohup_a_closed_terminal_ends_nothing() -> None:
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    raise_on_termination()
+    with Interrupts() as interrupts:
+        signal.raise_signal(signal.SIGHUP)
+    assert interrupts.received is None
+    assert signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
