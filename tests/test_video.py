@@ -149,7 +149,7 @@ def test_no_more_pictures_than_steps(film: Callable[..., Clip], moments: list[li
 
 def test_mp4_has_the_same_length(film: Callable[..., Clip]) -> None:
     ffmpeg = pytest.importorskip("imageio_ffmpeg").get_ffmpeg_exe()
-    clip = film("film.mp4")
+    clip = film("film.mp4", fps=10.0)
     said = subprocess.run([ffmpeg, "-i", clip.out], capture_output=True, text=True, check=False).stderr
     hours, minutes, seconds = said.partition("Duration: ")[2].partition(",")[0].split(":")
     assert 3600 * int(hours) + 60 * int(minutes) + float(seconds) == pytest.approx(clip.seconds, abs=0.1)
@@ -193,7 +193,7 @@ def test_a_caption_leaves_the_picture_as_it_is() -> None:
     assert image[120:].std() > 10
 
 
-@pytest.mark.parametrize("further", [{"angle": 0.2}, {"error": 0.004}, {"angle": 2.5, "error": 0.1234}])
+@pytest.mark.parametrize("further", [{"angle": 0.2}, {"angle": 2.5, "error": 0.1234}])
 def test_a_caption_tells_the_angle_and_the_mean_and_its_verdict_covers_neither(further: dict[str, float]) -> None:
     picture = np.zeros((10, 640, 3), np.uint8)
     short, long, ended = (
@@ -232,12 +232,7 @@ def test_the_verdict_is_told_in_its_colour_at_the_end_only(verdict: str) -> None
     assert not (under_way == VERDICTS[verdict]).all(axis=-1).any()
 
 
-@pytest.mark.parametrize(
-    ("metres", "text"), [(0.1234, "123 mm"), (0.01, "10 mm"), (0.0012, "1.2 mm"), (1.2, "1200 mm")]
-)
-def test_distances_are_in_millimetres(metres: float, text: str) -> None:
-    assert distance_text(metres) == text
-
-
-def test_angles_are_in_degrees() -> None:
+def test_distances_are_in_millimetres_and_angles_in_degrees() -> None:
+    texts = {0.1234: "123 mm", 0.01: "10 mm", 0.0012: "1.2 mm", 1.2: "1200 mm"}
+    assert {metres: distance_text(metres) for metres in texts} == texts
     assert angle_text(np.pi / 6) == "30.0°"
