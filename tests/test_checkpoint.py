@@ -311,21 +311,15 @@ def test_a_checkpoint_is_complete_or_absent(run: Path, monkeypatch: pytest.Monke
     assert directory.read_checkpoint("step", np.array([0])).tolist() == [600]
 
 
-def test_a_run_is_never_overwritten(finished: Path, config: RunConfig) -> None:
-    before = contents(finished)
-    with pytest.raises(InputError, match="exists and is not overwritten"):
-        RunDirectory(finished).create(config)
-    assert contents(finished) == before
-
-
 @pytest.mark.parametrize("out", [".", ""])
-def test_an_out_without_a_name_is_refused_in_one_sentence(
-    out: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+def test_an_out_that_exists_is_refused_in_one_sentence_and_left_as_it_is(
+    out: str, run: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.chdir(tmp_path)
+    monkeypatch.chdir(run)
+    before = contents(run)
     assert cli.main(["train", "--out", out, "--num-envs", "8"]) == cli.WRONG_INPUT
     assert re.fullmatch(r"reachlab: run directory '.*' exists and is not overwritten: .*\n", capsys.readouterr().err)
-    assert not list(tmp_path.iterdir())
+    assert contents(run) == before
 
 
 @pytest.mark.parametrize(("name", "why"), [("x" * 5000, "File name too long"), ("file/run", "Not a directory")])

@@ -191,8 +191,7 @@ def test_baselines_are_measured_on_goals_of_any_setting(reachlab: Shell) -> None
 def test_the_table_of_poses_tells_both_errors(reachlab: Shell) -> None:
     said = reachlab("eval", "--task", "pose", "--agent", "zero", "--episodes", 2, "--max-steps", 12)
     text = " ".join(said.out.replace("┃", " ").replace("│", " ").split())
-    assert "within 10 mm and 0.05 rad for 10 steps" in text
-    for words in ("median angle", "≤ 10 mm,", "≤ 2 mm,"):
+    for words in ("within 10 mm and 0.05 rad for 10 steps", "median angle", "≤ 10 mm,", "≤ 2 mm,"):
         assert words in text
 
 
@@ -223,8 +222,6 @@ def test_a_reader_who_has_gone_ends_a_command_silently(words: list[str]) -> None
 WRONG = {
     "unknown command": ("trian", "Did you mean 'train'"),
     "unknown flag": ("train --rewrd dense", "Did you mean --reward"),
-    "unknown flag of eval": ("eval run --epsiodes 3", "Did you mean --episodes"),
-    "far-off flag": ("train --zzzz", "--zzzz"),
     "word too many": ("train extra", "extra"),
     "no value": ("train --out", "--out"),
     "word for a number": ("train --num-envs many", "--num-envs.*'many'"),
@@ -232,18 +229,12 @@ WRONG = {
     "number out of range": ("train --num-envs 0", "num_envs must be at least 1 and at most 131072, got 0"),
     "negative seed": ("train --seed -1", "seed must be at least 0"),
     "not a number": ("train --gamma nan", "gamma must be .*nan"),
-    "infinite": ("train --learning-rate inf", "learning_rate must be .*inf"),
     "wrong entry": ("train --hidden 64 0", "each entry of hidden must be at least 1 and at most 2147483647, got 0"),
     "unknown task": ("train --task tutoral", "Did you mean 'tutorial'"),
-    "task without a value": ("train --task", "--task"),
     "unknown robot": ("train --robot iiwa15", "robot 'iiwa15' is not one of.*Did you mean 'iiwa14'"),
     "robot file that is not there": ("train --robot arm.xml", "robot file '/.*/arm.xml' does not exist: put it there"),
     "robot file that is none": ("train --robot broken.xml", "robot file '/.*/broken.xml' does not compile"),
-    "robot folder": ("train --robot folder.xml", "folder.xml"),
     "unknown tool": ("train --tool hand", "hand"),
-    "unknown simulator": ("train --sim kinematics", "Did you mean 'kinematic'"),
-    "unknown observation": ("train --observation targt", "Did you mean 'target'"),
-    "unknown action": ("train --action tool-delta", "Did you mean 'tool_delta'"),
     "unknown reward": ("train --reward spars", "Did you mean 'sparse'"),
     "minibatches that do not divide": ("train --num-envs 10 --rollout-steps 7 --minibatches 4", "10.*4 minibatches"),
     "existing out": ("train --out taken", "'taken' exists and is not overwritten"),
@@ -252,9 +243,6 @@ WRONG = {
     "eval of an empty folder": ("eval taken", "config.json' is missing"),
     "eval of an unknown agent": ("eval taken --agent tained", "Did you mean 'trained'"),
     "eval of no episodes": ("eval run --agent ik --episodes 0", "episodes must be at least 1 and .*, got 0"),
-    "eval of a negative seed": ("eval run --seed -1 --agent ik", "seed"),
-    "video of no run": ("video nothing", "'nothing' does not exist"),
-    "video of an unknown agent": ("video run --agent tained", "Did you mean 'trained'"),
     "video to an unknown ending": ("video run --out film.avi", "video format '.avi' is not one of: .gif, .mp4"),
     "video into no folder": ("video run --out no/film.gif", "cannot be written to 'no/film.gif'"),
     "video of no pictures a second": ("video run --fps 0", "fps must be above 0"),
@@ -263,7 +251,6 @@ WRONG = {
     "plot of no run": ("plot nothing", "'nothing' holds no metrics.jsonl"),
     "plot to an unknown ending": ("plot young --out curve.xyz", "cannot be written to 'curve.xyz'"),
     "plot to a folder": ("plot young --out .", "cannot be written to '.': name a file that ends in .png or .svg"),
-    "plot into no folder": ("plot young --out no/curve.png", "cannot be written to 'no/curve.png'"),
 }
 
 
@@ -272,7 +259,6 @@ def test_wrong_input_is_answered_by_one_sentence(
     reachlab: Shell, run: Path, tmp_path: Path, command: str, sentence: str
 ) -> None:
     (tmp_path / "taken").mkdir()
-    (tmp_path / "folder.xml").mkdir()
     (tmp_path / "young").mkdir()
     (tmp_path / "young" / "metrics.jsonl").write_text("")
     (tmp_path / "broken.xml").write_text("<mujoco><worldbody>")

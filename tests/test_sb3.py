@@ -14,7 +14,6 @@ from gymnasium.wrappers import RescaleAction
 from stable_baselines3 import PPO, SAC, HerReplayBuffer
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.vec_env import VecMonitor
 
 from pushes import pushes
 from reachlab.envs.gymnasium_shared import SETTINGS
@@ -191,17 +190,3 @@ def test_goal_observations_are_dicts_the_last_of_an_episode_too(goal_env: ReachV
         assert goal_env.observation_space.contains(last)
         assert np.array_equal(last["desired_goal"], first["desired_goal"][index])
         assert np.linalg.norm(last["achieved_goal"] - last["desired_goal"]) == pytest.approx(info["distance"], abs=1e-6)
-
-
-def test_statistics_of_a_monitor_are_the_same() -> None:
-    with pytest.warns(UserWarning, match="already wrapped with a `Monitor`"):
-        env = VecMonitor(make_vec_env(n_envs=NUM_ENVS, seed=3, **SHORT))
-    env.reset()
-    bare = make_vec_env(n_envs=NUM_ENVS, seed=3, **SHORT)
-    bare.reset()
-    for actions in pushes(NUM_ENVS, 60):
-        for monitored, told in zip(env.step(actions)[3], bare.step(actions)[3], strict=True):
-            assert ("episode" in monitored) == ("episode" in told)
-            if "episode" in told:
-                assert monitored["episode"]["r"] == pytest.approx(told["episode"]["r"], abs=1e-4)
-                assert monitored["episode"]["l"] == told["episode"]["l"]

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from params import tried
 from reachlab.envs.core import Env
 from reachlab.envs.random_streams import REPORT_STREAM
 from reachlab.evaluation.episodes import BATCH, make_runner, run_episodes
@@ -100,6 +101,7 @@ def test_an_episode_is_seen_from_its_begin_to_its_end(moments: list[list[Shown]]
         assert not any(moment.success for moment in episode[:-1])
 
 
+@pytest.mark.slow
 def test_an_episode_in_a_host_simulator_ends_with_the_clock() -> None:
     env = Env(configure(sim="mujoco", max_steps=5), 1)
     [*_, last] = shown(Player(env, seed=0), "random", 2)
@@ -110,7 +112,7 @@ def test_an_episode_in_a_host_simulator_ends_with_the_clock() -> None:
 # --- files ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("ending", [".webp", ".gif"])
+@pytest.mark.parametrize("ending", tried([".webp", ".gif"], [".webp"]))
 def test_an_animation_plays_in_real_time(film: Callable[..., Clip], moments: list[list[Shown]], ending: str) -> None:
     clip = film(f"film{ending}", episodes=2)
     lengths = [len(episode) for episode in moments]
@@ -130,16 +132,18 @@ def test_an_animation_plays_in_real_time(film: Callable[..., Clip], moments: lis
 def test_without_a_speed_a_short_episode_is_slowed_down(film: Callable[..., Clip], moments: list[list[Shown]]) -> None:
     moves = moments[0][-1].step / 240
     fitting = max(speed for speed in SPEEDS if moves / speed >= LONG_ENOUGH)
-    clip = film("film.webp", speed=0.0)
+    clip = film("film.gif", speed=0.0)
     assert fitting < 1
+    with Image.open(clip.out) as picture:
+        assert picture.format == "GIF"
+    assert sum(durations(clip.out)) == pytest.approx(1000 * clip.seconds, abs=20)
     assert clip.seconds == pytest.approx(moves / fitting + BEGIN_PAUSE + END_PAUSE, abs=0.1)
 
 
-def test_slower_shows_more_pictures_for_longer(film: Callable[..., Clip]) -> None:
-    usual, slow = film("usual.webp"), film("slow.webp", speed=0.5)
-    moving = usual.seconds - BEGIN_PAUSE - END_PAUSE
-    assert slow.seconds - BEGIN_PAUSE - END_PAUSE == pytest.approx(2 * moving, abs=0.05)
-    assert slow.frames == pytest.approx(2 * usual.frames, abs=2)
+def test_slower_shows_more_pictures_for_longer(film: Callable[..., Clip], moments: list[list[Shown]]) -> None:
+    slow, usual = film("slow.webp", speed=0.5), len(moments[0])
+    assert slow.seconds - BEGIN_PAUSE - END_PAUSE == pytest.approx(2 * (usual - 1) / 30, abs=0.05)
+    assert slow.frames == pytest.approx(2 * usual, abs=2)
 
 
 def test_no_more_pictures_than_steps(film: Callable[..., Clip], moments: list[list[Shown]]) -> None:
@@ -207,7 +211,7 @@ def test_a_caption_tells_the_angle_and_the_mean_and_its_verdict_covers_neither(f
 
 
 def test_a_film_shows_the_trail_of_a_target_that_moves(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    env, points = Env(configure("track", randomise=(), goal_paths=("smooth",)), 1), []
+    env, points = Env(configure("track", sim="kinematic", randomise=(), goal_paths=("smooth",), max_steps=250), 1), []
 
     def count(_: object, *, path: np.ndarray, trail: np.ndarray) -> np.ndarray:
         points.append(len(trail))
