@@ -37,7 +37,13 @@ TINY |= {"batch": 16, "guided": 2, "capacity": 128, "report_episodes": 4, "max_s
 @pytest.fixture(scope="module")
 def teacher(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("teacher") / "run"
-    tiny = {"num_envs": 16, "rollout_steps": 16, "total_steps": 256, "report_episodes": 4, "max_steps": 30}
+    tiny: dict[str, Any] = {
+        "num_envs": 16,
+        "rollout_steps": 16,
+        "total_steps": 256,
+        "report_episodes": 4,
+        "max_steps": 30,
+    }
     train(configure(**tiny, stop_early=False), out)
     return out
 

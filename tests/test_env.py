@@ -233,11 +233,11 @@ def test_an_action_taken_several_times_ends_where_the_episode_does(watched: tupl
     sim, observation = watched
     once, state = with_staggered_episodes(sim, observation)
     several, begun = with_staggered_episodes(sim, observation) if sim == "pybullet" else (once, state)
-    states, transitions = [], []
+    walked = []
     for _ in range(4):
-        state, transition = once.walk(state, (0.1, -0.2, -0.3), 1)
-        states.append(state)
-        transitions.append(transition)
+        walked.append(once.walk(state, (0.1, -0.2, -0.3), 1))
+        state = walked[-1][0]
+    states, transitions = zip(*walked, strict=True)
     actions = np.tile(np.array((0.1, -0.2, -0.3), np.float32), (NUM_ENVS, 1))
     step = several.env.compile_whole(lambda state, action: several.env.step(state, action, 4))
     end, transition = step(begun, actions)

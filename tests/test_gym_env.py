@@ -83,7 +83,7 @@ def test_gymnasiums_checker_finds_nothing_in_pictures_but_the_tutorials_box(draw
 
 
 def test_settings_are_keywords_and_the_kuka_environment_is_the_tutorials() -> None:
-    settings = {"task": "tutorial", "observation": "target", "reward": "sparse"}
+    settings: dict[str, Any] = {"task": "tutorial", "observation": "target", "reward": "sparse"}
     for env in (
         gymnasium.make("reachlab/Reach-v0", max_steps=4, **settings),
         gymnasium.make("reachlab:reachlab/KukaReach-v0", max_steps=4),

@@ -53,18 +53,19 @@ def rollout(policy):
     observation, next_observation = (2 + random.normal(size=(2, T, B, K))).astype(np.float32)
     output, log_prob = sampled(policy.parameters, inputs(policy, observation), jax.random.key(1))
     terminated = random.random((T, B)) < 0.2
-    return Rollout(
-        observation=observation,
-        output=output,
-        log_prob=log_prob,
-        next_observation=next_observation,
-        reward=random.normal(size=(T, B)).astype(np.float32),
-        terminated=terminated,
-        truncated=~terminated & (np.arange(T) == 3)[:, None],
-        success=terminated,
-        distance=np.ones((T, B), np.float32),
-        clock=np.ones((T, B), np.int32),
-    )
+    given = {
+        "observation": observation,
+        "output": output,
+        "log_prob": log_prob,
+        "next_observation": next_observation,
+        "reward": random.normal(size=(T, B)).astype(np.float32),
+        "terminated": terminated,
+        "truncated": ~terminated & (np.arange(T) == 3)[:, None],
+        "success": terminated,
+        "distance": np.ones((T, B), np.float32),
+        "clock": np.ones((T, B), np.int32),
+    }
+    return Rollout(**jax.tree.map(jnp.asarray, given))
 
 
 def start(config, policy):
@@ -147,11 +148,10 @@ log_prob = jit(lambda parameters, batch: distribution(parameters, batch.inputs).
 def make_batch(policy, advantage, log_ratio: Any = 0.0):
     """Batch whose samples are `exp(log_ratio)` times as likely under the policy as when they were sampled."""
     random, n = np.random.default_rng(5), len(advantage)
-    observed = Inputs(None, random.normal(size=(n, K)).astype(np.float32))
+    observed = Inputs(None, jnp.asarray(random.normal(size=(n, K)), jnp.float32))
     output, log_prob = sampled(policy.parameters, observed, jax.random.key(5))
-    old = np.asarray(log_prob) - np.asarray(log_ratio, np.float32)
-    returns = random.normal(size=n).astype(np.float32)
-    return ppo.Batch(observed, output, old, np.asarray(advantage, np.float32), returns)  # type: ignore[arg-type]
+    rest = np.asarray(log_prob) - np.asarray(log_ratio), np.asarray(advantage), random.normal(size=n)
+    return ppo.Batch(observed, output, *(jnp.asarray(numbers.astype(np.float32)) for numbers in rest))
 
 
 def test_loss_of_the_policy_that_sampled_the_batch(policy):

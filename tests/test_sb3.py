@@ -180,8 +180,10 @@ def test_hindsight_replay_pays_for_a_goal_what_the_environment_would_have_paid(g
 
 def test_goal_observations_are_dicts_the_last_of_an_episode_too(goal_env: ReachVecEnv) -> None:
     first = goal_env.reset()
-    for _ in range(20):
-        observation, _, done, infos = goal_env.step(np.ones((NUM_ENVS, 3), np.float32))
+    push = np.ones((NUM_ENVS, 3), np.float32)
+    for _ in range(19):
+        assert not goal_env.step(push)[2].any()
+    observation, _, done, infos = goal_env.step(push)
     assert isinstance(first, dict)
     assert isinstance(observation, dict)
     assert done.all()
