@@ -110,11 +110,7 @@ def test_a_model_is_unpickled_only_if_it_is_trusted(
     ],
 )
 def test_what_is_no_model_is_refused_in_one_sentence(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    words: tuple[str, ...],
-    sentence: str,
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], words: Any, sentence: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("bad.zip").write_text("no archive")
