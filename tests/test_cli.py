@@ -14,7 +14,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from PIL import Image
 
@@ -23,9 +22,7 @@ from reachlab.bench import SUITES
 from reachlab.cli import main as cli
 from reachlab.cli.flags import Train
 from reachlab.cli.verbs import VERBS
-from reachlab.envs.core import Env
 from reachlab.envs.setup import NAMES, make_setup, settled
-from reachlab.learn.ppo_method import initial_state
 from reachlab.robots.catalogue import ROBOTS
 from reachlab.runs.directory import RunDirectory
 from reachlab.runs.metrics import read_metrics
@@ -98,14 +95,18 @@ def reachlab(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: py
 
 
 @pytest.fixture(scope="module")
-def untrained(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run directory with the checkpoint of a policy that has learnt nothing."""
-    config = configure(num_envs=8, max_steps=300)
-    env = Env(config, 8)
-    run = RunDirectory(tmp_path_factory.mktemp("cli") / "untrained")
-    run.create(config)
-    run.write_checkpoint(0, env.compile_whole(lambda seed: initial_state(env, config, seed))(np.uint32(0)))
-    return run.path
+def trained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Said]:
+    """A run of the command, and what it said."""
+    out, said, errors = tmp_path_factory.mktemp("cli") / "trained", io.StringIO(), io.StringIO()
+    flags = "--seed 4 --reward sparse --action-repeat 1 --no-clip-actions --hidden 16 16 --json"
+    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(errors):
+        status = cli.main(["train", "--out", str(out), *f"{TINY} {flags}".split()])
+    return out, Said(status, said.getvalue(), errors.getvalue())
+
+
+@pytest.fixture
+def run(trained: tuple[Path, Said]) -> Path:
+    return trained[0]
 
 
 def in_a_process(*words: str) -> Said:
@@ -147,28 +148,14 @@ def test_every_setting_is_a_flag_of_train_and_the_last_task_sets_the_defaults(re
     assert help_of == reachlab("train", "--task", "precise", "--help").out != text
 
 
-def test_list_prints_the_tables_as_json(reachlab: Shell) -> None:
-    said = reachlab("list", "--json")
-    assert said.status == 0
-    listed = json.loads(said.out)
+def test_list_tells_a_program_and_a_person_every_name_and_what_a_task_asks_for(reachlab: Shell) -> None:
+    listed = json.loads(reachlab("list", "--json").out)
     assert {kind: set(entries) for kind, entries in listed.items()} == {k: set(t) for k, t in TABLES.items()}
-    for entries in listed.values():
-        assert all(summary.strip() for summary in entries.values())
-
-
-def test_list_shows_a_person_every_name(reachlab: Shell) -> None:
+    assert all(summary.strip() for entries in listed.values() for summary in entries.values())
+    assert "within 10 mm for 10 steps (0.2 s)" in listed["tasks"]["precise"]
     said = reachlab("list")
     assert (said.status, said.err) == (0, "")
-    for table in TABLES.values():
-        for name in table:
-            assert name in said.out
-
-
-def test_list_tells_what_a_task_asks_for(reachlab: Shell) -> None:
-    tasks = json.loads(reachlab("list", "--json").out)["tasks"]
-    assert tasks["tutorial"].startswith("touch a point on the table: the tool comes within 100 mm of it")
-    assert tasks["precise"].startswith("hold a point in the arm's box: the tool has been within 10 mm for 10 steps")
-    assert "within 10 mm for 10 steps (0.2 s)" in tasks["precise"]
+    assert all(name in said.out for table in TABLES.values() for name in table)
 
 
 @pytest.mark.slow
@@ -190,15 +177,14 @@ def test_baselines_are_measured_on_goals_of_any_setting(reachlab: Shell) -> None
 def test_the_table_of_poses_tells_both_errors(reachlab: Shell) -> None:
     said = reachlab("eval", "--task", "pose", "--agent", "zero", "--episodes", 2, "--max-steps", 12)
     text = " ".join(said.out.replace("┃", " ").replace("│", " ").split())
-    assert "within 10 mm and 0.05 rad for 10 steps" in text
-    for words in ("median angle", "≤ 10 mm,", "≤ 2 mm,"):
+    for words in ("within 10 mm and 0.05 rad for 10 steps", "median angle", "≤ 10 mm,", "≤ 2 mm,"):
         assert words in text
 
 
-def test_reports_of_a_run_on_other_goals_are_not_kept_in_it(reachlab: Shell, untrained: Path) -> None:
-    words = ("eval", untrained, "--agent", "zero", "--episodes", 20, "--seed", 77)
+def test_reports_of_a_run_on_other_goals_are_not_kept_in_it(reachlab: Shell, run: Path) -> None:
+    words = ("eval", run, "--agent", "zero", "--episodes", 20, "--seed", 77)
     assert reachlab(*words, "--max-steps", 5, "--json").status == 0
-    assert not list(untrained.rglob("*-77.json"))
+    assert not list(run.rglob("*-77.json"))
 
 
 def test_the_version_is_told(reachlab: Shell) -> None:
@@ -248,8 +234,6 @@ def test_a_stream_that_is_closed_ends_no_command(stream: str, monkeypatch: pytes
 WRONG = {
     "unknown command": ("trian", "Did you mean 'train'"),
     "unknown flag": ("train --rewrd dense", "Did you mean --reward"),
-    "unknown flag of eval": ("eval run --epsiodes 3", "Did you mean --episodes"),
-    "far-off flag": ("train --zzzz", "--zzzz"),
     "word too many": ("train extra", "extra"),
     "no value": ("train --out", "--out"),
     "word for a number": ("train --num-envs many", "--num-envs.*'many'"),
@@ -259,18 +243,12 @@ WRONG = {
     "list with commas": ("train --hidden 64,32", "--hidden is a list, which is written with blanks: --hidden 64 32."),
     "negative seed": ("train --seed -1", "seed must be at least 0"),
     "not a number": ("train --gamma nan", "gamma must be .*nan"),
-    "infinite": ("train --learning-rate inf", "learning_rate must be .*inf"),
     "wrong entry": ("train --hidden 64 0", "each entry of hidden must be at least 1 and at most 4096, got 0"),
     "unknown task": ("train --task tutoral", "Did you mean 'tutorial'"),
-    "task without a value": ("train --task", "--task"),
     "unknown robot": ("train --robot iiwa15", "robot 'iiwa15' is not one of.*Did you mean 'iiwa14'"),
     "robot file that is not there": ("train --robot arm.xml", "robot file '/.*/arm.xml' does not exist: put it there"),
     "robot file that is none": ("train --robot broken.xml", "robot file '/.*/broken.xml' does not compile"),
-    "robot folder": ("train --robot folder.xml", "folder.xml"),
     "unknown tool": ("train --tool hand", "hand"),
-    "unknown simulator": ("train --sim kinematics", "Did you mean 'kinematic'"),
-    "unknown observation": ("train --observation targt", "Did you mean 'target'"),
-    "unknown action": ("train --action tool-delta", "Did you mean 'tool_delta'"),
     "unknown reward": ("train --reward spars", "Did you mean 'sparse'"),
     "minibatches that do not divide": ("train --num-envs 10 --rollout-steps 7 --minibatches 4", "10.*4 minibatches"),
     "existing out": ("train --out taken", "'taken' exists and is not overwritten"),
@@ -278,32 +256,27 @@ WRONG = {
     "eval of no run": ("eval nothing", "'nothing' does not exist: train one with"),
     "eval of an empty folder": ("eval taken", "config.json' is missing"),
     "eval of an unknown agent": ("eval taken --agent tained", "Did you mean 'trained'"),
-    "eval of no episodes": ("eval untrained --agent ik --episodes 0", "episodes must be at least 1 and .*, got 0"),
-    "eval of a negative seed": ("eval untrained --seed -1 --agent ik", "seed"),
-    "video of no run": ("video nothing", "'nothing' does not exist"),
-    "video of an unknown agent": ("video untrained --agent tained", "Did you mean 'trained'"),
-    "video to an unknown ending": ("video untrained --out film.avi", "video format '.avi' is not one of: .gif, .mp4"),
-    "video into no folder": ("video untrained --out no/film.gif", "cannot be written to 'no/film.gif'"),
-    "video of no pictures a second": ("video untrained --fps 0", "fps must be above 0"),
-    "video of too few pictures": ("video untrained --agent ik --fps 1e-6", "a picture would stand for 1e.06 s"),
+    "eval of no episodes": ("eval run --agent ik --episodes 0", "episodes must be at least 1 and .*, got 0"),
+    "video to an unknown ending": ("video run --out film.avi", "video format '.avi' is not one of: .gif, .mp4"),
+    "video into no folder": ("video run --out no/film.gif", "cannot be written to 'no/film.gif'"),
+    "video of no pictures a second": ("video run --fps 0", "fps must be above 0"),
+    "video of too few pictures": ("video run --agent ik --fps 1e-6", "a picture would stand for 1e.06 s"),
     "plot of nothing": ("plot", "run"),
     "plot of no run": ("plot nothing", "'nothing' holds no metrics.jsonl"),
     "plot to an unknown ending": ("plot young --out curve.xyz", "cannot be written to 'curve.xyz'"),
     "plot to a folder": ("plot young --out .", "cannot be written to '.': name a file that ends in .png or .svg"),
-    "plot into no folder": ("plot young --out no/curve.png", "cannot be written to 'no/curve.png'"),
 }
 
 
 @pytest.mark.parametrize(("command", "sentence"), WRONG.values(), ids=WRONG)
 def test_wrong_input_is_answered_by_one_sentence(
-    reachlab: Shell, untrained: Path, tmp_path: Path, command: str, sentence: str
+    reachlab: Shell, run: Path, tmp_path: Path, command: str, sentence: str
 ) -> None:
     (tmp_path / "taken").mkdir()
-    (tmp_path / "folder.xml").mkdir()
     (tmp_path / "young").mkdir()
     (tmp_path / "young" / "metrics.jsonl").write_text("")
     (tmp_path / "broken.xml").write_text("<mujoco><worldbody>")
-    (tmp_path / "untrained").symlink_to(untrained)
+    (tmp_path / "run").symlink_to(run)
     before = sorted(tmp_path.rglob("*"))
     said = reachlab(*command.split())
     assert said.status == cli.WRONG_INPUT
@@ -327,15 +300,8 @@ class Short:
 
 def test_a_refusal_is_told_whole_however_long_it_is(reachlab: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(VERBS, "list", replace(VERBS["list"], flags=Short))
-    name = "x" * 200
-    said = reachlab("list", "--name", name)
-    assert said == Said(2, "", f"reachlab: name must be short, got '{name}'. See `reachlab list --help`.\n")
-
-
-def test_a_process_ends_with_the_same_status() -> None:
-    wrong = in_a_process("train", "--reward", "spars")
-    assert (wrong.status, wrong.out, wrong.err.count("\n")) == (2, "", 1)
-    assert wrong.err.startswith("reachlab: reward 'spars' is not one of")
+    said = reachlab("list", "--name", "x" * 200)
+    assert said == Said(2, "", f"reachlab: name must be short, got '{'x' * 200}'. See `reachlab list --help`.\n")
 
 
 def test_an_interruption_is_told_by_its_status(reachlab: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -355,16 +321,6 @@ def test_a_backend_that_mujoco_does_not_know_is_refused(monkeypatch: pytest.Monk
 
 
 # --- train ----------------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def trained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Said]:
-    """A run of the command, and what it said."""
-    out, said, errors = tmp_path_factory.mktemp("cli") / "trained", io.StringIO(), io.StringIO()
-    flags = "--seed 4 --reward sparse --action-repeat 1 --no-clip-actions --hidden 16 16 --json"
-    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(errors):
-        status = cli.main(["train", "--out", str(out), *f"{TINY} {flags}".split()])
-    return out, Said(status, said.getvalue(), errors.getvalue())
 
 
 def test_train_prints_one_json_object_and_nothing_else(trained: tuple[Path, Said]) -> None:
@@ -427,30 +383,26 @@ def evaluated(reachlab: Shell, run: Path, *words: object) -> Any:
     return json.loads(said.out)
 
 
-def test_eval_prints_and_saves_reports_which_repeat_themselves_and_differ_by_seed(
-    reachlab: Shell, untrained: Path
-) -> None:
-    report = evaluated(reachlab, untrained, "--agent", "ik", "--seed", 7)
+def test_eval_prints_and_saves_reports_which_repeat_themselves(reachlab: Shell, run: Path) -> None:
+    report = evaluated(reachlab, run, "--agent", "ik", "--seed", 7)
     assert (report["agent"], report["seed"], report["episodes"], report["sim"]) == ("ik", 7, 20, "kinematic")
     assert report["success_rate"] == 1
-    assert json.loads((untrained / "reports" / "kinematic-ik-7.json").read_text()) == report
-    again, idle = evaluated(reachlab, untrained, "--agent", "ik", "zero", "--seed", 7)
+    assert json.loads((run / "reports" / "kinematic-ik-7.json").read_text()) == report
+    again, idle = evaluated(reachlab, run, "--agent", "ik", "zero", "--seed", 7)
     assert again | {"wall_s": 0} == report | {"wall_s": 0}
     assert (idle["agent"], idle["success_rate"]) == ("zero", 0)
-    assert (untrained / "reports" / "kinematic-zero-7.json").exists()
-    other = evaluated(reachlab, untrained, "--agent", "ik", "--seed", 8)
-    assert other["final_error_mm"] != report["final_error_mm"]
+    assert (run / "reports" / "kinematic-zero-7.json").exists()
 
 
 def test_of_all_simulators_there_is_what_there_is_where_one_is_missing_and_another_fails(
-    reachlab: Shell, untrained: Path, monkeypatch: pytest.MonkeyPatch
+    reachlab: Shell, run: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(*_: object) -> None:
         raise FloatingPointError("the engine's state is not finite")
 
     monkeypatch.setitem(sys.modules, "pybullet", None)
-    monkeypatch.setattr(MujocoSimulator, "step", fail)
-    said = reachlab("eval", untrained, "--sim", "all", "--agent", "ik", "--episodes", 20, "--seed", 9)
+    monkeypatch.setattr(MujocoSimulator, "reset", fail)
+    said = reachlab("eval", run, "--sim", "all", "--agent", "ik", "--episodes", 20, "--seed", 9)
     assert said.status == cli.WRONG_INPUT
     assert "│ ik    │ kinematic │" in said.out
     lines = said.err.splitlines()
@@ -458,17 +410,17 @@ def test_of_all_simulators_there_is_what_there_is_where_one_is_missing_and_anoth
     assert "pip install" in lines[0]
     assert "mujoco: the engine's state is not finite" in said.err
     assert lines[-1] == "reachlab: no result in pybullet, mujoco: the reason is above."
-    assert json.loads((untrained / "reports" / "kinematic-ik-9.json").read_text())["episodes"] == 20
+    assert json.loads((run / "reports" / "kinematic-ik-9.json").read_text())["episodes"] == 20
 
 
 def test_a_person_sees_a_table_and_progress_though_the_run_cannot_be_written_of_which_a_warning_tells(
-    reachlab: Shell, untrained: Path, monkeypatch: pytest.MonkeyPatch
+    reachlab: Shell, run: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def read_only(self: RunDirectory, name: str, *_: object) -> None:
         raise InputError(f"report '{self.reports / name}.json' cannot be written: Read-only file system.")
 
     monkeypatch.setattr(RunDirectory, "write_report", read_only)
-    said = reachlab("eval", untrained, "--agent", "ik", "--episodes", 20)
+    said = reachlab("eval", run, "--agent", "ik", "--episodes", 20)
     assert said.status == 0
     assert "100.00 %" in said.out
     assert "Success: the tool comes within 100 mm of the target" in said.out
@@ -480,8 +432,8 @@ def test_a_person_sees_a_table_and_progress_though_the_run_cannot_be_written_of_
 # --- video ----------------------------------------------------------------------------------------
 
 
-def test_video_tells_what_it_filmed(reachlab: Shell, untrained: Path) -> None:
-    said = reachlab("video", untrained, "--agent", "ik", "--episodes", 1, "--fps", 2, "--out", "film.gif", "--json")
+def test_video_tells_what_it_filmed(reachlab: Shell, run: Path) -> None:
+    said = reachlab("video", run, "--agent", "ik", "--episodes", 1, "--fps", 2, "--out", "film.gif", "--json")
     if "pictures need OpenGL" in said.err:
         pytest.skip(said.err)
     clip = json.loads(said.out)

@@ -34,26 +34,17 @@ pytestmark = pytest.mark.slow
 EACH = 256
 """Environment steps of an iteration."""
 
-TINY: dict[str, Any] = {
-    "num_envs": 16,
-    "rollout_steps": 16,
-    "total_steps": 8 * EACH,
-    "hidden": (8,),
-    "validation_episodes": 4,
-    "report_episodes": 4,
-    "max_steps": 30,
-}
+TINY: dict[str, Any] = {"num_envs": 16, "rollout_steps": 16, "total_steps": 8 * EACH, "hidden": (8,)}
+TINY |= {"validation_episodes": 4, "report_episodes": 4, "max_steps": 30}
 
-SIMS: dict[str, dict[str, Any]] = {
+RUNS: dict[str, dict[str, Any]] = {
     "kinematic": {},
-    "mujoco": {},
-    "pybullet": {"num_envs": 2, "rollout_steps": 128, "max_steps": 100},
+    "pybullet": {"sim": "pybullet", "num_envs": 2, "rollout_steps": 128, "max_steps": 100},
+    "pose": {"task": "pose", "sim": "mujoco"},
+    "track": {"task": "track", "sim": "mujoco", "settle_steps": 10},
+    "clutter": {"task": "clutter", "sim": "mujoco", "obstacles": (1, 3)},
 }
-RUNS = {sim: {"sim": sim, **settings} for sim, settings in SIMS.items()}
-RUNS["precise"] = {"task": "precise", "sim": "mujoco"}
-RUNS["pose"] = {"task": "pose", "sim": "mujoco"}
-RUNS["track"] = {"task": "track", "sim": "mujoco", "settle_steps": 10}
-RUNS["clutter"] = {"task": "clutter", "sim": "mujoco", "obstacles": (1, 3)}
+"""What `precise` saves `pose` and `clutter` save too."""
 
 
 def at(iteration: int, act: Callable[[], object]) -> Callable[[Progress], None]:
@@ -82,6 +73,10 @@ def rows(run: Path) -> list[dict[str, float]]:
     return [{name: x for name, x in line.items() if name not in ("wall_s", "steps_per_second")} for line in lines]
 
 
+def walls(run: Path) -> list[float]:
+    return [json.loads(line)["wall_s"] for line in (run / "metrics.jsonl").read_text().splitlines()]
+
+
 def interrupted(config: RunConfig, out: Path, iteration: int = 3, number: int = signal.SIGINT) -> Interrupted:
     with pytest.raises(Interrupted) as caught:
         train(config, out, at(iteration, ask(number)), resume=out.exists())
@@ -104,17 +99,24 @@ def config() -> RunConfig:
 
 
 @pytest.mark.parametrize("name", RUNS)
-def test_a_run_stopped_twice_ends_with_the_weights_of_one_never_stopped(tmp_path: Path, name: str) -> None:
+def test_a_run_stopped_once_or_twice_ends_with_the_weights_and_report_of_one_never_stopped(
+    tmp_path: Path, name: str
+) -> None:
     if name == "pybullet":
         pytest.importorskip("pybullet")
     config = configure(**{**TINY, "stop_early": False, **RUNS[name]})
     whole = train(config, tmp_path / "whole")
-    for iteration in (3, 2):
+    for iteration in (3, 2) if name == "kinematic" else (3,):
         interrupted(config, tmp_path / "parts", iteration)
+    before = walls(tmp_path / "parts")
     parts = train(config, tmp_path / "parts", resume=True)
     assert weights(tmp_path / "parts") == weights(tmp_path / "whole")
     assert rows(tmp_path / "parts") == rows(tmp_path / "whole")
     assert parts.report.final_error_mm == whole.report.final_error_mm
+    after = walls(tmp_path / "parts")
+    assert after[: len(before)] == before, "time is counted across an interruption"
+    assert after == sorted(after)
+    assert parts.train_wall_s > after[-1]
 
 
 def test_validations_in_a_row_are_counted_across_an_interruption(tmp_path: Path) -> None:
@@ -128,22 +130,18 @@ def test_validations_in_a_row_are_counted_across_an_interruption(tmp_path: Path)
     assert weights(tmp_path / "parts") == weights(tmp_path / "whole")
 
 
-def test_rows_after_the_checkpoint_are_written_once(tmp_path: Path, config: RunConfig, unbroken: Path) -> None:
+def test_rows_after_the_checkpoint_are_written_once_and_leftovers_of_a_killed_save_cleared(
+    tmp_path: Path, config: RunConfig, unbroken: Path
+) -> None:
     interrupted(config, tmp_path / "run", 3)
     with (tmp_path / "run/metrics.jsonl").open("a") as file:
         file.write(json.dumps({"steps": 4 * EACH}) + "\n" + '{"steps": 12')
+    left = tmp_path / "run/checkpoints/.step_000000000999.tmp"
+    left.mkdir()
+    (left / "state.safetensors").write_bytes(b"half")
     train(config, tmp_path / "run", resume=True)
     assert rows(tmp_path / "run") == rows(unbroken)
-
-
-def test_time_is_counted_across_an_interruption(tmp_path: Path, config: RunConfig) -> None:
-    interrupted(config, tmp_path / "run", 3)
-    before = [json.loads(line)["wall_s"] for line in (tmp_path / "run/metrics.jsonl").read_text().splitlines()]
-    result = train(config, tmp_path / "run", resume=True)
-    walls = [json.loads(line)["wall_s"] for line in (tmp_path / "run/metrics.jsonl").read_text().splitlines()]
-    assert walls[:3] == before
-    assert walls == sorted(walls)
-    assert result.train_wall_s > walls[-1]
+    assert not list((tmp_path / "run/checkpoints").glob(".*"))
 
 
 def test_without_a_checkpoint_it_starts_from_the_beginning(tmp_path: Path, config: RunConfig, unbroken: Path) -> None:
@@ -168,14 +166,6 @@ def test_a_damaged_newest_checkpoint_gives_way_to_the_one_before(
     assert f"step_{3 * EACH:012d}" in said
 
 
-def test_a_run_of_damaged_checkpoints_is_not_begun_anew(tmp_path: Path, config: RunConfig) -> None:
-    interrupted(config, tmp_path / "run")
-    (newest,) = (tmp_path / "run/checkpoints").iterdir()
-    (newest / "state.safetensors").write_bytes(b"")
-    with pytest.raises(InputError, match="is damaged"):
-        train(config, tmp_path / "run", resume=True)
-
-
 # --- what is kept ---------------------------------------------------------------------------------
 
 
@@ -189,20 +179,11 @@ def test_the_newest_and_the_best_are_kept(tmp_path: Path, config: RunConfig) -> 
     assert sorted(path.name[-1] for path in run.checkpoints.iterdir()) == ["2", "5", "6"]
 
 
-def test_leftovers_of_a_killed_save_are_cleared(tmp_path: Path, config: RunConfig) -> None:
-    interrupted(config, tmp_path / "run")
-    left = tmp_path / "run/checkpoints/.step_000000000999.tmp"
-    left.mkdir()
-    (left / "state.safetensors").write_bytes(b"half")
-    train(config, tmp_path / "run", resume=True)
-    assert not list((tmp_path / "run/checkpoints").glob(".*"))
-
-
 # --- signals --------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)])
-def test_a_signal_saves_and_leaves_after_the_iteration(
+def test_a_signal_saves_and_leaves_after_the_iteration_and_no_damaged_run_is_begun_anew(
     tmp_path: Path, config: RunConfig, number: int, status: int
 ) -> None:
     before = {each: signal.getsignal(each) for each in ASKING}
@@ -215,6 +196,10 @@ def test_a_signal_saves_and_leaves_after_the_iteration(
     assert after == before | ({signal.SIGHUP: signal.SIG_IGN} if number == signal.SIGHUP else {})
     with locked(tmp_path / "run"):
         pass  # given back
+    (newest,) = (tmp_path / "run/checkpoints").iterdir()
+    (newest / "state.safetensors").write_bytes(b"")
+    with pytest.raises(InputError, match="is damaged"):
+        train(config, tmp_path / "run", resume=True)
 
 
 TWICE = """
@@ -246,6 +231,7 @@ def say(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, s
 
 
 def test_a_finished_run_says_so(unbroken: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert say(capsys, "train", "--resume", unbroken, "--num-envs", 16, "--seed=0")[0] == 0, "its own settings"
     status, out, err = say(capsys, "train", "--resume", unbroken, "--json")
     assert status == 0
     assert json.loads(out) == json.loads((unbroken / "report.json").read_text())
@@ -267,10 +253,6 @@ def test_other_settings_than_the_runs_are_refused(
     status, out, err = say(capsys, "train", "--resume", unbroken, *words)
     assert (status, out, err.count("\n")) == (2, "", 1)
     assert sentence in err
-
-
-def test_the_runs_own_settings_may_be_repeated(unbroken: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert say(capsys, "train", "--resume", unbroken, "--num-envs", 16, "--seed=0")[0] == 0
 
 
 def test_a_run_that_is_none_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -338,12 +320,12 @@ print(status, hashlib.sha256(state.read_bytes()).hexdigest())
 def test_deterministic_gives_the_same_weights_on_one_core_and_on_all(tmp_path: Path) -> None:
     if not hasattr(os, "sched_setaffinity"):
         pytest.skip("no way to take cores away here")
-    flags = ["--total-steps", "8192", "--no-stop-early", "--report-episodes", "5", "--deterministic"]
+    flags = ["--total-steps", "8192", "--no-stop-early", "--report-episodes", "5", "--max-steps", "100"]
     cores = {"one": {0}, "all": os.sched_getaffinity(0)}
     free = {name: value for name, value in os.environ.items() if name != VARIABLE}
     said = []
     for name, some in cores.items():
-        words = [str(tmp_path / name), ",".join(map(str, some)), *flags]
+        words = [str(tmp_path / name), ",".join(map(str, some)), *flags, "--deterministic"]
         command = [sys.executable, "-c", WEIGHTS, *words]
         done = subprocess.run(command, env=free, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stderr

@@ -25,7 +25,6 @@ from reachlab.learn.train import TrainResult, train
 from reachlab.runs.directory import RunDirectory
 from reachlab.settings.json_form import to_json
 from reachlab.settings.presets import configure
-from reachlab.settings.validation import InputError
 
 TINY = {"num_envs": 16, "rollout_steps": 16, "total_steps": 1024, "stop_early": False, "report_episodes": 10}
 """A training of four iterations."""
@@ -221,29 +220,3 @@ def test_the_same_seed_gives_the_same_bytes_in_another_process(tmp_path: Path) -
         (state,) = run(tmp_path / str(seed), **TINY, seed=seed).out.glob("checkpoints/*/state.safetensors")
         here.append(hashlib.sha256(state.read_bytes()).hexdigest())
     assert here[0] == there != here[1]
-
-
-def test_an_existing_directory_is_refused_and_left_as_it_is(tmp_path: Path) -> None:
-    (tmp_path / "mine.txt").write_text("keep")
-    with pytest.raises(InputError, match="exists and is not overwritten: name another with --out"):
-        train(configure(**TINY), tmp_path)
-    assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
-    assert (tmp_path / "mine.txt").read_text() == "keep"
-
-
-@pytest.mark.parametrize(
-    ("settings", "sentence"),
-    [
-        ({"num_envs": 10, "rollout_steps": 7, "minibatches": 4}, "10.*4 minibatches"),
-        ({"reward": "spars"}, "Did you mean 'sparse'"),
-        ({"robot": "nowhere.xml"}, "robot file '.*nowhere.xml' does not exist"),
-        ({"sim": "kinematik"}, "Did you mean 'kinematic'"),
-        ({"tool": "hand"}, "hand"),
-    ],
-)
-def test_wrong_settings_are_refused_before_anything_is_written(
-    tmp_path: Path, settings: dict[str, object], sentence: str
-) -> None:
-    with pytest.raises(InputError, match=sentence):
-        train(configure(**settings), tmp_path / "run")  # type: ignore[arg-type]
-    assert not (tmp_path / "run").exists()

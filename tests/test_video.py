@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from params import tried
 from reachlab.envs.core import Env
 from reachlab.envs.random_streams import REPORT_STREAM
 from reachlab.evaluation.episodes import BATCH, make_runner, run_episodes
@@ -100,6 +101,7 @@ def test_an_episode_is_seen_from_its_begin_to_its_end(moments: list[list[Shown]]
         assert not any(moment.success for moment in episode[:-1])
 
 
+@pytest.mark.slow
 def test_an_episode_in_a_host_simulator_ends_with_the_clock() -> None:
     env = Env(configure(sim="mujoco", max_steps=5), 1)
     [*_, last] = shown(Player(env, seed=0), "random", 2)
@@ -110,7 +112,7 @@ def test_an_episode_in_a_host_simulator_ends_with_the_clock() -> None:
 # --- files ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("ending", [".webp", ".gif"])
+@pytest.mark.parametrize("ending", tried([".webp", ".gif"], [".webp"]))
 def test_an_animation_plays_in_real_time(film: Callable[..., Clip], moments: list[list[Shown]], ending: str) -> None:
     clip = film(f"film{ending}", episodes=2)
     lengths = [len(episode) for episode in moments]
@@ -130,16 +132,18 @@ def test_an_animation_plays_in_real_time(film: Callable[..., Clip], moments: lis
 def test_without_a_speed_a_short_episode_is_slowed_down(film: Callable[..., Clip], moments: list[list[Shown]]) -> None:
     moves = moments[0][-1].step / 240
     fitting = max(speed for speed in SPEEDS if moves / speed >= LONG_ENOUGH)
-    clip = film("film.webp", speed=0.0)
+    clip = film("film.gif", speed=0.0)
     assert fitting < 1
+    with Image.open(clip.out) as picture:
+        assert picture.format == "GIF"
+    assert sum(durations(clip.out)) == pytest.approx(1000 * clip.seconds, abs=20)
     assert clip.seconds == pytest.approx(moves / fitting + BEGIN_PAUSE + END_PAUSE, abs=0.1)
 
 
-def test_slower_shows_more_pictures_for_longer(film: Callable[..., Clip]) -> None:
-    usual, slow = film("usual.webp"), film("slow.webp", speed=0.5)
-    moving = usual.seconds - BEGIN_PAUSE - END_PAUSE
-    assert slow.seconds - BEGIN_PAUSE - END_PAUSE == pytest.approx(2 * moving, abs=0.05)
-    assert slow.frames == pytest.approx(2 * usual.frames, abs=2)
+def test_slower_shows_more_pictures_for_longer(film: Callable[..., Clip], moments: list[list[Shown]]) -> None:
+    slow, usual = film("slow.webp", speed=0.5), len(moments[0])
+    assert slow.seconds - BEGIN_PAUSE - END_PAUSE == pytest.approx(2 * (usual - 1) / 30, abs=0.05)
+    assert slow.frames == pytest.approx(2 * usual, abs=2)
 
 
 def test_no_more_pictures_than_steps(film: Callable[..., Clip], moments: list[list[Shown]]) -> None:
@@ -149,7 +153,7 @@ def test_no_more_pictures_than_steps(film: Callable[..., Clip], moments: list[li
 
 def test_mp4_has_the_same_length(film: Callable[..., Clip]) -> None:
     ffmpeg = pytest.importorskip("imageio_ffmpeg").get_ffmpeg_exe()
-    clip = film("film.mp4")
+    clip = film("film.mp4", fps=10.0)
     said = subprocess.run([ffmpeg, "-i", clip.out], capture_output=True, text=True, check=False).stderr
     hours, minutes, seconds = said.partition("Duration: ")[2].partition(",")[0].split(":")
     assert 3600 * int(hours) + 60 * int(minutes) + float(seconds) == pytest.approx(clip.seconds, abs=0.1)
@@ -193,7 +197,7 @@ def test_a_caption_leaves_the_picture_as_it_is() -> None:
     assert image[120:].std() > 10
 
 
-@pytest.mark.parametrize("further", [{"angle": 0.2}, {"error": 0.004}, {"angle": 2.5, "error": 0.1234}])
+@pytest.mark.parametrize("further", [{"angle": 0.2}, {"angle": 2.5, "error": 0.1234}])
 def test_a_caption_tells_the_angle_and_the_mean_and_its_verdict_covers_neither(further: dict[str, float]) -> None:
     picture = np.zeros((10, 640, 3), np.uint8)
     short, long, ended = (
@@ -207,7 +211,7 @@ def test_a_caption_tells_the_angle_and_the_mean_and_its_verdict_covers_neither(f
 
 
 def test_a_film_shows_the_trail_of_a_target_that_moves(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    env, points = Env(configure("track", randomise=(), goal_paths=("smooth",)), 1), []
+    env, points = Env(configure("track", sim="kinematic", randomise=(), goal_paths=("smooth",), max_steps=250), 1), []
 
     def count(_: object, *, path: np.ndarray, trail: np.ndarray) -> np.ndarray:
         points.append(len(trail))
@@ -221,23 +225,17 @@ def test_a_film_shows_the_trail_of_a_target_that_moves(monkeypatch: pytest.Monke
     assert points[-1] > 10
 
 
-@pytest.mark.parametrize("verdict", VERDICTS)
-def test_the_verdict_is_told_in_its_colour_at_the_end_only(verdict: str) -> None:
+def test_the_verdict_is_told_in_its_colour_at_the_end_only() -> None:
     picture = np.zeros((10, 640, 3), np.uint8)
-    ended, under_way = (
-        np.asarray(captioned(picture, Caption("Episode 1 of 4", "tutorial task", 0.1, 0.5, said)))
-        for said in (verdict, "")
-    )
-    assert (ended == VERDICTS[verdict]).all(axis=-1).sum() > 500
-    assert not (under_way == VERDICTS[verdict]).all(axis=-1).any()
+    told = {
+        said: np.asarray(captioned(picture, Caption("1 of 4", "a task", 0.1, 0.5, said))) for said in ("", *VERDICTS)
+    }
+    for verdict, colour in VERDICTS.items():
+        assert (told[verdict] == colour).all(axis=-1).sum() > 500
+        assert not (told[""] == colour).all(axis=-1).any()
 
 
-@pytest.mark.parametrize(
-    ("metres", "text"), [(0.1234, "123 mm"), (0.01, "10 mm"), (0.0012, "1.2 mm"), (1.2, "1200 mm")]
-)
-def test_distances_are_in_millimetres(metres: float, text: str) -> None:
-    assert distance_text(metres) == text
-
-
-def test_angles_are_in_degrees() -> None:
+def test_distances_are_in_millimetres_and_angles_in_degrees() -> None:
+    texts = {0.1234: "123 mm", 0.01: "10 mm", 0.0012: "1.2 mm", 1.2: "1200 mm"}
+    assert {metres: distance_text(metres) for metres in texts} == texts
     assert angle_text(np.pi / 6) == "30.0°"

@@ -98,37 +98,44 @@ def values(items: Any) -> dict[str, Any]:
     return {name: value for name, value in found.items() if not name.startswith("_")}
 
 
-def test_wandb_keeps_numbers_settings_and_report_and_after_a_resume_the_id_and_every_row_once(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    config = configure(**TINY, stop_early=False)
-    with pytest.raises(Interrupted):
-        train(config, "run", lambda _: os.kill(os.getpid(), signal.SIGINT), sinks=("wandb",))
-    with Path("run/metrics.jsonl").open("a") as file:
-        file.write(json.dumps({"steps": 2 * EACH}) + "\n")
-    assert cli.main(["train", "--resume", "run", "--wandb", "--json"]) == cli.DONE
-    report = json.loads(capsys.readouterr().out)
+ROWS = [{"steps": EACH * number, "success_rate": number / 4} for number in range(1, 4)]
+
+
+def test_wandb_keeps_numbers_settings_and_report_and_after_a_resume_the_id_and_every_row_once() -> None:
+    Path("run").mkdir()
+    Path("run/config.json").write_text('{"seed": 3}')
+    with Metrics(Path("run/metrics.jsonl"), make_sinks(["wandb"])) as metrics:
+        metrics.write(ROWS[0])
+    with Metrics(Path("run/metrics.jsonl"), make_sinks(["wandb"])) as metrics:
+        for row in ROWS[1:]:
+            metrics.write(row)
+        metrics.finish({"success_rate": 0.75})
     before, after = kept(Path("run"))
-    rows = read_metrics(Path("run/metrics.jsonl"))
     assert before.run.run_id == after.run.run_id
-    assert (before.rows, after.rows) == (rows[:1], rows)
-    assert len(rows) == 4
+    assert (before.rows, after.rows) == (ROWS[:1], ROWS)
     assert (after.run.project, after.run.display_name) == ("reachlab", "run")
-    assert before.settings == json.loads(Path("run/config.json").read_text())
-    assert after.summary["report"] == report
+    assert before.settings == {"seed": 3}
+    assert after.summary["report"] == {"success_rate": 0.75}
     assert [path.name for path in Path().iterdir()] == ["run"], "nothing lies in the working directory"
 
 
 @pytest.mark.slow
-def test_a_run_that_wandb_did_not_see_begin_is_logged_from_its_start(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_run_that_wandb_did_not_see_begin_is_logged_from_its_start_when_resumed(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.setenv("WANDB_PROJECT", "arms")
     config = configure(**TINY, stop_early=False)
     with pytest.raises(Interrupted):
         train(config, "run", lambda _: os.kill(os.getpid(), signal.SIGINT))
-    train(config, "run", resume=True, sinks=("wandb",))
+    with Path("run/metrics.jsonl").open("a") as file:
+        file.write(json.dumps({"steps": 2 * EACH}) + "\n")
+    assert cli.main(["train", "--resume", "run", "--wandb", "--json"]) == cli.DONE
     (begun,) = kept(Path("run"))
     assert begun.rows == read_metrics(Path("run/metrics.jsonl"))
+    assert len(begun.rows) == 4
     assert begun.run.project == "arms"
+    assert begun.settings == json.loads(Path("run/config.json").read_text())
+    assert begun.summary["report"] == json.loads(capsys.readouterr().out)
 
 
 def test_disabled_it_does_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -160,8 +167,10 @@ def test_where_wandb_cannot_be_used_one_sentence_says_so_before_anything_is_made
     assert not list(Path().iterdir())
 
 
-def test_without_the_extra_wandb_is_refused_before_anything_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_the_extra_wandb_is_refused_before_anything_is_made(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.setitem(sys.modules, "wandb", None)
-    with pytest.raises(InputError, match=r"--wandb needs wandb: pip install 'reachlab\[wandb\]'"):
-        train(configure(**TINY), "run", sinks=("wandb",))
+    assert cli.main(["train", "--wandb", "--out", "run"]) == cli.WRONG_INPUT
+    assert "--wandb needs wandb: pip install 'reachlab[wandb]'" in capsys.readouterr().err
     assert not list(Path().iterdir())
