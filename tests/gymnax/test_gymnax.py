@@ -165,6 +165,15 @@ def test_goals_are_observed_as_a_dict() -> None:
     assert reward == -1
 
 
+def test_observe_and_discount_are_those_of_the_state(made: tuple[Any, Any]) -> None:
+    env, params = made
+    key = jax.random.key(0)
+    observation, state = env.reset(key, params)
+    assert np.array_equal(env.observe(key, state, None, params), observation)
+    assert env.discount(state, params) == 1
+    assert not env.is_truncated(state, params)
+
+
 # --- what is refused ------------------------------------------------------------------------------
 
 
