@@ -245,6 +245,7 @@ WRONG = {
     "not a number": ("train --gamma nan", "gamma must be .*nan"),
     "wrong entry": ("train --hidden 64 0", "each entry of hidden must be at least 1 and at most 4096, got 0"),
     "unknown task": ("train --task tutoral", "Did you mean 'tutorial'"),
+    "maker of a robot": ("train --robot kuka", "robot 'kuka' is not one of.*Did you mean 'iiwa14'"),
     "unknown robot": ("train --robot iiwa15", "robot 'iiwa15' is not one of.*Did you mean 'iiwa14'"),
     "robot file that is not there": ("train --robot arm.xml", "robot file '/.*/arm.xml' does not exist: put it there"),
     "robot file that is none": ("train --robot broken.xml", "robot file '/.*/broken.xml' does not compile"),

@@ -111,7 +111,7 @@ def test_settings_are_keywords_and_the_kuka_environment_is_the_tutorials() -> No
         ({"robot": "iiwa"}, "robot 'iiwa' is not one of: .*iiwa14"),
         ({"task": "tutoral"}, "task 'tutoral' is not one of: .*Did you mean 'tutorial'"),
         ({"render_mode": "human"}, "render mode 'human' is not one of: rgb_array"),
-        ({"max_steps": 0}, "max_steps must be at least 1 and at most 2147483647, got 0"),
+        ({"max_steps": 0}, "max_steps must be at least 1 and at most 100000, got 0"),
         ({"clip_actions": "no"}, "clip_actions must be true or false, got 'no'"),
         ({"tool": "link_9"}, "link_9"),
     ],
@@ -195,11 +195,10 @@ def test_the_picture_shows_the_arm_move_in_whatever_thread(drawing: None) -> Non
     assert before.shape[2] == 3
     assert before.std() > 5, "a blank picture"
     assert (before != after).any(axis=-1).mean() > 0.005
-    for _ in range(2):
-        with ThreadPoolExecutor(1) as thread:
-            assert np.array_equal(np.asarray(thread.submit(env.render).result()), after)
-        assert np.array_equal(np.asarray(env.render()), after)
-        env.close()
+    with ThreadPoolExecutor(1) as thread:
+        assert np.array_equal(np.asarray(thread.submit(env.render).result()), after)
+    assert np.array_equal(np.asarray(env.render()), after)
+    env.close()
 
 
 # --- batches --------------------------------------------------------------------------------------

@@ -92,9 +92,7 @@ def test_a_door_without_its_package_names_the_extra(monkeypatch: pytest.MonkeyPa
     from reachlab.gymnax import make
 
     monkeypatch.setitem(sys.modules, "flax", None)
-    with pytest.raises(
-        reachlab.InputError, match=r"needs gymnax \(flax is missing\): pip install 'reachlab\[gymnax\]'"
-    ):
+    with pytest.raises(reachlab.InputError, match=r"needs gymnax \(flax is missing\): pip install .*\[gymnax\]'"):
         make()
 
 

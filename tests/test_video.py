@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -17,7 +18,7 @@ from reachlab.envs.core import Env
 from reachlab.envs.random_streams import REPORT_STREAM
 from reachlab.evaluation.episodes import BATCH, make_runner, run_episodes
 from reachlab.settings.presets import configure
-from reachlab.settings.validation import InputError
+from reachlab.settings.validation import InputError, installing
 from reachlab.watch import video
 from reachlab.watch.captions import HEIGHT, VERDICTS, Caption, angle_text, captioned, distance_text
 from reachlab.watch.player import Player, played
@@ -163,7 +164,7 @@ def test_mp4_has_the_same_length(film: Callable[..., Clip]) -> None:
 
 def test_without_the_extra_mp4_names_it(film: Callable[..., Clip], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    with pytest.raises(InputError, match=r"pip install 'reachlab\[video\]', or name a file that ends in .webp or .gif"):
+    with pytest.raises(InputError, match=re.escape(f"{installing('video')}, or name a file that ends in .webp")):
         film("film.mp4")
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -37,7 +38,7 @@ from reachlab.runs.directory import RunDirectory
 from reachlab.settings.config import RunConfig
 from reachlab.settings.presets import configure
 from reachlab.settings.rules import Rules
-from reachlab.settings.validation import InputError
+from reachlab.settings.validation import InputError, installing
 from reachlab.tasks import TASKS
 from reachlab.watch import panel
 from reachlab.watch import server as server_module
@@ -436,7 +437,7 @@ def test_a_host_that_is_not_this_machine_is_refused() -> None:
 
 def test_without_viser_its_install_command_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "viser", None)
-    with pytest.raises(InputError, match=r"pip install 'reachlab\[viewer\]'"):
+    with pytest.raises(InputError, match=re.escape(installing("viewer"))):
         start_server(LOCAL, 8080)
 
 

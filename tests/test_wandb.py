@@ -20,7 +20,7 @@ from reachlab.learn.train import train
 from reachlab.runs.metrics import Metrics, read_metrics
 from reachlab.runs.sinks import make_sinks
 from reachlab.settings.presets import configure
-from reachlab.settings.validation import InputError
+from reachlab.settings.validation import InputError, installing
 
 wandb = pytest.importorskip("wandb")
 
@@ -172,5 +172,5 @@ def test_without_the_extra_wandb_is_refused_before_anything_is_made(
 ) -> None:
     monkeypatch.setitem(sys.modules, "wandb", None)
     assert cli.main(["train", "--wandb", "--out", "run"]) == cli.WRONG_INPUT
-    assert "--wandb needs wandb: pip install 'reachlab[wandb]'" in capsys.readouterr().err
+    assert f"--wandb needs wandb: {installing('wandb')}" in capsys.readouterr().err
     assert not list(Path().iterdir())

@@ -243,7 +243,7 @@ def _row(joint: dict[str, Any]) -> tuple[str, ...]:
     turn, unit, digits = (1.0, " m", 3) if slide else (180 / math.pi, "°", 1)
 
     def place(value: float) -> str:
-        return f"{turn * value:.{digits}f}"
+        return f"{round(turn * value, digits) + 0.0:.{digits}f}"  # never "-0.0"
 
     force = "none" if joint["torque"] is None else f"{joint['torque']:.4g} {'N' if slide else 'Nm'}"
     return (

@@ -119,7 +119,8 @@ def find_model_file(name: str, packages: Sequence[str] = ()) -> ModelFile:
         InputError: unknown name, or missing or broken file.
     """
     if name not in ROBOTS and not is_robot_file(name):
-        choose("robot", name, [*ROBOTS, "a path to an .xml or .urdf file"])
+        titles = {known: robot.title for known, robot in ROBOTS.items()}
+        choose("robot", name, [*ROBOTS, "a path to an .xml or .urdf file"], titles)
     return read_model_file(ROBOTS[name].file if name in ROBOTS else Path(name).absolute(), _folders(packages))
 
 

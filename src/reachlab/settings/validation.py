@@ -10,7 +10,7 @@ import operator
 import reprlib
 import types
 import typing
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -21,8 +21,8 @@ class InputError(ValueError):
     """Input that is refused, in one sentence: what, got, allowed, how to mend."""
 
 
-def choose(kind: str, name: str, names: Iterable[str]) -> str:
-    """The name itself if it is one of `names`.
+def choose(kind: str, name: str, names: Iterable[str], titles: Mapping[str, str] | None = None) -> str:
+    """The name itself if it is one of `names`, some of which have titles, under which they may be known.
 
     Raises:
         InputError: it is not; the sentence lists the names and the nearest one.
@@ -31,6 +31,7 @@ def choose(kind: str, name: str, names: Iterable[str]) -> str:
     if name in allowed:
         return name
     near = difflib.get_close_matches(str(name), allowed, n=1)
+    near += [known for known, title in (titles or {}).items() if str(name).lower() in title.lower().split()]
     hint = f" Did you mean {near[0]!r}?" if near else ""
     raise InputError(f"{kind} {name!r} is not one of: {', '.join(allowed)}.{hint}")
 
