@@ -36,6 +36,7 @@ LENGTHS = (0.0, 0.1, 0.2, 0.2, 0.08)
 
 BOUNDS = 'lower="-2.5" upper="2.5" effort="30" velocity="2"'
 UNSTATED = 'lower="-2.9" upper="2.9" effort="0" velocity="0"'
+RESISTING = '<dynamics damping="16" friction="1"/>'
 
 GANTRY = """
 <mujoco model="gantry">
@@ -78,7 +79,8 @@ def small_arm() -> str:
         text += f'<link name="part{number}">{inertial}{visual}</link>'
         text += f'<joint name="j{number}" type="revolute"><parent link="{above}"/><child link="part{number}"/>'
         text += (
-            f'<origin xyz="0 0 {length}"/><axis xyz="{axis}"/><limit {UNSTATED if number == 4 else BOUNDS}/></joint>'
+            f'<origin xyz="0 0 {length}"/><axis xyz="{axis}"/><limit {UNSTATED if number == 4 else BOUNDS}/>'
+            f"{RESISTING if number in (0, 4) else ''}</joint>"
         )
         above = f"part{number}"
     text += '<link name="tool0"/><joint name="end" type="fixed"><parent link="part4"/><child link="tool0"/>'
@@ -188,6 +190,13 @@ def test_servos_that_are_derived_follow_in_a_tenth_of_a_second(reachlab: Shell) 
         assert joint["lag"] == pytest.approx(0.1)
         assert joint["frequency"] >= 20 * (1 - 1e-6)
         assert joint["damping"] == pytest.approx(0.1 * joint["stiffness"])
+
+
+def test_a_joint_that_its_own_damping_slows_down_is_named(reachlab: Shell) -> None:
+    said = reachlab("robot", *OF_SMALL)
+    assert "than what gravity, friction and damping take at full speed: j0 has 30 of 33 Nm." in " ".join(
+        said.err.split()
+    )
 
 
 def test_servos_of_the_file_are_told_as_they_are(reachlab: Shell) -> None:

@@ -3,17 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
 
-from reachlab.robots.arm import find_arm
+from reachlab.robots.arm import Arm, find_arm
+from reachlab.robots.isolation import apply
 from reachlab.robots.loading import load_robot
 from reachlab.robots.model_file import read_model_file
 from reachlab.robots.robot import Robot
-from reachlab.robots.servos import LARGEST_SAG, NATURAL_FREQUENCY, default_torques, find_loads, payload, servos
+from reachlab.robots.servos import (
+    LAG,
+    LARGEST_SAG,
+    NATURAL_FREQUENCY,
+    Loads,
+    default_torques,
+    find_loads,
+    payload,
+    servos,
+    too_weak,
+)
 
 LIGHT, HEAVY = 1.0, 30.0
 """Masses of arms [kg]."""
@@ -106,13 +118,18 @@ def test_torque_that_nobody_states_holds_the_arm_three_times_over(robot: Robot) 
     assert (np.array(robot.torque) > 0.0).all()
 
 
-def gains(tmp_path: Path, text: str, torque: float = 1e6, load: float = 0.0) -> np.ndarray:
-    """Stiffnesses `[n]`, with as much torque as they take."""
+def loaded(tmp_path: Path, text: str) -> tuple[Arm, Loads]:
+    """An arm, and what its joints have to move and to hold."""
     (tmp_path / "arm.xml").write_text(text)
     arm = find_arm(read_model_file(tmp_path / "arm.xml"), None, None)
-    loads = find_loads(arm.model, range(arm.chain.n), arm.tool_body)
+    return arm, find_loads(arm.model, range(arm.chain.n), arm.tool_body)
+
+
+def gains(tmp_path: Path, text: str, torque: float = 1e6, load: float = 0.0) -> np.ndarray:
+    """Stiffnesses `[n]`, with as much torque as they take."""
+    arm, loads = loaded(tmp_path, text)
     found = servos(loads, np.full(arm.chain.n, torque), load)
-    np.testing.assert_allclose([one.damping / one.stiffness for one in found], 2 / NATURAL_FREQUENCY)
+    np.testing.assert_allclose([one.damping / one.stiffness for one in found], LAG)
     return np.array([one.stiffness for one in found])
 
 
@@ -134,6 +151,39 @@ def test_gains_of_a_pendulum_are_those_computed_by_hand(tmp_path: Path) -> None:
     assert (gains(tmp_path, weightless, load=2.0) == gains(tmp_path, weightless, load=2.0)).all()
 
 
+WRIST = """<mujoco><compiler angle="radian"/><worldbody>
+  <body name="tool"><joint name="turn" axis="0 0 1" range="-9 9" damping="{damping}" frictionloss="{friction}"/>
+  <inertial pos="0 0 0" mass="0.2" diaginertia="1e-3 1e-3 1e-3"/></body></worldbody></mujoco>"""
+"""A joint that moves next to nothing, against its own damping and friction."""
+
+
+@pytest.mark.parametrize("friction", [0.0, 1.0])
+@pytest.mark.parametrize("damping", [0.0, 0.01, 1.0, 10.0])
+def test_a_moving_command_is_followed_in_time_whatever_the_joint_damps(
+    tmp_path: Path, damping: float, friction: float
+) -> None:
+    arm, loads = loaded(tmp_path, WRIST.format(damping=damping, friction=friction))
+    torque, speed = np.full(1, 50.0), np.full(1, 2.0)
+    assert not too_weak(loads, torque, speed)
+    spec = read_model_file(tmp_path / "arm.xml").spec()
+    apply(spec, replace(arm.isolation, servos={0: servos(loads, torque, 0.0)[0]}))
+    model = spec.compile()
+    model.opt.integrator = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
+    data = mujoco.MjData(model)
+    for _ in range(round(2.0 / model.opt.timestep)):
+        data.ctrl[0] = speed[0] * data.time
+        mujoco.mj_step(model, data)
+    behind = data.ctrl[0] - data.qpos[0]
+    assert speed[0] * LAG == pytest.approx(behind, abs=0.01 + (LARGEST_SAG if friction else 0.0))
+
+
+def test_a_joint_without_the_torque_for_its_speed_is_found(tmp_path: Path) -> None:
+    _, loads = loaded(tmp_path, WRIST.format(damping=3.0, friction=2.0))
+    assert too_weak(loads, np.array([9.0]), np.array([2.5])) == {0: pytest.approx(9.5)}
+    assert not too_weak(loads, np.array([9.0]), np.array([2.0]))
+    assert default_torques(loads, np.array([2.5])) == pytest.approx(9.5 + 0.05)
+
+
 def test_payload_and_torque_of_a_pendulum(tmp_path: Path) -> None:
     (tmp_path / "arm.xml").write_text(
         PENDULUM.format(gravity=-9.81).replace("</body>", '<body name="tcp" pos="1 0 0"/></body>')
@@ -141,7 +191,7 @@ def test_payload_and_torque_of_a_pendulum(tmp_path: Path) -> None:
     arm = find_arm(read_model_file(tmp_path / "arm.xml"), "tcp", None)
     loads = find_loads(arm.model, range(1), arm.tool_body)
     holding = 2 * 9.81 * 0.5
-    np.testing.assert_allclose(default_torques(loads), 3 * holding, rtol=1e-3)
+    np.testing.assert_allclose(default_torques(loads, np.ones(1)), 3 * holding, rtol=1e-3)
     assert payload(loads, np.array([1e3]), 100.0) == 2.0, "the largest that arms vary by"
     assert payload(loads, np.array([1e3]), 4.0) == pytest.approx(0.4), "a tenth of the arm"
     assert payload(loads, np.array([holding / 2]), 100.0) == pytest.approx(0.0, abs=0.2)

@@ -111,7 +111,8 @@ def print_reports(reports: Sequence[dict[str, Any]], config: RunConfig) -> None:
         success = _percent(report["success_rate"]), f"{100 * low:.1f} to {100 * high:.1f}"
         table.add_row(report["agent"], report["sim"], *success, *row.values())
     console.print(table)
-    for kind, what in (("contact", "the arm touched anything"), ("self_contact", "links of the arm met")):
+    met = "links of the arm met, by the shapes in its file"
+    for kind, what in (("contact", "the arm touched anything"), ("self_contact", met)):
         told = [report for report in reports if report[kind] is not None]
         if told:
             shares = (f"{report['agent']} in {report['sim']} {_percent(report[kind])}" for report in told)

@@ -18,6 +18,10 @@ print(dict(zip(controller.joints, command.round(3))), controller.problem or "no 
 ```"""
 
 
+MET = "episodes in which links of the arm touched each other at any step, by the shapes in its file (meshes by their hulls)"
+"""What the share of self-contact is."""
+
+
 def model_card(facts: dict[str, Any]) -> str:
     """Content of `README.md`, of what `policy.json` says."""
     title = f"{facts['task']} for {facts['robot']}"
@@ -77,17 +81,19 @@ def _sections(facts: dict[str, Any]) -> list[str]:
         lines.append("None: the run was not evaluated.")
     else:
         lines += [
-            "| simulator | varied | episodes, seed | success | 95 % interval | median error |",
-            "| --- " * 6 + "|",
+            "| simulator | varied | episodes, seed | success | 95 % interval | median error | links met |",
+            "| --- " * 7 + "|",
         ]
     for report in facts["held_out"]:
         low, high = report["success_interval"]
-        error = report["final_error_mm"]["median"]
+        error, met = report["final_error_mm"]["median"], report.get("self_contact")
         lines.append(
             f"| {report['sim']} | {', '.join(report['randomised']) or 'nothing'} | {report['episodes']:,},"
             f" {report['seed']} | {100 * report['success_rate']:.2f} % | {100 * low:.1f} to {100 * high:.1f} |"
-            f" {'not held' if error is None else f'{error:.3g} mm'} |"
+            f" {'not held' if error is None else f'{error:.3g} mm'} | {'' if met is None else f'{100 * met:.2f} %'} |"
         )
+    if any(report.get("self_contact") is not None for report in facts["held_out"]):
+        lines += ["", f"Links met: {MET}."]
     return [*lines, "", *_limits(facts)]
 
 

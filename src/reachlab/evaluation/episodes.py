@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -19,14 +19,15 @@ from reachlab.envs.functions import EnvState, Transition
 from reachlab.envs.random_streams import AGENT_STREAM, episode_keys
 from reachlab.jax_setup import jit
 from reachlab.robots.clearance import capsules_at, self_distance
+from reachlab.robots.self_contact import meeting
 from reachlab.settings.rules import Rules
 from reachlab.sims import SIMULATORS
 
 Watch = Callable[[int], None]
 """Called with the number of episodes that have ended."""
 
-Touches = Callable[[Array], Array]
-"""Whether links of the arm meet `[B]` at joints `[B, n]`."""
+Meets = Callable[[Array, np.ndarray], np.ndarray]
+"""Whether links of the arm meet `[B]` at joints `[B, n]`, of the episodes `[B]` that are asked about."""
 
 BATCH = 1000
 """Episodes evaluated together where everything is traced; one size, so one compiled program."""
@@ -61,8 +62,8 @@ class Episodes:
         max_speed: largest joint speeds in it `[B, n]` [rad/s].
         squared_jerk: sum over its steps of the squared jerk, mean of the joints `[B]` [rad²/s⁶].
         motion: joint positions, displacement and its change at the last step, three `[B, n]`.
-        touched: links of the arm met in it `[B]`, judged by its capsules; None where joints are set, rather than moved
-            by dynamics, or where no links could meet.
+        touched: links of the arm met in it `[B]`, by their exact shapes, see `self_contact.meeting`; None where joints
+            are set, rather than moved by dynamics, or where no links could meet.
         track: where goal and tool were after each of its steps; None where the goal does not move.
         contact: the arm touched anything in it `[B]`, judged by the engine; None where there are no obstacles.
     """
@@ -101,7 +102,7 @@ def make_runner(env: Env, agent: str | Function) -> Runner:
     traced = env.traced and isinstance(agent, str) and not moves
     init = env.init if traced else env.compile_whole(env.init)
     period, rules = env.config.physics.control_period, env.setup.rules
-    touches = _make_touches(env)
+    meets = None if traced else _make_meets(env)
 
     def begin(keys: Array) -> tuple[EnvState, Episodes, Array]:
         state = init(keys)
@@ -118,13 +119,13 @@ def make_runner(env: Env, agent: str | Function) -> Runner:
             max_speed=still,
             squared_jerk=jnp.zeros(count),
             motion=(state.arm.q, still, still),
-            touched=jnp.zeros(count, bool) if touches else None,
+            touched=jnp.zeros(count, bool) if meets else None,
             contact=state.arm.contact,
         )
         return state, episodes, jax.random.fold_in(keys[0], AGENT_STREAM)
 
     act = make_act(env, agent)
-    count_step = partial(_count, period=period, rules=rules, touches=touches)
+    count_step = functools.partial(_count, period=period, rules=rules)
 
     def advance(policy: Policy | None, carry: tuple[EnvState, Episodes, Array]) -> tuple[EnvState, Episodes, Array]:
         state, episodes, key = carry
@@ -148,7 +149,9 @@ def make_runner(env: Env, agent: str | Function) -> Runner:
         carry, tracks = begin(keys), []
         while (ended := int(np.asarray(carry[1].done).sum())) < len(keys):
             watch(ended)
-            carry = advance(policy, carry)
+            before, carry = carry[1], advance(policy, carry)
+            if meets:
+                carry = (carry[0], _judge(before, carry[1], meets), carry[2])
             if moves:
                 goal = carry[0].goal
                 tracks.append((goal.position, goal.velocity, carry[0].arm.tool_position))
@@ -157,12 +160,29 @@ def make_runner(env: Env, agent: str | Function) -> Runner:
     return Runner(run_on_host, env.num_envs, on_host=True)
 
 
-def _make_touches(env: Env) -> Touches | None:
-    """Whether links of the arm meet `[B]` at joints `[B, n]`; None where dynamics do not move it, or none can meet."""
+def _make_meets(env: Env) -> Meets | None:
+    """See `Meets`; None where dynamics do not move the arm, or no links of it can meet.
+
+    Exact shapes are looked at only where capsules, which contain them, overlap.
+    """
     robot = env.setup.robot
     if not SIMULATORS[env.config.sim].dynamics or not (capsules := robot.capsules).pairs:
         return None
-    return lambda q: self_distance(capsules, capsules_at(robot.chain, capsules, q)) < 0
+    near = jit(lambda q: self_distance(capsules, capsules_at(robot.chain, capsules, q)) < 0)
+    exactly = functools.cache(lambda: meeting(robot))
+
+    def meets(q: Array, asked: np.ndarray) -> np.ndarray:
+        found = np.asarray(near(q)) & asked
+        found[found] = [exactly()(one) for one in np.asarray(q)[found]]
+        return found
+
+    return meets
+
+
+def _judge(before: Episodes, now: Episodes, meets: Meets) -> Episodes:
+    """Episodes after a step, with those that links met in; which have ended or met before is known."""
+    touched = np.asarray(now.touched)
+    return replace(now, touched=touched | meets(now.motion[0], ~(np.asarray(before.done) | touched)))
 
 
 def _count(
@@ -171,9 +191,8 @@ def _count(
     transition: Transition,
     period: float,
     rules: Rules,
-    touches: Touches | None,
 ) -> Episodes:
-    (q, moved, change), touched, before = episodes.motion, episodes.touched, episodes.contact
+    (q, moved, change), before = episodes.motion, episodes.contact
     moved_now = state.arm.q - q
     change_now = moved_now - moved
     jerk = jnp.square((change_now - change) / period**3).mean(-1)
@@ -189,7 +208,7 @@ def _count(
         max_speed=jnp.maximum(episodes.max_speed, jnp.abs(state.arm.qd)),
         squared_jerk=episodes.squared_jerk + jerk,
         motion=(state.arm.q, moved_now, change_now),
-        touched=None if touches is None or touched is None else touched | touches(state.arm.q),
+        touched=episodes.touched,
         contact=None if before is None or state.arm.contact is None else before | state.arm.contact,
     )
 

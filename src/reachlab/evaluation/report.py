@@ -66,7 +66,8 @@ class Report:
         jerk: mean squared joint jerk [rad²/s⁶].
         contact: share of episodes in which the arm touched anything, itself included, where the engine judges it; their
             errors count as infinite.
-        self_contact: share of episodes in which links of the arm met at any step, see `Episodes.touched`.
+        self_contact: share of episodes in which links of the arm met at any step, by their exact shapes, see
+            `Episodes.touched`.
         wall_s: time that the evaluation took [s].
         versions: of the packages that it depends on.
     """

@@ -12,7 +12,8 @@ from reachlab.robots.cache import kept
 from reachlab.robots.capsule_fit import fit_capsules
 from reachlab.robots.clearance import Segments, pair_distances
 from reachlab.robots.robot import Robot
-from reachlab.robots.shapes import SEGMENTS, SHAPES, SHOWN_GROUPS, mesh_of
+from reachlab.robots.self_contact import APART
+from reachlab.robots.shapes import SEGMENTS, mesh_of, solid_geoms
 
 VERSION = 2
 """Of the derivation: what an older one left in the cache is derived again."""
@@ -22,9 +23,6 @@ ROUND = 1 / np.cos(np.pi / SEGMENTS) ** 2
 
 EXACT = (mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_MESH)
 """Shapes that are their facets."""
-
-APART = 2
-"""Links so many joints apart are the nearest that can meet: those that a joint connects touch by design."""
 
 SAMPLES = 1000
 """Random joint vectors that show which capsules overlap by design."""
@@ -87,37 +85,17 @@ def _found(robot: Robot) -> Capsules:
 
 
 def link_shapes(robot: Robot) -> list[np.ndarray]:
-    """Triangles `[F, 3, 3]` m of what is solid of each link, in the link's frame; round shapes a hundredth too large.
-
-    This is what is drawn of it and does not collide: collision shapes are simplified, and may be thinner than the link
-    (those of the catalogue's arms leave up to a third of it out). Where there is none, it is all that the link has.
-    """
+    """Triangles `[F, 3, 3]` m of what is solid of each link, in the link's frame; round shapes a hundredth too large."""
     model = robot.spec().compile()
     data = mujoco.MjData(model)
     data.qpos[model.jnt_qposadr[: robot.chain.n]] = robot.home
     mujoco.mj_kinematics(model, data)
-    link_of, to_links, shapes = links_of_bodies(model), np.linalg.inv(robot.chain.links_at(robot.home)), []
-    for link, to_link in enumerate(to_links):
-        geoms = [geom for geom in range(model.ngeom) if link_of[model.geom_bodyid[geom]] == link]
-        geoms = [geom for geom in geoms if mujoco.mjtGeom(model.geom_type[geom]) in SHAPES]
-        drawn = [geom for geom in geoms if _only_drawn(model, geom)]
-        parts = [_placed(model, data, geom) for geom in drawn or geoms]
+    to_links, shapes = np.linalg.inv(robot.chain.links_at(robot.home)), []
+    for geoms, to_link in zip(solid_geoms(model, robot.chain.n), to_links, strict=True):
+        parts = [_placed(model, data, geom) for geom in geoms]
         corners = np.concatenate(parts) if parts else np.zeros((0, 3, 3))
         shapes.append(corners @ to_link[:3, :3].T + to_link[:3, 3])
     return shapes
-
-
-def links_of_bodies(model: mujoco.MjModel) -> np.ndarray:
-    """Number of the link to which each body belongs `[nbody]`, of a robot's model; see `Chain.links_at`."""
-    link_of = np.zeros(model.nbody, int)
-    for body in range(1, model.nbody):  # bodies follow those that hold them
-        joints = model.body_jntadr[body] + model.body_jntnum[body]
-        link_of[body] = joints if model.body_jntnum[body] else link_of[model.body_parentid[body]]
-    return link_of
-
-
-def _only_drawn(model: mujoco.MjModel, geom: int) -> bool:
-    return model.geom_group[geom] in SHOWN_GROUPS and not (model.geom_contype[geom] or model.geom_conaffinity[geom])
 
 
 def _placed(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> np.ndarray:

@@ -16,7 +16,7 @@ from reachlab.robots.isolation import own_servos
 from reachlab.robots.joint_limits import is_limited, speed_limits, torque_limits
 from reachlab.robots.model_file import JointFacts, ModelFile
 from reachlab.robots.robot import CATALOGUE, DEFAULT, DERIVED, FILE, Robot
-from reachlab.robots.servos import Loads, default_torques, find_loads, payload, servos
+from reachlab.robots.servos import LAG, Loads, default_torques, find_loads, payload, servos, too_weak
 from reachlab.robots.workspace import Derived, orientation
 from reachlab.settings.validation import InputError
 
@@ -73,13 +73,14 @@ def _load(file: ModelFile, name: str, tool: str | None, base: str | None) -> Rob
     listed = known or KnownRobot(file.file, "", "", {})
     loads = find_loads(arm.model, range(arm.chain.n), arm.tool_body)
     speed, torque, sources = _limits(file, arm, listed, loads)
-    usable = np.where(np.isinf(torque), default_torques(loads), torque)
+    usable = np.where(np.isinf(torque), default_torques(loads, np.array(speed)), torque)
     mass = float(arm.model.body_subtreemass[arm.model.jnt_bodyid[0]])
     load = payload(loads, usable, mass)
     gains, servoed = servos(loads, usable, load), own_servos(arm.model, range(arm.chain.n))
     acceleration, jerk = _shaping(listed, speed, sources)
     added = {own: gains[i] for i, own in enumerate(arm.isolation.joints) if i not in servoed}
-    places, notices = _places(file, arm, listed, speed), [*file.notices, *arm.notices]
+    weak = {i: needed for i, needed in too_weak(loads, usable, np.array(speed)).items() if i not in servoed}
+    places, notices = _places(file, arm, listed, speed), [*file.notices, *arm.notices, *_weakness(arm, weak, torque)]
     sources["home"] = CATALOGUE if listed.home else FILE if places.home == arm.home else DERIVED
     if arm.home and sources["home"] == DERIVED:
         notices.append("the file's home is not used: from there little can be reached on straight ways.")
@@ -120,12 +121,23 @@ def _limits(
     torques = torque_limits(arm.whole, arm.isolation.joints)
     torques = [own or fact.torque for own, fact in zip(torques, facts, strict=True)]
     servoed = own_servos(arm.model, range(n))
-    defaults = default_torques(loads)
-    unlimited = [float("inf") if joint in servoed else float(defaults[joint]) for joint in range(n)]
     speed, speed_sources = _filled(listed.speed, speeds, [DEFAULT_SPEED] * n)
+    defaults = default_torques(loads, np.array(speed))
+    unlimited = [float("inf") if joint in servoed else float(defaults[joint]) for joint in range(n)]
     torque, torque_sources = _filled(listed.torque, torques, unlimited)
     position = tuple(FILE if is_limited(arm.model, joint) else DEFAULT for joint in range(n))
     return speed, torque, {"position": position, "speed": speed_sources, "torque": torque_sources}
+
+
+def _weakness(arm: Arm, needed: dict[int, float], torque: tuple[float, ...]) -> list[str]:
+    """A sentence on the joints whose torque limit is less than what they need, by number; none without such joints."""
+    units = ["N" if slides else "Nm" for slides in arm.chain.slides]
+    joints = [f"{arm.names[i]} has {torque[i]:.3g} of {most:.3g} {units[i]}" for i, most in needed.items()]
+    sentence = (
+        f"Joints follow fast commands later than {LAG:g} s where the torque limit is less than what gravity, friction"
+        f" and damping take at full speed: {', '.join(joints)}."
+    )
+    return [sentence] if joints else []
 
 
 def _shaping(

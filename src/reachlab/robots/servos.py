@@ -1,4 +1,4 @@
-"""Position servos for arms whose file has motors or no actuators: gains that follow from the arm's inertia."""
+"""Position servos for arms whose file has motors or no actuators: gains that follow from what the arm's joints move."""
 
 from __future__ import annotations
 
@@ -13,10 +13,13 @@ from reachlab.robots.joint_limits import position_limits
 
 NATURAL_FREQUENCY, DAMPING_RATIO = 20.0, 1.0
 """Of a joint on its servo, with the largest inertia that it may have to move [rad/s]; with less it is damped more.
-Joints follow a moving command by 2 × ratio / frequency = 0.1 s, as the iiwa's do."""
+Joints follow a moving command by `LAG`, as the iiwa's do."""
+
+LAG = 2 * DAMPING_RATIO / NATURAL_FREQUENCY
+"""Time by which joints follow a moving command: damping, the joint's own included, by stiffness [s]."""
 
 LARGEST_SAG = 0.02
-"""A servo is at least so stiff that gravity displaces its joint by no more than this [rad or m]."""
+"""A servo is at least so stiff that gravity and dry friction displace its joint by no more than this [rad or m]."""
 
 SATURATION = 0.02
 """And at most so stiff that its torque is used up when the joint is this far from its command [rad or m]."""
@@ -53,12 +56,20 @@ class Loads:
         gravity: torque that holds the arm, `[POSES, n]` [Nm or N].
         lifting: torque that holds another kilogram at the tool, `[POSES, n]` [Nm/kg or N/kg].
         arm: how far the tool moves when a joint does, `[POSES, n]` [m/rad or 1].
+        damping: the joints' own, of their bearings and gears, `[n]` [Nm s/rad or N s/m].
+        friction: their dry friction, `[n]` [Nm or N].
     """
 
     inertia: np.ndarray
     gravity: np.ndarray
     lifting: np.ndarray
     arm: np.ndarray
+    damping: np.ndarray
+    friction: np.ndarray
+
+    def resistance(self, speed: np.ndarray) -> np.ndarray:
+        """Torque `[n]` that friction and damping take at joint speeds `[n]` [Nm or N]."""
+        return self.friction + self.damping * speed
 
 
 def find_loads(model: mujoco.MjModel, joints: Sequence[int], body: int) -> Loads:
@@ -75,13 +86,14 @@ def find_loads(model: mujoco.MjModel, joints: Sequence[int], body: int) -> Loads
         mujoco.mj_jacBody(model, data, linear, None, body)
         inertia[pose], gravity[pose], lifting[pose] = full.diagonal()[dofs], data.qfrc_bias[dofs], linear[2, dofs]
         arm[pose] = np.linalg.norm(linear[:, dofs], axis=0)
-    return Loads(inertia, np.abs(gravity), GRAVITY * np.abs(lifting), arm)
+    damping, friction = model.dof_damping[dofs].copy(), model.dof_frictionloss[dofs].copy()
+    return Loads(inertia, np.abs(gravity), GRAVITY * np.abs(lifting), arm, damping, friction)
 
 
-def default_torques(loads: Loads) -> np.ndarray:
-    """Torque limits `[n]` of joints of which none are known [Nm or N]."""
+def default_torques(loads: Loads, speed: np.ndarray) -> np.ndarray:
+    """Torque limits `[n]` of joints of which none are known [Nm or N], for speed limits `[n]`."""
     accelerating = np.maximum(ACCELERATION * loads.inertia.max(axis=0), LEAST_TORQUE)
-    return np.maximum(HOLDING * loads.gravity.max(axis=0), accelerating)
+    return np.maximum(HOLDING * loads.gravity.max(axis=0), accelerating) + loads.resistance(speed)
 
 
 def payload(loads: Loads, torque: np.ndarray, mass: float) -> float:
@@ -98,11 +110,22 @@ def largest_inertia(loads: Loads, load: float) -> np.ndarray:
 def servos(loads: Loads, torque: np.ndarray, load: float) -> list[Servo]:
     """Servos of all joints, for torque limits `[n]` and a payload [kg].
 
-    The stiffness is inertia × frequency², more where gravity would displace the joint too far, and no more than its
-    torque allows; the damping is 2 × ratio / frequency × stiffness.
+    The stiffness is inertia × frequency², more where gravity and friction would displace the joint too far, and no more
+    than its torque allows, but so much that the joint's own damping does not make it follow later than `LAG`. The
+    damping is what the joint's own leaves of `LAG` × stiffness.
     """
-    held = (loads.gravity + load * loads.lifting).max(axis=0)
+    held = (loads.gravity + load * loads.lifting).max(axis=0) + loads.friction
     stiffness = np.maximum(largest_inertia(loads, load) * NATURAL_FREQUENCY**2, held / LARGEST_SAG)
-    stiffness = np.minimum(stiffness, torque / SATURATION)
-    lag = 2 * DAMPING_RATIO / NATURAL_FREQUENCY
-    return [Servo(float(k), float(lag * k), float(most)) for k, most in zip(stiffness, torque, strict=True)]
+    stiffness = np.maximum(np.minimum(stiffness, torque / SATURATION), loads.damping / LAG)
+    damping = np.maximum(LAG * stiffness - loads.damping, 0.0)
+    return [Servo(*map(float, one)) for one in zip(stiffness, damping, torque, strict=True)]
+
+
+def too_weak(loads: Loads, torque: np.ndarray, speed: np.ndarray) -> dict[int, float]:
+    """Torque [Nm or N] to move at full speed, by number of the joint, of those whose limit `[n]` is less.
+
+    It is what gravity takes in the hardest pose, with friction and damping. These joints follow fast commands later
+    than `LAG`.
+    """
+    needed = loads.gravity.max(axis=0) + loads.resistance(speed)
+    return {int(joint): float(needed[joint]) for joint in np.flatnonzero(needed > torque)}

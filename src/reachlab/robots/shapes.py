@@ -88,3 +88,30 @@ SHAPES: dict[mujoco.mjtGeom, Callable[[mujoco.MjModel, int], Mesh]] = {
     mujoco.mjtGeom.mjGEOM_MESH: _mesh,
 }
 """Meshes of geoms by their type, in the geom's own frame."""
+
+
+def links_of_bodies(model: mujoco.MjModel) -> np.ndarray:
+    """Number of the link to which each body belongs `[nbody]`, of a robot's model; see `Chain.links_at`."""
+    link_of = np.zeros(model.nbody, int)
+    for body in range(1, model.nbody):  # bodies follow those that hold them
+        joints = model.body_jntadr[body] + model.body_jntnum[body]
+        link_of[body] = joints if model.body_jntnum[body] else link_of[model.body_parentid[body]]
+    return link_of
+
+
+def solid_geoms(model: mujoco.MjModel, n: int) -> list[list[int]]:
+    """Numbers of the geoms that are solid of each of `n + 1` links, of a robot's model.
+
+    This is what is drawn of it and does not collide: collision shapes are simplified, and may be thinner than the link
+    (those of the catalogue's arms leave up to a third of it out). Where there is none, it is all that the link has.
+    """
+    link_of, links = links_of_bodies(model), []
+    for link in range(n + 1):
+        geoms = [geom for geom in range(model.ngeom) if link_of[model.geom_bodyid[geom]] == link]
+        geoms = [geom for geom in geoms if mujoco.mjtGeom(model.geom_type[geom]) in SHAPES]
+        links.append([geom for geom in geoms if _only_drawn(model, geom)] or geoms)
+    return links
+
+
+def _only_drawn(model: mujoco.MjModel, geom: int) -> bool:
+    return model.geom_group[geom] in SHOWN_GROUPS and not (model.geom_contype[geom] or model.geom_conaffinity[geom])

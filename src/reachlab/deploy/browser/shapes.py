@@ -11,9 +11,8 @@ import mujoco
 import numpy as np
 
 from reachlab.render.scene import in_front, scene_spec, table_top
-from reachlab.robots.capsules import links_of_bodies
 from reachlab.robots.robot import Robot
-from reachlab.robots.shapes import Mesh
+from reachlab.robots.shapes import Mesh, links_of_bodies
 from reachlab.watch.solids import solids
 from reachlab.watch.stage import FIELD_OF_VIEW, VIEW_FROM, VIEW_TO
 
