@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
 import pytest
 
-from contacts import contacts
 from reachlab.evaluation.episodes import _make_meets
 from reachlab.robots.arm import find_arm
 from reachlab.robots.loading import load_robot
 from reachlab.robots.model_file import read_model_file
 from reachlab.robots.robot import Robot
-from reachlab.robots.self_contact import meeting
 
 CYLINDER, BOX = '<cylinder radius="{}" length="{}"/>', '<box size="{} {} {}"/>'
 LINKS = (

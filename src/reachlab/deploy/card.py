@@ -18,7 +18,7 @@ print(dict(zip(controller.joints, command.round(3))), controller.problem or "no 
 ```"""
 
 
-MET = "episodes in which links of the arm touched each other at any step, by the shapes in its file (meshes by their hulls)"
+MET = "episodes in which links of the arm touched at any step, by the shapes in its file (meshes by their hulls)"
 """What the share of self-contact is."""
 
 

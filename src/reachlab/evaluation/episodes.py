@@ -106,23 +106,7 @@ def make_runner(env: Env, agent: str | Function) -> Runner:
 
     def begin(keys: Array) -> tuple[EnvState, Episodes, Array]:
         state = init(keys)
-        count, still = len(keys), jnp.zeros_like(state.arm.q)
-        episodes = Episodes(
-            goal=state.goal.position,
-            done=jnp.zeros(count, bool),
-            success=jnp.zeros(count, bool),
-            distance=state.distance,
-            angle=state.progress.angle_error,
-            steps=jnp.zeros(count, jnp.int32),
-            arrival=(~state.progress.near(rules)).astype(jnp.int32),
-            returns=jnp.zeros(count),
-            max_speed=still,
-            squared_jerk=jnp.zeros(count),
-            motion=(state.arm.q, still, still),
-            touched=jnp.zeros(count, bool) if meets else None,
-            contact=state.arm.contact,
-        )
-        return state, episodes, jax.random.fold_in(keys[0], AGENT_STREAM)
+        return state, _unplayed(state, rules, judged=meets is not None), jax.random.fold_in(keys[0], AGENT_STREAM)
 
     act = make_act(env, agent)
     count_step = functools.partial(_count, period=period, rules=rules)
@@ -158,6 +142,26 @@ def make_runner(env: Env, agent: str | Function) -> Runner:
         return replace(carry[1], track=Track(*np.stack(tracks, axis=2))) if moves else carry[1]
 
     return Runner(run_on_host, env.num_envs, on_host=True)
+
+
+def _unplayed(state: EnvState, rules: Rules, *, judged: bool) -> Episodes:
+    """Episodes before their first step; whether links meet in them may be `judged`."""
+    count, still = len(state.clock), jnp.zeros_like(state.arm.q)
+    return Episodes(
+        goal=state.goal.position,
+        done=jnp.zeros(count, bool),
+        success=jnp.zeros(count, bool),
+        distance=state.distance,
+        angle=state.progress.angle_error,
+        steps=jnp.zeros(count, jnp.int32),
+        arrival=(~state.progress.near(rules)).astype(jnp.int32),
+        returns=jnp.zeros(count),
+        max_speed=still,
+        squared_jerk=jnp.zeros(count),
+        motion=(state.arm.q, still, still),
+        touched=jnp.zeros(count, bool) if judged else None,
+        contact=state.arm.contact,
+    )
 
 
 def _make_meets(env: Env) -> Meets | None:

@@ -85,7 +85,7 @@ def _found(robot: Robot) -> Capsules:
 
 
 def link_shapes(robot: Robot) -> list[np.ndarray]:
-    """Triangles `[F, 3, 3]` m of what is solid of each link, in the link's frame; round shapes a hundredth too large."""
+    """Triangles `[F, 3, 3]` m of what is solid of each link, in its own frame; round shapes a hundredth too large."""
     model = robot.spec().compile()
     data = mujoco.MjData(model)
     data.qpos[model.jnt_qposadr[: robot.chain.n]] = robot.home

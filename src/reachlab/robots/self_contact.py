@@ -31,7 +31,7 @@ Pairs = set[tuple[int, int]]
 
 
 def untouching(file: ModelFile, arm: Arm) -> Callable[[np.ndarray], bool]:
-    """Function that tells whether the arm does not touch itself at a joint vector `[n]`, by what its file lets collide."""
+    """Function that tells whether the arm does not touch itself at a joint vector `[n]`, as its file lets it collide."""
     spec = file.spec()
     apply(spec, arm.isolation)
     touching = _touching(_colliding(spec), arm.chain, DEPTH)
@@ -52,7 +52,7 @@ def meeting(robot: Robot) -> Callable[[np.ndarray], bool]:
     try:
         model = _colliding(spec)
     except ValueError:
-        return lambda q: True
+        return lambda _: True
     links, touching = links_of_bodies(model), _touching(model, robot.chain, 0.0)
     at_home = touching(np.array(robot.home))
     return lambda q: any(abs(links[a] - links[b]) >= APART for a, b in touching(q) - at_home)
