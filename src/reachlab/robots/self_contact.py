@@ -31,7 +31,7 @@ Pairs = set[tuple[int, int]]
 
 
 def untouching(file: ModelFile, arm: Arm) -> Callable[[np.ndarray], bool]:
-    """Function that tells whether the arm does not touch itself at a joint vector `[n]`, as its file lets it collide."""
+    """Function that tells whether the arm does not touch itself at a joint vector `[n]`, as its file lets collide."""
     spec = file.spec()
     apply(spec, arm.isolation)
     touching = _touching(_colliding(spec), arm.chain, DEPTH)
