@@ -156,6 +156,8 @@ def test_list_tells_a_program_and_a_person_every_name_and_what_a_task_asks_for(r
     said = reachlab("list")
     assert (said.status, said.err) == (0, "")
     assert all(name in said.out for table in TABLES.values() for name in table)
+    assert list(json.loads(reachlab("list", "robots", "goal-paths", "--json").out)) == ["robots", "goal paths"]
+    assert "kind 'robot' is not one of: " in reachlab("list", "robot").err
 
 
 @pytest.mark.slow

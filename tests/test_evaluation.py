@@ -38,7 +38,7 @@ from reachlab.settings.validation import InputError
 REPORT_FIELDS = """
 task robot sim agent seed episodes checkpoint randomised success_rate success_interval success_within
 success_within_pairs final_error_mm final_angle_rad tracking return_mean steps_mean time_to_reach_s max_joint_speed jerk
-contact self_contact wall_s versions
+contact self_contact wall_s versions ends
 """
 """Every field of a report."""
 
@@ -261,6 +261,7 @@ def test_a_report_sums_up_its_episodes(env: Env) -> None:
         "goal": np.zeros((4, 3), np.float32),
         "done": np.ones(4, bool),
         "success": np.array([True, False, True, True]),
+        "terminated": np.array([True, False, True, True]),
         "distance": np.array([0.02, 0.4, 0.04, 0.06], np.float32),
         "angle": None,
         "steps": np.array([120, 1000, 240, 360]),
@@ -282,6 +283,10 @@ def test_a_report_sums_up_its_episodes(env: Env) -> None:
     assert report.max_joint_speed == [0, 0, 3, 0, 0, 0, 0]
     assert report.return_mean == pytest.approx(0.725)
     assert report.jerk == pytest.approx((1 + 2 + 3 + 1) / 4)
+    assert report.ends == {"success": 0.75, "outside": 0.0, "contact": 0.0, "time": 0.25}
+    values |= {"success": np.zeros(4, bool), "contact": np.array([False, False, False, True])}
+    ends = summarise(env, "ik", Episodes(**values), seed=9, wall_s=1.5).ends
+    assert ends == {"success": 0.0, "outside": 0.5, "contact": 0.25, "time": 0.25}
 
 
 def turn(env: Env, policy: Policy | None, state: EnvState, key: jax.Array, picture: jax.Array | None) -> jax.Array:

@@ -111,12 +111,33 @@ def print_reports(reports: Sequence[dict[str, Any]], config: RunConfig) -> None:
         success = _percent(report["success_rate"]), f"{100 * low:.1f} to {100 * high:.1f}"
         table.add_row(report["agent"], report["sim"], *success, *row.values())
     console.print(table)
+    _say_ends(reports)
     met = "links of the arm met, by the shapes in its file"
     for kind, what in (("contact", "the arm touched anything"), ("self_contact", met)):
         told = [report for report in reports if report[kind] is not None]
         if told:
             shares = (f"{report['agent']} in {report['sim']} {_percent(report[kind])}" for report in told)
             say(f"Episodes in which {what}: {', '.join(shares)}.")
+
+
+WAYS = {"outside": "left the workspace", "contact": "touched something", "time": "ran out of time"}
+"""Ways in which episodes fail, see `Report.ends`."""
+
+MANY = 0.05
+"""Share of the episodes of a trained policy that end outside from which a likely cause is named."""
+
+
+def _say_ends(reports: Sequence[dict[str, Any]]) -> None:
+    """Print how the episodes that did not succeed ended; reports of earlier versions do not say."""
+    for report in reports:
+        ends = report.get("ends") or {}
+        if failed := [f"{_percent(ends[way])} {words}" for way, words in WAYS.items() if ends.get(way)]:
+            say(f"Not a success, {report['agent']} in {report['sim']}: {', '.join(failed)}.")
+        if report["agent"] == "trained" and ends.get("outside", 0.0) > MANY:
+            say(
+                "Leaving the workspace ends an episode: where each step costs more than leaving does, a policy learns"
+                " to leave. Choose another --reward, as dense; docs/reward.md says more."
+            )
 
 
 def _figures(report: dict[str, Any], *, held: bool) -> dict[str, str]:

@@ -5,8 +5,7 @@ from __future__ import annotations
 import json as jsonlib
 from pathlib import Path
 
-from reachlab.cli.deploy_flags import Deploy
-from reachlab.cli.flags import Export
+from reachlab.cli.deploy_flags import Deploy, Export
 from reachlab.cli.preparation import prepare
 from reachlab.settings.validation import InputError
 

@@ -1,4 +1,4 @@
-"""Flags of `reachlab deploy`."""
+"""Flags of `reachlab export` and `reachlab deploy`."""
 
 from __future__ import annotations
 
@@ -8,9 +8,22 @@ from typing import Annotated, Literal
 
 import tyro
 
+from reachlab.cli.flags import Optional
 from reachlab.deploy.plant_faults import Faults
 from reachlab.deploy.topics import Topics
 from reachlab.settings.validation import Checked, Count, Seed
+
+
+@dataclass(frozen=True)
+class Export(Checked):
+    """Write a policy into a folder with all that a robot's computer needs."""
+
+    run: Annotated[Path, tyro.conf.Positional]
+    """Run directory, or a policy that comes with reachlab, as `panda/precise`; see `reachlab list`."""
+    out: Annotated[Path, Optional] = Path("policy")
+    """Folder to make; by default policy, here."""
+    json: bool = False
+    """Print what was written as one JSON object on standard output."""
 
 
 @dataclass(frozen=True)

@@ -269,18 +269,6 @@ class Plot(Checked):
 
 
 @dataclass(frozen=True)
-class Export(Checked):
-    """Write a policy into a folder with all that a robot's computer needs."""
-
-    run: Annotated[Path, tyro.conf.Positional]
-    """Run directory, or a policy that comes with reachlab, as `panda/precise`; see `reachlab list`."""
-    out: Annotated[Path, Optional] = Path("policy")
-    """Folder to make; by default policy, here."""
-    json: bool = False
-    """Print what was written as one JSON object on standard output."""
-
-
-@dataclass(frozen=True)
 class Bench(Checked):
     """Measure speed, accuracy and learning on this machine."""
 
@@ -295,5 +283,7 @@ class Bench(Checked):
 class List(Checked):
     """Show tasks, robots, simulators, observations, actions, rewards, targets, agents, policies and suites of bench."""
 
+    kind: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="KIND")] = ()
+    """Which of them, as `robots`; by default all."""
     json: bool = False
     """Print them as one JSON object on standard output."""

@@ -9,15 +9,16 @@ from typing import Any
 
 from reachlab.bench import SUITES, run_suite
 from reachlab.cli.deploy_command import deploy, export
-from reachlab.cli.deploy_flags import Deploy
+from reachlab.cli.deploy_flags import Deploy, Export
 from reachlab.cli.eval_command import evaluate
-from reachlab.cli.flags import Bench, Distil, Eval, Export, List, Plot, ShowRobot, Train, Video, View
+from reachlab.cli.flags import Bench, Distil, Eval, List, Plot, ShowRobot, Train, Video, View
 from reachlab.cli.preparation import prepare
 from reachlab.cli.robot_command import robot
 from reachlab.cli.sweep_command import sweep
 from reachlab.cli.sweep_flags import Sweep
 from reachlab.cli.train_command import distil, train
 from reachlab.cli.watch_commands import plot, video, view
+from reachlab.settings.validation import choose
 
 
 def bench(arguments: Bench) -> None:
@@ -77,6 +78,8 @@ def list_names(arguments: List) -> None:
         "policies": {name: told(run) for name, run in shipped().items()},
         "suites": {name: suite.summary for name, suite in SUITES.items()},
     }
+    chosen = [choose("kind", kind.replace("-", " "), names) for kind in arguments.kind]
+    names = {kind: names[kind] for kind in chosen or names}
     if arguments.json:
         print(jsonlib.dumps(names))
     else:

@@ -54,6 +54,7 @@ class Episodes:
         goal: where the tool was asked to be, `[B, 3]` [m].
         done: the episode has ended `[B]`; nothing of it changes any more.
         success: it ended in success `[B]`.
+        terminated: the task ended it, rather than the clock `[B]`.
         distance: the error that counts at its end `[B]` [m], see `Progress.error`.
         angle: that of the orientation `[B]` [rad]; None where any will do.
         steps: its length `[B]`.
@@ -71,6 +72,7 @@ class Episodes:
     goal: Array
     done: Array
     success: Array
+    terminated: Array
     distance: Array
     angle: Array | None
     steps: Array
@@ -151,6 +153,7 @@ def _unplayed(state: EnvState, rules: Rules, *, judged: bool) -> Episodes:
         goal=state.goal.position,
         done=jnp.zeros(count, bool),
         success=jnp.zeros(count, bool),
+        terminated=jnp.zeros(count, bool),
         distance=state.distance,
         angle=state.progress.angle_error,
         steps=jnp.zeros(count, jnp.int32),
@@ -204,6 +207,7 @@ def _count(
         goal=episodes.goal,
         done=transition.done,
         success=transition.terms["success"],
+        terminated=transition.terminated,
         distance=transition.terms["error"],
         angle=transition.terms.get("angle_error"),
         steps=episodes.steps + 1,

@@ -52,6 +52,7 @@ class Report:
         randomised: what varied from episode to episode, see `RunConfig.randomise`.
         success_rate: share of episodes that ended in success.
         success_interval: its 95 % Wilson interval.
+        ends: shares of the episodes that ended in `success`, `outside` the workspace, by `contact`, and by `time`.
         success_within: share within so many millimetres at the end; None where success ends the episode.
         success_within_pairs: of goals with an orientation, share within both of so many millimetres and radians, each
             pair named "10 mm, 0.05 rad"; None for others, or where success ends the episode.
@@ -82,6 +83,7 @@ class Report:
     randomised: list[str]
     success_rate: float
     success_interval: tuple[float, float]
+    ends: dict[str, float]
     success_within: dict[str, float] | None
     success_within_pairs: dict[str, float] | None
     final_error_mm: dict[str, float | None]
@@ -212,6 +214,7 @@ def summarise(
         randomised=list(env.config.randomise),
         success_rate=successes / count,
         success_interval=wilson_interval(successes, count),
+        ends=_ends(result),
         success_within=None if ends else _shares_within(error),
         success_within_pairs=None if ends or angle is None else _shares_within_pairs(error, angle),
         final_error_mm=_quantiles(error),
@@ -227,6 +230,15 @@ def summarise(
         wall_s=wall_s,
         versions=versions(),
     )
+
+
+def _ends(result: Episodes) -> dict[str, float]:
+    """Shares of the episodes that ended in each way; contact outside the workspace is contact."""
+    success, early = np.asarray(result.success, bool), np.asarray(result.terminated, bool)
+    contact = np.zeros_like(success) if result.contact is None else np.asarray(result.contact, bool)
+    failed = {"contact": contact & ~success, "outside": early & ~contact & ~success}
+    shares = {"success": success, **failed, "time": ~(success | failed["contact"] | failed["outside"])}
+    return {name: float(shares[name].mean()) for name in ("success", "outside", "contact", "time")}
 
 
 def _tracking(env: Env, track: Track) -> dict[str, Any]:
