@@ -22,7 +22,6 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from params import tried
 from pushes import pushes
-from reachlab.envs import episode_batch
 from reachlab.envs.core import Env
 from reachlab.envs.gymnasium_single import ReachEnv
 from reachlab.envs.gymnasium_vector import ReachVectorEnv
@@ -255,7 +254,6 @@ def test_a_batch_is_gymnasiums_vector_of_single_environments(singles: list[Reach
 
 BIT_FOR_BIT: dict[str, tuple[int, int, dict[str, Any]]] = {
     "tutorial": (NUM_ENVS, 300, SHORT),
-    "few of many begin anew": (64, 200, SHORT),
     "precise": (NUM_ENVS, 70, {"task": "precise", "max_steps": 30}),
     "pybullet": (NUM_ENVS, 100, {"sim": "pybullet", **SHORT}),
 }
@@ -265,10 +263,7 @@ BIT_FOR_BIT: dict[str, tuple[int, int, dict[str, Any]]] = {
 @pytest.mark.parametrize("name", tried(BIT_FOR_BIT, ["tutorial", "precise"]))
 @pytest.mark.parametrize("mode", tried(AutoresetMode, [AutoresetMode.SAME_STEP]))
 @pytest.mark.compiled
-def test_a_batch_gives_what_the_environment_gives_bit_for_bit(
-    name: str, mode: AutoresetMode, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(episode_batch, "LEAST_FEW", 4)
+def test_a_batch_gives_what_the_environment_gives_bit_for_bit(name: str, mode: AutoresetMode) -> None:
     num_envs, steps, settings = BIT_FOR_BIT[name]
     if name == "pybullet":
         pytest.importorskip("pybullet")

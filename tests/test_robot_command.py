@@ -352,7 +352,7 @@ def test_a_run_finds_its_arm_from_any_folder(
     reachlab: Shell, arms: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "run"
-    said = reachlab("train", "--robot", *OF_SMALL, "--out", out, *TINY)
+    said = reachlab("train", "--robot", *OF_SMALL, "--out", out, *TINY.split())
     assert said.status == 0, said.err
     config = RunDirectory(out).read_config()
     assert (config.robot, config.base) == (str(arms / "small.urdf"), "base")
