@@ -17,18 +17,23 @@ import pytest
 from reachlab.cli import main as cli
 from reachlab.learn.interrupts import Interrupted
 from reachlab.learn.train import train
-from reachlab.runs.metrics import Metrics, read_metrics
-from reachlab.runs.sinks import make_sinks
+from reachlab.runs.metrics import read_metrics
 from reachlab.settings.presets import configure
-from reachlab.settings.validation import InputError, installing
+from reachlab.settings.validation import InputError
 
 wandb = pytest.importorskip("wandb")
 
 EACH = 64
 """Environment steps of an iteration."""
 
-TINY: dict[str, Any] = {"num_envs": 8, "rollout_steps": 8, "total_steps": 4 * EACH, "hidden": (8,), "max_steps": 20}
-TINY["report_episodes"] = 4
+TINY: dict[str, Any] = {
+    "num_envs": 8,
+    "rollout_steps": 8,
+    "total_steps": 4 * EACH,
+    "hidden": (8,),
+    "report_episodes": 4,
+    "max_steps": 20,
+}
 
 HEAD, BLOCK, PART = 7, 2**15, 7
 """Of W&B's file [bytes]: its own head, the blocks of LevelDB's log format, and the head of a part of a record."""
@@ -98,52 +103,48 @@ def values(items: Any) -> dict[str, Any]:
     return {name: value for name, value in found.items() if not name.startswith("_")}
 
 
-ROWS = [{"steps": EACH * number, "success_rate": number / 4} for number in range(1, 4)]
+def test_wandb_keeps_the_numbers_the_settings_and_the_report(capsys: pytest.CaptureFixture[str]) -> None:
+    words = "--num-envs 8 --rollout-steps 8 --total-steps 256 --hidden 8 --report-episodes 4 --max-steps 20"
+    assert cli.main(["train", *words.split(), "--wandb", "--json", "--out", "first"]) == cli.DONE
+    report = json.loads(capsys.readouterr().out)
+    (first,) = kept(Path("first"))
+    assert (first.run.project, first.run.display_name) == ("reachlab", "first")
+    assert first.rows == read_metrics(Path("first/metrics.jsonl"))
+    assert first.settings == json.loads(Path("first/config.json").read_text())
+    assert first.summary["report"] == report
+    assert [path.name for path in Path().iterdir()] == ["first"], "nothing lies in the working directory"
 
 
-def test_wandb_keeps_numbers_settings_and_report_and_after_a_resume_the_id_and_every_row_once() -> None:
-    Path("run").mkdir()
-    Path("run/config.json").write_text('{"seed": 3}')
-    with Metrics(Path("run/metrics.jsonl"), make_sinks(["wandb"])) as metrics:
-        metrics.write(ROWS[0])
-    with Metrics(Path("run/metrics.jsonl"), make_sinks(["wandb"])) as metrics:
-        for row in ROWS[1:]:
-            metrics.write(row)
-        metrics.finish({"success_rate": 0.75})
-    before, after = kept(Path("run"))
-    assert before.run.run_id == after.run.run_id
-    assert (before.rows, after.rows) == (ROWS[:1], ROWS)
-    assert (after.run.project, after.run.display_name) == ("reachlab", "run")
-    assert before.settings == {"seed": 3}
-    assert after.summary["report"] == {"success_rate": 0.75}
-    assert [path.name for path in Path().iterdir()] == ["run"], "nothing lies in the working directory"
-
-
-@pytest.mark.slow
-def test_a_run_that_wandb_did_not_see_begin_is_logged_from_its_start_when_resumed(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_resumed_run_keeps_its_id_and_its_newest_file_holds_every_row_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("WANDB_PROJECT", "arms")
     config = configure(**TINY, stop_early=False)
     with pytest.raises(Interrupted):
-        train(config, "run", lambda _: os.kill(os.getpid(), signal.SIGINT))
+        train(config, "run", lambda _: os.kill(os.getpid(), signal.SIGINT), sinks=("wandb",))
     with Path("run/metrics.jsonl").open("a") as file:
         file.write(json.dumps({"steps": 2 * EACH}) + "\n")
-    assert cli.main(["train", "--resume", "run", "--wandb", "--json"]) == cli.DONE
+    train(config, "run", resume=True, sinks=("wandb",))
+    before, after = kept(Path("run"))
+    rows = read_metrics(Path("run/metrics.jsonl"))
+    assert before.run.run_id == after.run.run_id
+    assert (before.run.project, after.run.project) == ("arms", "arms")
+    assert (before.rows, after.rows) == (rows[:1], rows)
+    assert len(rows) == 4
+
+
+@pytest.mark.slow
+def test_a_run_that_wandb_did_not_see_begin_is_logged_from_its_start() -> None:
+    config = configure(**TINY, stop_early=False)
+    with pytest.raises(Interrupted):
+        train(config, "run", lambda _: os.kill(os.getpid(), signal.SIGINT))
+    train(config, "run", resume=True, sinks=("wandb",))
     (begun,) = kept(Path("run"))
     assert begun.rows == read_metrics(Path("run/metrics.jsonl"))
-    assert len(begun.rows) == 4
-    assert begun.run.project == "arms"
-    assert begun.settings == json.loads(Path("run/config.json").read_text())
-    assert begun.summary["report"] == json.loads(capsys.readouterr().out)
 
 
 def test_disabled_it_does_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("WANDB_MODE", "disabled")
-    Path("config.json").write_text("{}")
-    with Metrics(Path("metrics.jsonl"), make_sinks(["wandb"])) as metrics:
-        metrics.write({"steps": EACH})
-    assert not list(Path().glob("**/*.wandb"))
+    train(configure(**TINY), "run", sinks=("wandb",))
+    assert not list(Path("run").glob("**/*.wandb"))
 
 
 @pytest.mark.parametrize(
@@ -167,10 +168,8 @@ def test_where_wandb_cannot_be_used_one_sentence_says_so_before_anything_is_made
     assert not list(Path().iterdir())
 
 
-def test_without_the_extra_wandb_is_refused_before_anything_is_made(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_the_extra_wandb_is_refused_before_anything_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "wandb", None)
-    assert cli.main(["train", "--wandb", "--out", "run"]) == cli.WRONG_INPUT
-    assert f"--wandb needs wandb: {installing('wandb')}" in capsys.readouterr().err
+    with pytest.raises(InputError, match=r"--wandb needs wandb: pip install 'reachlab\[wandb\]'"):
+        train(configure(**TINY), "run", sinks=("wandb",))
     assert not list(Path().iterdir())
