@@ -11,7 +11,7 @@ PYTEST := NPROC=1 $(BIN)/python -m pytest -n 2 --dist worksteal
 QUICK := XLA_FLAGS="--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0"
 GYMNAX_VENV := .venv-gymnax
 
-.PHONY: demo check test lint types quick unit tiers slow kernels planted-faults bench bench-viewer foreign fuzz trust policies docs docs-blocks three gymnax dist clean
+.PHONY: demo check test lint types quick unit tiers slow kernels planted-faults bench bench-viewer foreign fuzz trust policies tables docs docs-blocks three gymnax dist clean
 
 demo: $(VENV)/installed
 	@$(BIN)/reachlab train --out $(RUN)
@@ -72,6 +72,10 @@ trust: $(VENV)/installed-dev
 # All that come with reachlab, or some: make policies NAMES='panda/precise ur5e/track'. REPLACE=--replace keeps the new ones.
 policies: $(VENV)/installed-dev
 	TF_CPP_MIN_LOG_LEVEL=3 PYTHONPATH=tests $(BIN)/python -m shipped_policies $(NAMES) $(REPLACE)
+
+# The tables of docs/tasks.md and docs/commands.md, from the code.
+tables: $(VENV)/installed-dev
+	PYTHONPATH=docs $(BIN)/python -m builder
 
 # The site, in build/site; any warning ends the build.
 docs: $(VENV)/installed-dev

@@ -2,12 +2,40 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
 
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 
 from reachlab.jax_setup import use_compilation_cache
+from reachlab.settings.validation import InputError
 
 use_compilation_cache()
 
 pytest_plugins = ["cost"]
+
+PYBULLET = importlib.util.find_spec("pybullet") is not None
+"""Its wheels end at Python 3.11; with newer ones the tests that need it skip."""
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_setup() -> Iterator[Any]:
+    return (yield from _skipping())
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call() -> Iterator[Any]:
+    return (yield from _skipping())
+
+
+def _skipping() -> Iterator[Any]:
+    try:
+        return (yield)
+    except (InputError, ModuleNotFoundError) as error:
+        if PYBULLET or "pybullet" not in str(error):
+            raise
+        pytest.skip("needs PyBullet")

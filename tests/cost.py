@@ -98,11 +98,15 @@ class Costs:
         return report
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        for file, cost in report.costs:  # type: ignore[attr-defined]  # from the hook above
+        costs = getattr(report, "costs", [])  # from the hook above, but for a test whose process crashed
+        for file, cost in costs:
             self._files.setdefault(file, Counter()).update(cost)
-        _, cost = report.costs[0]  # type: ignore[attr-defined]
+        for _, cost in costs[:1]:
+            self._note(report.nodeid, cost)
+
+    def _note(self, nodeid: str, cost: Counter[str]) -> None:
         if cost["cpu"] > LONG * self._unit or cost["children"] > OTHER_PROCESS * self._unit:
-            self._long.add(function_of(report.nodeid))
+            self._long.add(function_of(nodeid))
 
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
         if not self._prints or not self._files:

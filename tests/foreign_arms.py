@@ -12,9 +12,6 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
-import pybullet
-import pybullet_data
-from pybullet_utils.bullet_client import BulletClient
 
 from reachlab.bench.arms import precise, tutorial
 from reachlab.jax_setup import jit, use_compilation_cache
@@ -25,7 +22,7 @@ from reachlab.robots.loading import load_robot
 DESCRIPTIONS = Path(sysconfig.get_path("purelib"), "cmeel.prefix/share/example-robot-data/robots")
 """Where the package `example-robot-data` puts its files."""
 
-BULLET = Path(pybullet_data.getDataPath())
+BULLET = Path(sysconfig.get_path("purelib"), "pybullet_data")
 
 FILES: dict[str, Path] = {
     "panda (pybullet_data)": BULLET / "franka_panda/panda.urdf",
@@ -56,6 +53,9 @@ def largest_difference(file: Path, chain: Chain, joints: tuple[str, ...], tool: 
     """Largest distance of our tool from where PyBullet, which reads the same file, has it [m]."""
     q = np.random.default_rng(0).uniform(chain.lower, chain.upper, (poses, chain.n)).astype(np.float32)
     ours = np.asarray(jit(lambda q: forward_kinematics(chain, q).position)(q))
+    import pybullet
+    from pybullet_utils.bullet_client import BulletClient
+
     bullet = BulletClient(pybullet.DIRECT)
     try:
         with tempfile.TemporaryDirectory() as folder:

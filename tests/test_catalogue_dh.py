@@ -162,7 +162,8 @@ def test_gen3_has_its_makers_masses_and_limits():
 @pytest.fixture
 def public_so101(tmp_path):
     """The public URDF without its meshes, in PyBullet: client, robot and its joints and links by name."""
-    pybullet = pytest.importorskip("pybullet")
+    import pybullet
+
     try:
         package = metadata.distribution("example-robot-data")
     except metadata.PackageNotFoundError:

@@ -7,13 +7,12 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
-import pybullet
 import pytest
-from pybullet_utils.bullet_client import BulletClient
 
 from foreign_arms import DESCRIPTIONS
 from reachlab.robots.catalogue import ROBOTS
@@ -78,7 +77,10 @@ def vector(element: ElementTree.Element | None, name: str) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def bullet() -> Iterator[BulletClient]:
+def bullet() -> Iterator[Any]:
+    import pybullet
+    from pybullet_utils.bullet_client import BulletClient
+
     client = BulletClient(pybullet.DIRECT)
     yield client
     client.disconnect()
@@ -86,7 +88,7 @@ def bullet() -> Iterator[BulletClient]:
 
 @every_public
 def test_the_forward_kinematics_are_those_of_the_public_description(
-    public: Public, bullet: BulletClient, tmp_path: Path
+    public: Public, bullet: Any, tmp_path: Path
 ) -> None:
     file = tmp_path / "arm.urdf"
     file.write_bytes(ElementTree.tostring(parsed(public)))

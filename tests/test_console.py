@@ -55,21 +55,31 @@ def test_the_parts_of_a_trainings_time_add_up_to_it() -> None:
     )
 
 
-def test_success_of_a_line_is_of_all_training_episodes_since_the_last_line(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_line_tells_of_all_training_episodes_since_the_last_line(capsys: pytest.CaptureFixture[str]) -> None:
+    ended = {"episode_length": 200.0, "reward": 0.01}
     seen = [
         progress(8192, 2.0),
-        progress(16384, 2.5, episodes=100.0, success_rate=0.5),
-        progress(24576, 3.0, episodes=300.0, success_rate=1.0, validation_success=0.75),
+        progress(16384, 2.5, **ended, episodes=100.0, success_rate=0.5, early_rate=0.2, validation_success=0.75),
+        progress(24576, 4.5, **ended, episodes=300.0, success_rate=1.0),
     ]
     first, last = lines_of(configure(), seen, capsys)
     assert "success" not in first, "nothing is said of no episode"
-    assert "success (within 100 mm) 87.5 % of 400 training episodes  validation 75.0 %" in last
+    told = "success 87.5 % of 400 training episodes, 5.0 % ended outside the workspace  return 2  validation 75.0 %"
+    assert told in last
+
+
+def test_lines_become_rarer_and_no_passed_validation_is_left_out(capsys: pytest.CaptureFixture[str]) -> None:
+    tenths = [progress(100 * n, n / 10) for n in range(1, 1000)]
+    assert len(lines_of(configure(), tenths, capsys)) < 20
+    rates = {0.0: 3.0, 0.5: 3.1, 1.0: 3.2}
+    passed = [progress(100, elapsed_s, validation_success=rate) for rate, elapsed_s in rates.items()]
+    assert ["validation 100.0 %" in line for line in lines_of(configure(), passed, capsys)] == [False, True]
 
 
 def test_what_has_to_be_held_is_told_with_its_distance(capsys: pytest.CaptureFixture[str]) -> None:
     seen = [progress(100_000, 3.0, episodes=10.0, success_rate=0.5, final_distance=0.0042)]
     (line,) = lines_of(configure("precise"), seen, capsys)
-    assert "success (held within 10 mm) 50.0 % of 10 training episodes, 4.2 mm at their end" in line
+    assert "success 50.0 % of 10 training episodes, 4.2 mm at their end" in line
 
 
 def test_a_training_explains_what_its_lines_speak_of() -> None:

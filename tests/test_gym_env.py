@@ -265,8 +265,6 @@ BIT_FOR_BIT: dict[str, tuple[int, int, dict[str, Any]]] = {
 @pytest.mark.compiled
 def test_a_batch_gives_what_the_environment_gives_bit_for_bit(name: str, mode: AutoresetMode) -> None:
     num_envs, steps, settings = BIT_FOR_BIT[name]
-    if name == "pybullet":
-        pytest.importorskip("pybullet")
     ours = ReachVectorEnv(num_envs=num_envs, autoreset_mode=mode, **settings)
     env = Env(configure(**({"task": "tutorial", "randomise": ()} | settings)), num_envs)
     step, reset = env.compile_whole(env.step), env.compile_whole(env.reset)
@@ -507,7 +505,6 @@ def test_an_environment_that_is_pickled_says_that_it_cannot_be(single: ReachEnv,
 
 
 def test_pybullet_refuses_to_be_copied_and_to_be_used_after_its_end() -> None:
-    pytest.importorskip("pybullet")
     env = ReachEnv(sim="pybullet")
     env.reset(seed=0)
     with pytest.raises(InputError, match="'pybullet' cannot be copied"):

@@ -203,8 +203,9 @@ def test_tool_starts_where_the_tutorial_says(robot):
 
 
 def test_link_7_is_where_pybullets_urdf_puts_it(robot, arm):
-    pybullet = pytest.importorskip("pybullet")
-    data = pytest.importorskip("pybullet_data")
+    import pybullet
+    import pybullet_data as data
+
     client = pybullet.connect(pybullet.DIRECT)
     try:
         body = pybullet.loadURDF(f"{data.getDataPath()}/kuka_iiwa/model.urdf", physicsClientId=client)

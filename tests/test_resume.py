@@ -102,8 +102,6 @@ def config() -> RunConfig:
 def test_a_run_stopped_once_or_twice_ends_with_the_weights_and_report_of_one_never_stopped(
     tmp_path: Path, name: str
 ) -> None:
-    if name == "pybullet":
-        pytest.importorskip("pybullet")
     config = configure(**{**TINY, "stop_early": False, **RUNS[name]})
     whole = train(config, tmp_path / "whole")
     for iteration in (3, 2) if name == "kinematic" else (3,):

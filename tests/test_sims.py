@@ -54,22 +54,17 @@ def test_mujoco_continues_from_a_saved_state_bit_for_bit_at_any_thread_count():
 @pytest.mark.parametrize("sim", tried(SIMULATORS, ["mujoco"]))
 @pytest.mark.compiled
 def test_two_environments_in_turns_are_each_as_alone(sim):
-    if sim == "pybullet":
-        pytest.importorskip("pybullet")
     assert interleavings(sim, 3)["value"] == 3
 
 
 @pytest.mark.parametrize("sim", tried(SIMULATORS, ["mujoco"]))
 def test_bad_actions_raise_and_leave_the_state_as_it_was(sim):
-    if sim == "pybullet":
-        pytest.importorskip("pybullet")
     measured = bad_actions(sim, 300, share=0.2)
     assert measured["value"] == 0
     assert measured["config"]["refused"] > 20
 
 
 def test_pybullet_follows_joint_commands_as_the_kinematic_simulator_does():
-    pytest.importorskip("pybullet")
     robot, physics = load_robot("iiwa14"), configure().physics
     bullet, kinematic = (make_simulator(name, robot, physics, 2) for name in ("pybullet", "kinematic"))
     q = np.tile(np.array(robot.home, np.float32), (2, 1))

@@ -17,7 +17,7 @@ import pytest
 import reachlab
 from browser.driver import executable
 from browser.site import broken, misfits
-from builder import PARTS, drawings, filled
+from builder import MARK, ON_SITE, PART, PARTS, drawings, filled, renewed
 from builder.commands import flags
 from builder.docstrings import field_docstrings
 from builder.tables import FORMULAS, TERMS, VARIED
@@ -61,15 +61,26 @@ def test_every_flag_is_described(verb: str) -> None:
     assert not [flag.written for flag in flags(VERBS[verb].flags, None) if not flag.text]
 
 
+DOCS = Path(reachlab.__file__).parents[2] / "docs"
+PAGES = {page.name: page.read_text(encoding="utf-8") for page in sorted(DOCS.glob("*.md"))}
+
+
+@pytest.mark.parametrize("page", [name for name, text in PAGES.items() if PART.search(text)])
+def test_tables_of_a_page_are_those_of_the_code(page: str) -> None:
+    assert renewed(PAGES[page]) == PAGES[page], "write them anew with `make tables`"
+
+
 def test_a_part_that_a_page_asks_for_is_filled_in() -> None:
-    assert filled("a\n<!-- made at the build: agents -->\nb").count("\n| `ik` |") == 1
+    assert filled("a\n<!-- made at the build: live arms -->\nb").count("<iframe") == 1
+    assert renewed("<!-- made by make tables: agents -->\nold\n<!-- end -->").count("\n| `ik` |") == 1
     with pytest.raises(KeyError, match="no such part"):
         filled("<!-- made at the build: no such part -->")
 
 
 def test_every_part_is_asked_for_by_a_page() -> None:
-    pages = "".join(page.read_text(encoding="utf-8") for page in Path(reachlab.__file__).parents[2].glob("docs/*.md"))
-    assert set(re.findall(r"<!-- made at the build: (.+?) -->", pages)) == set(PARTS)
+    text = "".join(PAGES.values())
+    assert set(PART.findall(text)) == set(PARTS)
+    assert set(MARK.findall(text)) == set(ON_SITE)
 
 
 # --- drawings -------------------------------------------------------------------------------------

@@ -77,15 +77,6 @@ def succeeded(config: RunConfig) -> str:
     return setup.task.succeeds(setup.rules, setup.period)
 
 
-def nearness(config: RunConfig) -> str:
-    """How near the tool has to be for a success, in words."""
-    setup = _setup(config)
-    rules, moves = setup.rules, setup.task.move is not None
-    turned = f" and {rules.success_angle:.3g} rad" if rules.asks_orientation else ""
-    how = "held " if rules.hold_steps else "followed " if moves else ""
-    return f"{how}within {1000 * rules.success_distance:.3g} mm{turned}"
-
-
 def _setup(config: RunConfig) -> TaskSetup:
     from reachlab.envs.setup import make_setup
 

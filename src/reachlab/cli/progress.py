@@ -10,15 +10,19 @@ from typing import TYPE_CHECKING, Self
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Column
 
-from reachlab.cli.console import nearness, note, notes, print_reports, say, succeeded
+from reachlab.cli.console import note, notes, print_reports, say, succeeded
 from reachlab.settings.config import RunConfig
 
 if TYPE_CHECKING:
     from reachlab.learn.loop import Progress as TrainProgress
     from reachlab.learn.train import TrainResult
 
-LINES = 20
-"""Plain progress lines that are printed of a run that uses all its steps."""
+LINE_INTERVAL, LINE_GROWTH = 2.0, 0.2
+"""Least time between plain progress lines of a training [s], and the same as a share of its time so far: about twenty
+lines tell of the first minute and a half, and thirteen more of each time that is ten times as long."""
+
+FEW_EARLY = 0.005
+"""Share of training episodes that end early, up to which nothing is said of them."""
 
 SHOWN_EPISODES = 100
 """Training episodes that a success rate on a terminal is taken over, at least."""
@@ -49,21 +53,34 @@ class _Ended:
     """Training episodes that have ended since their success was last shown."""
 
     def __init__(self) -> None:
-        self.episodes, self.successes, self.metres = 0.0, 0.0, 0.0
+        self.episodes, self.successes, self.early, self.metres, self.steps = 0.0, 0.0, 0.0, 0.0, 0.0
+        self._rewards: list[float] = []
 
     def add(self, row: dict[str, float]) -> None:
         """Count those of an iteration."""
         self.episodes += row["episodes"]
         self.successes += row["episodes"] * row["success_rate"]
+        self.early += row["episodes"] * row.get("early_rate", 0.0)
         self.metres += row["episodes"] * row["final_distance"]
+        self.steps += row["episodes"] * row.get("episode_length", 0.0)
+        self._rewards += [row["reward"]] if "reward" in row else []
 
     def in_words(self, config: RunConfig) -> str:
-        """Their success rate in words; for a task that asks to hold a point, also the mean distance at their end."""
+        """What became of them in words: success, how many ended early, mean distance where a point is held, return.
+
+        The return is the mean reward of a step times their mean length: rewards are not told by episode.
+        """
         if not self.episodes:
             return ""
-        rate = f"success ({nearness(config)}) {100 * self.successes / self.episodes:.1f} %"
-        text = f"{rate} of {self.episodes:,.0f} training episodes"
-        return text + (f", {1000 * self.metres / self.episodes:.1f} mm at their end" if config.rules.hold_steps else "")
+        text = f"success {100 * self.successes / self.episodes:.1f} % of {self.episodes:,.0f} training episodes"
+        if self.early / self.episodes > FEW_EARLY:
+            why = "ended by contact or outside" if config.rules.end_on_contact else "ended outside the workspace"
+            text += f", {100 * self.early / self.episodes:.1f} % {why}"
+        if config.rules.hold_steps:
+            text += f", {1000 * self.metres / self.episodes:.1f} mm at their end"
+        if self._rewards:
+            text += f"  return {sum(self._rewards) / len(self._rewards) * self.steps / self.episodes:.3g}"
+        return text
 
 
 class Bar:
@@ -102,7 +119,7 @@ class TrainDisplay(Bar):
         """Display of a run; it shows nothing before its first progress."""
         super().__init__("compiling")  # training may stop early, so the bar has no total
         self._config = config
-        self._printed = -1
+        self._next_line = 0.0
         self._ended, self._success = _Ended(), ""
         self._validated: dict[str, float] = {}
         self.first: TrainProgress | None = None
@@ -131,11 +148,14 @@ class TrainDisplay(Bar):
         self._bar.update(self._task, description="training", completed=progress.steps, total=total, status=status)
 
     def _print(self, progress: TrainProgress, first: TrainProgress) -> None:
-        due = LINES * progress.steps // progress.total_steps
-        if due > self._printed or "validation_success" in progress.metrics:
-            self._printed = due
-            note(train_line(progress, first, self._config, self._ended.in_words(self._config)))
-            self._ended = _Ended()
+        now, settings = progress.elapsed_s, self._config.loop
+        self._validated |= {name: x for name, x in progress.metrics.items() if name == "validation_success"}
+        passed = progress.metrics.get("validation_success", 0.0) >= settings.stop_success
+        if now >= self._next_line or passed or progress.steps >= progress.total_steps:
+            self._next_line = now + max(LINE_INTERVAL, LINE_GROWTH * now)
+            shown = replace(progress, metrics=progress.metrics | self._validated)
+            note(train_line(shown, first, self._config, self._ended.in_words(self._config)))
+            self._ended, self._validated = _Ended(), {}
 
 
 def explained(config: RunConfig) -> str:

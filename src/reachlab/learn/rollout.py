@@ -152,13 +152,17 @@ def _row(choice: Choice, state: EnvState, transition: Transition, after: Observe
 
 
 def episode_statistics(rollout: Rollout) -> dict[str, Array]:
-    """Scalars of the episodes that ended in the rollout: how many, their success rate and mean length."""
+    """Scalars of the episodes that ended in the rollout: how many, their success rate and mean length.
+
+    `early_rate` is the share that failed before their time, by contact or outside the workspace.
+    """
     done = rollout.done
     episodes = done.sum()
     at_least_one = jnp.maximum(episodes, 1)
     return {
         "episodes": episodes,
         "success_rate": (rollout.success & done).sum() / at_least_one,
+        "early_rate": (rollout.terminated & ~rollout.success).sum() / at_least_one,
         "episode_length": (rollout.clock * done).sum() / at_least_one,
         "final_distance": (rollout.distance * done).sum() / at_least_one,
         "reward": rollout.reward.mean(),

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
+import importlib
 import itertools
 import os
 import platform
+import sys
 from typing import Any
 
 import mujoco
@@ -197,6 +200,9 @@ def gl_context(width: int, height: int) -> Any:
         else {"Linux": "egl", "Darwin": "cgl"}.get(platform.system(), "glfw")
     )
     try:
+        if "torch" in sys.modules:  # which imports Triton when it needs it, and dies where Mesa's LLVM came first
+            with contextlib.suppress(ImportError):
+                importlib.import_module("triton")
         if backend == "egl":
             from mujoco.egl import GLContext
         elif backend == "osmesa":
