@@ -416,6 +416,20 @@ def test_of_all_simulators_there_is_what_there_is_where_one_is_missing_and_anoth
     assert json.loads((run / "reports" / "kinematic-ik-9.json").read_text())["episodes"] == 20
 
 
+def test_several_runs_are_in_one_table_with_the_baselines_once(reachlab: Shell, run: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other"
+    flags = "--seed 5 --reward sparse --action-repeat 1 --no-clip-actions --hidden 16 16"
+    assert reachlab("train", "--out", other, *f"{TINY} {flags}".split()).status == cli.DONE
+    said = reachlab("eval", run, other, "--agent", "trained", "ik", "--episodes", 10, "--json")
+    assert [(report["run"], report["agent"]) for report in json.loads(said.out)] == [
+        *((str(run), "trained"), ("", "ik"), (str(other), "trained")),
+        ("mean of 2 seeds", "trained"),
+    ]
+    assert "is named twice" in reachlab("eval", run, run).err
+    said = reachlab("eval", run, "panda/tutorial")
+    assert (said.status, "one table is of one robot" in said.err) == (cli.WRONG_INPUT, True)
+
+
 def test_a_person_sees_a_table_and_progress_though_the_run_cannot_be_written_of_which_a_warning_tells(
     reachlab: Shell, run: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -13,6 +13,7 @@ import pytest
 
 from reachlab.cli.console import asked, note, print_reports, say
 from reachlab.cli.progress import EvalDisplay, TrainDisplay, explained, parts_of_time, train_line
+from reachlab.evaluation.intervals import mean_report
 from reachlab.learn.loop import Progress
 from reachlab.settings.config import RunConfig
 from reachlab.settings.presets import configure
@@ -118,6 +119,30 @@ def test_a_table_of_episodes_that_end_once_the_tool_was_held(capsys: pytest.Capt
     assert "for 2 steps (0.0083 s), no joint faster than 0.05 rad/s, which ends the episode." in out
     assert "median error" in out
     assert "2.0 mm" in out
+
+
+def test_reports_of_several_runs_are_told_with_the_mean_of_their_seeds(capsys: pytest.CaptureFixture[str]) -> None:
+    rates = {"s0": 0.25, "s1": 0.5, "s2": 0.75}
+    reports = [{**REPORT, "run": name, "success_rate": rate} for name, rate in rates.items()]
+    reports[2] |= {"time_to_reach_s": None, "final_error_mm": {**REPORT["final_error_mm"], "median": 8.0}}
+    mean = mean_report(reports)
+    # 0.25 / √3 times the 97.5 % quantile of Student's distribution with two degrees of freedom, 4.303
+    assert mean["success_interval"] == (0.0, 1.0)
+    assert mean_report(reports[:2])["success_rate"] == 0.375
+    close = mean_report([{**REPORT, "success_rate": rate} for rate in (0.49, 0.5, 0.51)])
+    assert close["success_interval"] == pytest.approx((0.5 - 0.0248, 0.5 + 0.0248), abs=1e-4)
+    assert (mean["final_error_mm"]["median"], mean["time_to_reach_s"]) == (4.0, None)
+    print_reports([*reports, mean | {"run": "mean of 3 seeds"}], configure(hold_steps=2))
+    rows = [line.split("│")[1].strip() for line in capsys.readouterr().out.splitlines() if "│" in line]
+    assert rows == ["s0", "s1", "s2", "mean of 3 seeds"]
+
+
+def test_where_simulators_differ_in_the_length_of_a_step_it_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+    periods = {"kinematic": 1 / 240, "mujoco": 0.02}
+    print_reports(
+        [{**REPORT, "sim": sim, "control_period": period} for sim, period in periods.items()], configure(hold_steps=2)
+    )
+    assert "A step is 4.17 ms in kinematic, 20 ms in mujoco: equally many" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(("distance", "said"), [(0.05, "within 50 mm"), (0.0125, "within 12.5 mm")])

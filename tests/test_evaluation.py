@@ -31,14 +31,15 @@ from reachlab.envs.random_streams import (
     stream_key,
 )
 from reachlab.evaluation.episodes import BATCH, Episodes, Runner, make_runner, run_episodes
-from reachlab.evaluation.report import Report, evaluate, examine, summarise, wilson_interval
+from reachlab.evaluation.intervals import wilson_interval
+from reachlab.evaluation.report import Report, evaluate, examine, summarise
 from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError
 
 REPORT_FIELDS = """
 task robot sim agent seed episodes checkpoint randomised success_rate success_interval success_within
 success_within_pairs final_error_mm final_angle_rad tracking return_mean steps_mean time_to_reach_s max_joint_speed jerk
-contact self_contact wall_s versions ends
+contact self_contact wall_s versions ends control_period
 """
 """Every field of a report."""
 

@@ -15,7 +15,10 @@ from reachlab.learn.interrupts import ASKING, Interrupted, Interrupts, raise_on_
 
 @pytest.fixture(autouse=True)
 def _handlers() -> Iterator[None]:
+    """Signals as a terminal gives them: below `nohup`, or in the background, some are ignored."""
     before = {number: signal.getsignal(number) for number in ASKING}
+    for number in ASKING:
+        signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)
     yield
     for number, handler in before.items():
         signal.signal(number, handler)

@@ -19,7 +19,7 @@ from reachlab.cli.main import main
 from reachlab.envs.core import Env
 from reachlab.envs.random_streams import env_keys
 from reachlab.evaluation.episodes import make_runner
-from reachlab.evaluation.report import wilson_interval
+from reachlab.evaluation.intervals import wilson_interval
 from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError
 

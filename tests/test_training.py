@@ -33,8 +33,8 @@ SETTINGS = {"seed": 3, "validation_episodes": 500, "stop_streak": 2, "checkpoint
 """Of a training that is soon done, with one checkpoint."""
 
 ROW = """
-steps wall_s steps_per_second episodes success_rate episode_length final_distance reward policy_loss value_loss entropy
-kl clip_fraction gradient_norm std
+steps wall_s steps_per_second episodes success_rate early_rate episode_length final_distance reward policy_loss
+value_loss entropy kl clip_fraction gradient_norm std
 """
 
 IN_A_FRESH_PROCESS = """

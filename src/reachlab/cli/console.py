@@ -93,22 +93,34 @@ def print_reports(reports: Sequence[dict[str, Any]], config: RunConfig) -> None:
     what = f"{first['task']} task, {first['robot']}{varied}"
     say(f"{what}: {first['episodes']:,} held-out targets of seed {first['seed']}.")
     say(f"Success: {succeeded(config)}.")
-    table = Table("agent", "simulator")
+    several = ["run"] if any("run" in report for report in reports) else []
+    table = Table(*several, "agent", "simulator")
     figures = [_figures(report, held=config.rules.hold_steps > 0) for report in reports]
     for heading in ("success", "95 % interval", *figures[0]):
         table.add_column(heading, justify="right")
     for report, row in zip(reports, figures, strict=True):
         low, high = report["success_interval"]
-        success = _percent(report["success_rate"]), f"{100 * low:.1f} to {100 * high:.1f}"
-        table.add_row(report["agent"], report["sim"], *success, *row.values())
+        interval = f"{100 * low:.1f} to {100 * high:.1f}" if low < high else "–"
+        success = _percent(report["success_rate"]), interval
+        told = (report.get(name, "") for name in several)
+        table.add_row(*told, report["agent"], report["sim"], *success, *row.values())
     console.print(table)
+    _say_steps(reports)
     _say_ends(reports)
     met = "links of the arm met, by the shapes in its file"
     for kind, what in (("contact", "the arm touched anything"), ("self_contact", met)):
         told = [report for report in reports if report[kind] is not None]
         if told:
-            shares = (f"{report['agent']} in {report['sim']} {_percent(report[kind])}" for report in told)
+            shares = (f"{_who(report)} {_percent(report[kind])}" for report in told)
             say(f"Episodes in which {what}: {', '.join(shares)}.")
+
+
+def _say_steps(reports: Sequence[dict[str, Any]]) -> None:
+    """Print how long a step is, where simulators differ in it: their numbers of steps cannot be compared."""
+    periods = {report["sim"]: report.get("control_period") for report in reports}
+    if len({*periods.values()} - {None}) > 1:
+        told = (f"{1000 * period:.3g} ms in {sim}" for sim, period in periods.items() if period)
+        say(f"A step is {', '.join(told)}: equally many steps are different times.")
 
 
 WAYS = {"outside": "left the workspace", "contact": "touched something", "time": "ran out of time"}
@@ -123,12 +135,18 @@ def _say_ends(reports: Sequence[dict[str, Any]]) -> None:
     for report in reports:
         ends = report.get("ends") or {}
         if failed := [f"{_percent(ends[way])} {words}" for way, words in WAYS.items() if ends.get(way)]:
-            say(f"Not a success, {report['agent']} in {report['sim']}: {', '.join(failed)}.")
+            say(f"Not a success, {_who(report)}: {', '.join(failed)}.")
         if report["agent"] == "trained" and ends.get("outside", 0.0) > MANY:
             say(
                 "Leaving the workspace ends an episode: where each step costs more than leaving does, a policy learns"
                 " to leave. Choose another --reward, as dense; docs/reward.md says more."
             )
+
+
+def _who(report: dict[str, Any]) -> str:
+    """Whose report it is, where a table has several."""
+    run = report.get("run")
+    return f"{report['agent']}{f' ({run})' if run else ''} in {report['sim']}"
 
 
 def _figures(report: dict[str, Any], *, held: bool) -> dict[str, str]:

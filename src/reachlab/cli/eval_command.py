@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import json as jsonlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from reachlab.agents import AGENTS
 from reachlab.cli.flags import Eval
 from reachlab.cli.preparation import prepare
 from reachlab.settings.config import RunConfig
-from reachlab.settings.json_form import override
+from reachlab.settings.json_form import flatten, override, to_json
 from reachlab.settings.presets import preset
 from reachlab.settings.validation import InputError, choose
 
@@ -22,6 +23,21 @@ if TYPE_CHECKING:
     from reachlab.deploy.onnx_network import OnnxNetwork
     from reachlab.learn.load import Saved
     from reachlab.runs.directory import RunDirectory
+
+
+@dataclass
+class _Subject:
+    """What is evaluated: a run, a model, or without either the settings that the flags name.
+
+    What is `saved` in a run is loaded once: all simulators get the same checkpoint, even where a training writes newer
+    ones meanwhile.
+    """
+
+    name: str
+    config: RunConfig
+    run: RunDirectory | None = None
+    model: SavedModel | OnnxNetwork | None = None
+    saved: Saved | None = None
 
 
 def evaluate(arguments: Eval) -> None:
@@ -37,27 +53,24 @@ def evaluate(arguments: Eval) -> None:
     prepare()
     from reachlab.cli.console import note
     from reachlab.cli.progress import EvalDisplay
-    from reachlab.runs.shipped import find_run
     from reachlab.sims import SIMULATORS
 
-    run = find_run(arguments.run) if arguments.run and not _is_model(arguments.run) else None
-    model = _model(arguments)
-    trained, several = _settings(arguments, run, model), arguments.sim == "all"
+    subjects = _subjects(arguments)
+    trained, several = subjects[0].config, arguments.sim == "all"
     names = list(SIMULATORS) if several else [arguments.sim or trained.sim]
-    configs = {name: _evaluated_config(arguments, trained, name) for name in names}
+    configs = {name: [_evaluated_config(arguments, one.config, name) for one in subjects] for name in names}
     reports: list[dict[str, Any]] = []
     failed: list[str] = []
     unsaved: list[str] = []
-    loaded: list[Saved] = []
     try:
         with EvalDisplay(arguments.episodes) as display:
             if several:  # found before minutes are spent on the others
-                failed += [name for name, config in configs.items() if not _can_be_used(config)]
+                failed += [name for name, (config, *_) in configs.items() if not _can_be_used(config)]
             for name in names:
                 if name in failed:
                     continue
                 try:
-                    for report, warning in _evaluated(arguments, run, model, configs[name], loaded, display):
+                    for report, warning in _in_simulator(arguments, subjects, configs[name], display):
                         reports.append(report)
                         unsaved += warning
                 except (InputError, FloatingPointError) as error:
@@ -66,11 +79,39 @@ def evaluate(arguments: Eval) -> None:
                     note(f"{name}: {error}")
                     failed.append(name)
     finally:  # the reports that there are, whatever ended the evaluation
-        _show_evaluation(reports, configs[names[0]], as_list=len(names) * len(arguments.agent) > 1, json=arguments.json)
+        several_rows = len(names) * len(arguments.agent) * len(subjects) > 1
+        _show_evaluation(reports, subjects, configs[names[0]][0], as_list=several_rows, json=arguments.json)
     for warning in unsaved:
         note(f"Warning: {warning}")
     if failed:
         raise InputError(f"no result in {', '.join(failed)}: the reason is above.")
+
+
+def _subjects(arguments: Eval) -> list[_Subject]:
+    """What the flags name; several runs are of one task on one arm.
+
+    Raises:
+        InputError: they are not, or one of them is named twice or cannot be used.
+    """
+    from reachlab.runs.shipped import find_run
+
+    made = []
+    for path in arguments.runs or (None,):
+        run = find_run(path) if path and not _is_model(path) else None
+        model = _model(arguments, path)
+        made.append(_Subject(str(path or ""), _settings(arguments, run, model), run, model))
+    first, *others = made
+    for other in others:
+        for name in ("task", "robot") + (() if arguments.sim else ("sim",)):
+            one, another = getattr(first.config, name), getattr(other.config, name)
+            if one != another:
+                remedy = "add --sim" if name == "sim" else "evaluate them one by one"
+                raise InputError(
+                    f"one table is of one {name}: '{first.name}' is of {one}, '{other.name}' of {another}: {remedy}."
+                )
+    if len({subject.name for subject in made}) < len(made):
+        raise InputError("a run is named twice: name each once.")
+    return made
 
 
 def _is_zip(path: Path) -> bool:
@@ -88,29 +129,30 @@ def _is_model(path: Path) -> bool:
     return _is_zip(path) or _is_onnx(path)
 
 
-def _model(arguments: Eval) -> SavedModel | OnnxNetwork | None:
-    """The model of Stable-Baselines3 or the policy in ONNX that the flags name, if they do.
+def _model(arguments: Eval, path: Path | None) -> SavedModel | OnnxNetwork | None:
+    """The model of Stable-Baselines3 or the policy in ONNX that is named, if one is.
 
     Raises:
         InputError: it is not trusted or cannot be loaded, or there is none and flags speak of one.
     """
-    if arguments.run is None or not _is_zip(arguments.run):
+    if not any(map(_is_zip, arguments.runs)):
         for name in ("trust", "normaliser"):
             if getattr(arguments, name):
                 raise InputError(f"--{name} goes with a model of Stable-Baselines3: name its .zip, or leave it out.")
-        if arguments.run is None or not _is_onnx(arguments.run):
-            return None
+    if path is None or not _is_model(path):
+        return None
+    if not _is_zip(path):
         from reachlab.deploy.onnx_network import OnnxNetwork
 
-        return OnnxNetwork(arguments.run)
+        return OnnxNetwork(path)
     if not arguments.trust:
         raise InputError(
-            f"'{arguments.run}' is a model of Stable-Baselines3, which is unpickled and may run any code: add --trust"
+            f"'{path}' is a model of Stable-Baselines3, which is unpickled and may run any code: add --trust"
             " if you know where it comes from."
         )
     from reachlab.agents.sb3_policy import load_model
 
-    return load_model(arguments.run, arguments.normaliser)
+    return load_model(path, arguments.normaliser)
 
 
 def _settings(arguments: Eval, run: RunDirectory | None, model: SavedModel | OnnxNetwork | None) -> RunConfig:
@@ -171,21 +213,25 @@ def _can_be_used(config: RunConfig) -> bool:
     return True
 
 
+def _in_simulator(
+    arguments: Eval, subjects: Sequence[_Subject], configs: Sequence[RunConfig], display: EvalDisplay
+) -> Iterator[tuple[dict[str, Any], list[str]]]:
+    """What `_evaluated` gives for each subject, with its name where there are several; the first has the baselines."""
+    agents = arguments.agent
+    for subject, config in zip(subjects, configs, strict=True):
+        for report, warning in _evaluated(arguments, subject, config, agents, display):
+            told = {"run": subject.name if AGENTS[report["agent"]].trained else ""} if len(subjects) > 1 else {}
+            yield told | report, warning
+        agents = tuple(agent for agent in agents if AGENTS[agent].trained)
+
+
 def _evaluated(
-    arguments: Eval,
-    run: RunDirectory | None,
-    model: SavedModel | OnnxNetwork | None,
-    config: RunConfig,
-    loaded: list[Saved],
-    display: EvalDisplay,
+    arguments: Eval, subject: _Subject, config: RunConfig, agents: Sequence[str], display: EvalDisplay
 ) -> Iterator[tuple[dict[str, Any], list[str]]]:
     """Report of each agent in one simulator, and where it could not be saved in the run a list with the reason.
 
     Agent `trained` is the policy of a run, or a model, whose reports are not saved; nor are those of a policy that
     comes with reachlab, or on other goals than the run's, which would stand in for those on its own.
-
-    What is already `loaded` is used again: all simulators get the same checkpoint, even where a training writes newer
-    ones meanwhile.
     """
     from reachlab.envs.core import Env
     from reachlab.evaluation.episodes import BATCH
@@ -194,16 +240,16 @@ def _evaluated(
     from reachlab.runs.shipped import is_shipped
     from reachlab.sims import SIMULATORS
 
-    name, episodes = config.sim, arguments.episodes
+    name, episodes, run, model = config.sim, arguments.episodes, subject.run, subject.model
     env = Env(config, 1 if arguments.gui else min(episodes, SIMULATORS[name].most_envs or BATCH))
     try:
         if model:
             model.check(env.schema)
-        if run and not loaded:
-            loaded.append(load_saved(run, env))
-        policy, checkpoint = (loaded[0].policy, loaded[0].checkpoint) if loaded else (None, None)
+        if run and not subject.saved:
+            subject.saved = load_saved(run, env)
+        policy, checkpoint = (subject.saved.policy, subject.saved.checkpoint) if subject.saved else (None, None)
         checkpoint = model.checkpoint if model else checkpoint
-        for agent in arguments.agent:
+        for agent in agents:
             display.begin(agent, name)
             acting = model.act if model and AGENTS[agent].trained else agent
             result, played = examine(
@@ -223,11 +269,34 @@ def _evaluated(
         env.close()
 
 
-def _show_evaluation(reports: list[dict[str, Any]], config: RunConfig, *, as_list: bool, json: bool) -> None:
+def _show_evaluation(
+    reports: list[dict[str, Any]], subjects: Sequence[_Subject], config: RunConfig, *, as_list: bool, json: bool
+) -> None:
     """Print the reports, if there are any: as JSON a single report, or a list of them."""
-    from reachlab.cli.console import print_reports
+    from reachlab.cli.console import note, print_reports
 
+    means = _means(reports, subjects)
     if reports and json:
-        print(jsonlib.dumps(reports if as_list else reports[0]))
+        print(jsonlib.dumps([*reports, *means] if as_list else reports[0]))
     elif reports:
-        print_reports(reports, config)
+        print_reports([*reports, *means], config)
+        if means:
+            note("Means are over trainings; their intervals are Student's, and a dash where all trainings are equal.")
+
+
+def _means(reports: Sequence[dict[str, Any]], subjects: Sequence[_Subject]) -> list[dict[str, Any]]:
+    """Means over the runs that differ by their seeds alone, in each simulator."""
+    from reachlab.evaluation.intervals import mean_report
+
+    groups: dict[str, dict[int, str]] = {}
+    for subject in subjects:
+        same = flatten(to_json(subject.config)) | {"seed": 0}
+        groups.setdefault(jsonlib.dumps(same), {}).setdefault(subject.config.seed, subject.name)
+    made = []
+    for names in groups.values():
+        parts = [report for report in reports if report.get("run") in names.values()]
+        for sim in dict.fromkeys(report["sim"] for report in parts):
+            own = [report for report in parts if report["sim"] == sim]
+            if len(own) > 1:
+                made.append(mean_report(own) | {"run": f"mean of {len(own)} seeds"})
+    return made

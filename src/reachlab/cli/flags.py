@@ -152,9 +152,9 @@ def _no_goal_flags() -> Any:
 class Eval(Checked):
     """Evaluate a run beside its baselines, or baselines alone, on held-out targets."""
 
-    run: Annotated[Path | None, tyro.conf.Positional] = None
+    runs: Annotated[tuple[Path, ...], tyro.conf.Positional] = ()
     """Run directory, name of a policy in `reachlab list`, policy in ONNX (.onnx or an export) or model of
-    Stable-Baselines3 (.zip); baselines need none."""
+    Stable-Baselines3 (.zip); baselines need none. Several in one table, with means of those that differ by seed."""
     trust: bool = False
     """The model's file may run code: it is unpickled."""
     normaliser: Annotated[Path | None, Optional] = None

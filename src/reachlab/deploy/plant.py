@@ -15,7 +15,7 @@ import numpy as np
 from reachlab.deploy.plant_faults import Faults
 from reachlab.envs.core import Env
 from reachlab.envs.random_streams import REPORT_STREAM, episode_keys
-from reachlab.evaluation.report import wilson_interval
+from reachlab.evaluation.intervals import wilson_interval
 from reachlab.settings.config import RunConfig
 from reachlab.settings.json_form import override
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import math
 import time
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -16,6 +15,7 @@ from reachlab.agents.policy import Policy
 from reachlab.envs.core import Env
 from reachlab.envs.random_streams import REPORT_STREAM
 from reachlab.evaluation.episodes import Episodes, Runner, Track, Watch, ignore, make_runner, run_episodes
+from reachlab.evaluation.intervals import wilson_interval
 from reachlab.evaluation.tracking import followed
 from reachlab.runs.versions import versions
 from reachlab.settings.presets import preset_of
@@ -23,9 +23,6 @@ from reachlab.settings.validation import LAST_SEED, whole_number
 
 QUANTILES = {"median": 0.5, "p95": 0.95, "p99": 0.99, "max": 1.0}
 """Quantiles of the final error in a report."""
-
-NORMAL_95 = 1.959963984540054
-"""97.5 % quantile of the standard normal distribution."""
 
 WITHIN = (100, 50, 20, 10, 5, 2, 1)
 """Errors of which `success_within` speaks [mm]."""
@@ -60,6 +57,7 @@ class Report:
             infinite.
         final_angle_rad: the same of the orientation; None where any will do.
         tracking: how well a goal that moves was followed, see `tracking.followed`; None of one that stays.
+        control_period: time of a step [s].
         return_mean: mean sum of rewards.
         steps_mean: mean length, to success or the end.
         time_to_reach_s: mean time of the successes until the tool is there for good [s]; None without any.
@@ -89,6 +87,7 @@ class Report:
     final_error_mm: dict[str, float | None]
     final_angle_rad: dict[str, float | None] | None
     tracking: dict[str, Any] | None
+    control_period: float
     return_mean: float
     steps_mean: float
     time_to_reach_s: float | None
@@ -102,20 +101,6 @@ class Report:
     def to_json(self) -> dict[str, Any]:
         """Plain form, for `json.dump`."""
         return asdict(self)
-
-
-def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
-    """95 % interval of a rate (Wilson, "Probable inference", J. Am. Stat. Assoc. 22, 1927).
-
-    That of `scipy.stats.binomtest`, whose import takes half a second: a tenth of a whole training.
-    """
-    z, rate = NORMAL_95, successes / trials
-    centre = rate + z**2 / (2 * trials)
-    half = z * math.sqrt(rate * (1 - rate) / trials + z**2 / (4 * trials**2))
-    scale = 1 + z**2 / trials
-    # Exact where rounding would leave the ends a hair away from 0 and 1.
-    low, high = (0.0 if successes == 0 else (centre - half) / scale), (centre + half) / scale
-    return low, 1.0 if successes == trials else high
 
 
 def evaluate(
@@ -220,6 +205,7 @@ def summarise(
         final_error_mm=_quantiles(error),
         final_angle_rad=None if angle is None else _quantiles(angle),
         tracking=None if result.track is None else _tracking(env, result.track),
+        control_period=period,
         return_mean=float(result.returns.mean()),
         steps_mean=float(result.steps.mean()),
         time_to_reach_s=float(reached.mean() * period) if successes else None,

@@ -8,7 +8,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from reachlab.envs.setup import check
+from reachlab.evaluation.intervals import student_half_width
 from reachlab.runs.directory import RunDirectory
 from reachlab.runs.files import read_json
 from reachlab.scale.engine import Engine, Job
@@ -182,12 +185,10 @@ class Trials:
         """The value of one seed; of several the poorer end of the 95 % interval of their mean (Student's t)."""
         if len(values) == 1:
             return values[0]
-        from scipy.stats import t
-
         mean = statistics.fmean(values)
         if mean in (float("inf"), float("-inf")):
             return mean
-        half = float(t.ppf(0.975, len(values) - 1)) * statistics.stdev(values) / len(values) ** 0.5
+        half = float(student_half_width(np.array(values)))
         return mean - half if self._goal.maximise else mean + half
 
 

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import SubFigure
+from matplotlib.patches import Patch
 from matplotlib.ticker import EngFormatter, MaxNLocator
 
 from reachlab.watch.results import Band, Group, band, pooled, read_rows
@@ -57,7 +58,11 @@ def draw_learning(row: SubFigure, groups: Sequence[Group], columns: int) -> None
         _set_axes(axes, panel)
     if any(validated):
         places[0].plot([], [], ".", color="gray", ms=6, label="validation")
-    row.legend(*places[0].get_legend_handles_labels(), loc="outside upper center", ncols=columns)
+    handles, labels = places[0].get_legend_handles_labels()
+    if any(len(group.runs) > 1 for group in groups):
+        handles.append(Patch(color="gray", alpha=0.2, linewidth=0))
+        labels.append("95 % interval of the mean over seeds")
+    row.legend(handles, labels, loc="outside upper center", ncols=columns)
 
 
 def _draw_group(places: Sequence[Axes], group: Group, colour: str, style: str) -> bool:

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from reachlab.evaluation.intervals import student_half_width
 from reachlab.runs.directory import RunDirectory
 from reachlab.settings import presets
 from reachlab.settings.json_form import flatten, to_json
@@ -25,9 +26,6 @@ MOST_DIFFERENCES = 3
 
 CHOICES = ("task", *presets.CHOICES)
 """Settings that bring others with them, see `presets.preset`."""
-
-QUANTILE = 0.975
-"""Of Student's distribution, for intervals of 95 %."""
 
 POOLED = ("success_rate", "final_distance")
 """Metrics that are means over the episodes of an iteration."""
@@ -166,8 +164,6 @@ def band(curves: Sequence[Sequence[Mapping[str, float]]], x: str, y: str, most: 
 
     Curves are joined by straight lines and begin where all have begun; one that stopped early keeps its last value.
     """
-    from scipy.special import stdtrit
-
     points = [(np.array([p[x] for p in curve]), np.array([p[y] for p in curve])) for curve in curves if curve]
     if not points:
         return Band(np.zeros(0), np.zeros(0), None, None)
@@ -177,7 +173,7 @@ def band(curves: Sequence[Sequence[Mapping[str, float]]], x: str, y: str, most: 
     mean, count = values.mean(axis=0), len(values)
     if count == 1:
         return Band(grid, mean, None, None)
-    half = stdtrit(count - 1, QUANTILE) * values.std(axis=0, ddof=1) / np.sqrt(count)
+    half = student_half_width(values)
     return Band(grid, mean, np.maximum(mean - half, 0), np.minimum(mean + half, most))
 
 
