@@ -4,40 +4,18 @@ from __future__ import annotations
 
 import json as jsonlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from reachlab.agents import AGENTS
+from reachlab.cli.eval_subjects import Subject, find_subjects
 from reachlab.cli.flags import Eval
 from reachlab.cli.preparation import prepare
 from reachlab.settings.config import RunConfig
-from reachlab.settings.json_form import flatten, override, to_json
-from reachlab.settings.presets import preset
+from reachlab.settings.json_form import flatten, to_json
 from reachlab.settings.validation import InputError, choose
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
-    from reachlab.agents.sb3_policy import SavedModel
     from reachlab.cli.progress import EvalDisplay
-    from reachlab.deploy.onnx_network import OnnxNetwork
-    from reachlab.learn.load import Saved
-    from reachlab.runs.directory import RunDirectory
-
-
-@dataclass
-class _Subject:
-    """What is evaluated: a run, a model, or without either the settings that the flags name.
-
-    What is `saved` in a run is loaded once: all simulators get the same checkpoint, even where a training writes newer
-    ones meanwhile.
-    """
-
-    name: str
-    config: RunConfig
-    run: RunDirectory | None = None
-    model: SavedModel | OnnxNetwork | None = None
-    saved: Saved | None = None
 
 
 def evaluate(arguments: Eval) -> None:
@@ -55,7 +33,7 @@ def evaluate(arguments: Eval) -> None:
     from reachlab.cli.progress import EvalDisplay
     from reachlab.sims import SIMULATORS
 
-    subjects = _subjects(arguments)
+    subjects = find_subjects(arguments)
     trained, several = subjects[0].config, arguments.sim == "all"
     names = list(SIMULATORS) if several else [arguments.sim or trained.sim]
     configs = {name: [_evaluated_config(arguments, one.config, name) for one in subjects] for name in names}
@@ -85,102 +63,6 @@ def evaluate(arguments: Eval) -> None:
         note(f"Warning: {warning}")
     if failed:
         raise InputError(f"no result in {', '.join(failed)}: the reason is above.")
-
-
-def _subjects(arguments: Eval) -> list[_Subject]:
-    """What the flags name; several runs are of one task on one arm.
-
-    Raises:
-        InputError: they are not, or one of them is named twice or cannot be used.
-    """
-    from reachlab.runs.shipped import find_run
-
-    made = []
-    for path in arguments.runs or (None,):
-        run = find_run(path) if path and not _is_model(path) else None
-        model = _model(arguments, path)
-        made.append(_Subject(str(path or ""), _settings(arguments, run, model), run, model))
-    first, *others = made
-    for other in others:
-        for name in ("task", "robot") + (() if arguments.sim else ("sim",)):
-            one, another = getattr(first.config, name), getattr(other.config, name)
-            if one != another:
-                remedy = "add --sim" if name == "sim" else "evaluate them one by one"
-                raise InputError(
-                    f"one table is of one {name}: '{first.name}' is of {one}, '{other.name}' of {another}: {remedy}."
-                )
-    if len({subject.name for subject in made}) < len(made):
-        raise InputError("a run is named twice: name each once.")
-    return made
-
-
-def _is_zip(path: Path) -> bool:
-    """Whether a path names a model of Stable-Baselines3."""
-    return path.suffix == ".zip" and not path.is_dir()
-
-
-def _is_onnx(path: Path) -> bool:
-    """Whether a path names a policy in ONNX, or the folder of an export."""
-    return (path.suffix == ".onnx" and not path.is_dir()) or (path / "policy.onnx").is_file()
-
-
-def _is_model(path: Path) -> bool:
-    """Whether a path names a policy of another kind than a run directory."""
-    return _is_zip(path) or _is_onnx(path)
-
-
-def _model(arguments: Eval, path: Path | None) -> SavedModel | OnnxNetwork | None:
-    """The model of Stable-Baselines3 or the policy in ONNX that is named, if one is.
-
-    Raises:
-        InputError: it is not trusted or cannot be loaded, or there is none and flags speak of one.
-    """
-    if not any(map(_is_zip, arguments.runs)):
-        for name in ("trust", "normaliser"):
-            if getattr(arguments, name):
-                raise InputError(f"--{name} goes with a model of Stable-Baselines3: name its .zip, or leave it out.")
-    if path is None or not _is_model(path):
-        return None
-    if not _is_zip(path):
-        from reachlab.deploy.onnx_network import OnnxNetwork
-
-        return OnnxNetwork(path)
-    if not arguments.trust:
-        raise InputError(
-            f"'{path}' is a model of Stable-Baselines3, which is unpickled and may run any code: add --trust"
-            " if you know where it comes from."
-        )
-    from reachlab.agents.sb3_policy import load_model
-
-    return load_model(path, arguments.normaliser)
-
-
-def _settings(arguments: Eval, run: RunDirectory | None, model: SavedModel | OnnxNetwork | None) -> RunConfig:
-    """Settings of the run or the model, or without one those of the task and the robot that the flags name.
-
-    Raises:
-        InputError: no such run, one that is missing or not needed, or a robot that is not named right.
-    """
-    arm = {name: vars(arguments)[name] for name in ("robot", "tool", "base", "package")}
-    named = {"task": arguments.task} | arm
-    known = model.config if model else None
-    said = {name: value for name, value in named.items() if value}
-    if known and said == {"task": known.task}:
-        said = {}
-    if (run or known) and (given := [f"--{name}" for name in said]):
-        raise InputError(f"a run has its own task and robot: leave {' and '.join(given)} out, or the run.")
-    if run:
-        return run.read_config()
-    if known:
-        return known
-    if not model and (needing := [agent for agent in arguments.agent if AGENTS[agent].trained]):
-        others = ", ".join(name for name, entry in AGENTS.items() if not entry.trained)
-        raise InputError(
-            f"agent {needing[0]!r} needs a run: name its directory or a policy of `reachlab list`, or choose --agent"
-            f" among {others}."
-        )
-    config = preset(arguments.task or "tutorial")
-    return override(config, **{name: value for name, value in arm.items() if value})
 
 
 def _evaluated_config(arguments: Eval, trained: RunConfig, name: str) -> RunConfig:
@@ -214,7 +96,7 @@ def _can_be_used(config: RunConfig) -> bool:
 
 
 def _in_simulator(
-    arguments: Eval, subjects: Sequence[_Subject], configs: Sequence[RunConfig], display: EvalDisplay
+    arguments: Eval, subjects: Sequence[Subject], configs: Sequence[RunConfig], display: EvalDisplay
 ) -> Iterator[tuple[dict[str, Any], list[str]]]:
     """What `_evaluated` gives for each subject, with its name where there are several; the first has the baselines."""
     agents = arguments.agent
@@ -226,7 +108,7 @@ def _in_simulator(
 
 
 def _evaluated(
-    arguments: Eval, subject: _Subject, config: RunConfig, agents: Sequence[str], display: EvalDisplay
+    arguments: Eval, subject: Subject, config: RunConfig, agents: Sequence[str], display: EvalDisplay
 ) -> Iterator[tuple[dict[str, Any], list[str]]]:
     """Report of each agent in one simulator, and where it could not be saved in the run a list with the reason.
 
@@ -270,7 +152,7 @@ def _evaluated(
 
 
 def _show_evaluation(
-    reports: list[dict[str, Any]], subjects: Sequence[_Subject], config: RunConfig, *, as_list: bool, json: bool
+    reports: list[dict[str, Any]], subjects: Sequence[Subject], config: RunConfig, *, as_list: bool, json: bool
 ) -> None:
     """Print the reports, if there are any: as JSON a single report, or a list of them."""
     from reachlab.cli.console import note, print_reports
@@ -284,7 +166,7 @@ def _show_evaluation(
             note("Means are over trainings; their intervals are Student's, and a dash where all trainings are equal.")
 
 
-def _means(reports: Sequence[dict[str, Any]], subjects: Sequence[_Subject]) -> list[dict[str, Any]]:
+def _means(reports: Sequence[dict[str, Any]], subjects: Sequence[Subject]) -> list[dict[str, Any]]:
     """Means over the runs that differ by their seeds alone, in each simulator."""
     from reachlab.evaluation.intervals import mean_report
 

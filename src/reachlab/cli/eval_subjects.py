@@ -1,0 +1,132 @@
+"""What `reachlab eval` evaluates: runs, models of other libraries, or baselines alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from reachlab.agents import AGENTS
+from reachlab.cli.flags import Eval
+from reachlab.settings.config import RunConfig
+from reachlab.settings.json_form import override
+from reachlab.settings.presets import preset
+from reachlab.settings.validation import InputError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from reachlab.agents.sb3_policy import SavedModel
+    from reachlab.deploy.onnx_network import OnnxNetwork
+    from reachlab.learn.load import Saved
+    from reachlab.runs.directory import RunDirectory
+
+
+@dataclass
+class Subject:
+    """What is evaluated: a run, a model, or without either the settings that the flags name.
+
+    What is `saved` in a run is loaded once: all simulators get the same checkpoint, even where a training writes newer
+    ones meanwhile.
+    """
+
+    name: str
+    config: RunConfig
+    run: RunDirectory | None = None
+    model: SavedModel | OnnxNetwork | None = None
+    saved: Saved | None = None
+
+
+def find_subjects(arguments: Eval) -> list[Subject]:
+    """What the flags name; several runs are of one task on one arm.
+
+    Raises:
+        InputError: they are not, or one of them is named twice or cannot be used.
+    """
+    from reachlab.runs.shipped import find_run
+
+    made = []
+    for path in arguments.runs or (None,):
+        run = find_run(path) if path and not _is_model(path) else None
+        model = _model(arguments, path)
+        made.append(Subject(str(path or ""), _settings(arguments, run, model), run, model))
+    first, *others = made
+    for other in others:
+        for name in ("task", "robot") + (() if arguments.sim else ("sim",)):
+            one, another = getattr(first.config, name), getattr(other.config, name)
+            if one != another:
+                remedy = "add --sim" if name == "sim" else "evaluate them one by one"
+                raise InputError(
+                    f"one table is of one {name}: '{first.name}' is of {one}, '{other.name}' of {another}: {remedy}."
+                )
+    if len({subject.name for subject in made}) < len(made):
+        raise InputError("a run is named twice: name each once.")
+    return made
+
+
+def _is_zip(path: Path) -> bool:
+    """Whether a path names a model of Stable-Baselines3."""
+    return path.suffix == ".zip" and not path.is_dir()
+
+
+def _is_onnx(path: Path) -> bool:
+    """Whether a path names a policy in ONNX, or the folder of an export."""
+    return (path.suffix == ".onnx" and not path.is_dir()) or (path / "policy.onnx").is_file()
+
+
+def _is_model(path: Path) -> bool:
+    """Whether a path names a policy of another kind than a run directory."""
+    return _is_zip(path) or _is_onnx(path)
+
+
+def _model(arguments: Eval, path: Path | None) -> SavedModel | OnnxNetwork | None:
+    """The model of Stable-Baselines3 or the policy in ONNX that is named, if one is.
+
+    Raises:
+        InputError: it is not trusted or cannot be loaded, or there is none and flags speak of one.
+    """
+    if not any(map(_is_zip, arguments.runs)):
+        for name in ("trust", "normaliser"):
+            if getattr(arguments, name):
+                raise InputError(f"--{name} goes with a model of Stable-Baselines3: name its .zip, or leave it out.")
+    if path is None or not _is_model(path):
+        return None
+    if not _is_zip(path):
+        from reachlab.deploy.onnx_network import OnnxNetwork
+
+        return OnnxNetwork(path)
+    if not arguments.trust:
+        raise InputError(
+            f"'{path}' is a model of Stable-Baselines3, which is unpickled and may run any code: add --trust"
+            " if you know where it comes from."
+        )
+    from reachlab.agents.sb3_policy import load_model
+
+    return load_model(path, arguments.normaliser)
+
+
+def _settings(arguments: Eval, run: RunDirectory | None, model: SavedModel | OnnxNetwork | None) -> RunConfig:
+    """Settings of the run or the model, or without one those of the task and the robot that the flags name.
+
+    Raises:
+        InputError: no such run, one that is missing or not needed, or a robot that is not named right.
+    """
+    arm = {name: vars(arguments)[name] for name in ("robot", "tool", "base", "package")}
+    named = {"task": arguments.task} | arm
+    known = model.config if model else None
+    said = {name: value for name, value in named.items() if value}
+    if known and said == {"task": known.task}:
+        said = {}
+    if (run or known) and (given := [f"--{name}" for name in said]):
+        raise InputError(f"a run has its own task and robot: leave {' and '.join(given)} out, or the run.")
+    if run:
+        return run.read_config()
+    if known:
+        return known
+    if not model and (needing := [agent for agent in arguments.agent if AGENTS[agent].trained]):
+        others = ", ".join(name for name, entry in AGENTS.items() if not entry.trained)
+        raise InputError(
+            f"agent {needing[0]!r} needs a run: name its directory or a policy of `reachlab list`, or choose --agent"
+            f" among {others}."
+        )
+    config = preset(arguments.task or "tutorial")
+    return override(config, **{name: value for name, value in arm.items() if value})
