@@ -11,7 +11,7 @@ PYTEST := NPROC=1 $(BIN)/python -m pytest -n 2 --dist worksteal
 QUICK := XLA_FLAGS="--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0"
 GYMNAX_VENV := .venv-gymnax
 
-.PHONY: demo check test lint types quick unit tiers slow kernels planted-faults bench bench-viewer foreign fuzz trust policies tables docs docs-blocks three gymnax dist clean
+.PHONY: demo check test lint types quick unit tiers slow kernels planted-faults bench bench-viewer foreign fuzz trust policies tables pictures docs docs-blocks three gymnax dist clean
 
 demo: $(VENV)/installed
 	@$(BIN)/reachlab train --out $(RUN)
@@ -77,6 +77,10 @@ policies: $(VENV)/installed-dev
 # The tables of docs/tasks.md and docs/commands.md, from the code.
 tables: $(VENV)/installed-dev
 	PYTHONPATH=docs $(BIN)/python -m builder
+
+# Pictures of the docs, all or some: make pictures NAMES='arms video plots sweep'.
+pictures: $(VENV)/installed-dev
+	PYTHONPATH=docs $(BIN)/python -m builder.pictures $(NAMES)
 
 # The site, in build/site; any warning ends the build.
 docs: $(VENV)/installed-dev

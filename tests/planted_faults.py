@@ -81,7 +81,7 @@ def caught(source: Path, marks: str, tests: list[str]) -> bool:
 
 
 def first_tier(fault: Fault) -> str:
-    """The first of the tiers that catches a fault, of which each has all tests of the one before; empty if none does."""
+    """The first tier that catches a fault, of which each has all tests of the one before; empty if none does."""
     with tempfile.TemporaryDirectory() as folder:
         source = Path(folder) / "src"
         shutil.copytree(SOURCE, source)

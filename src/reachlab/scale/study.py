@@ -5,13 +5,16 @@ from __future__ import annotations
 import math
 import warnings
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from reachlab.scale.goals import Goal
 from reachlab.scale.space import Dimension, label, settings_of
 from reachlab.settings.config import RunConfig
 from reachlab.settings.json_form import flatten, to_json
 from reachlab.settings.validation import InputError, installing
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 NAME = "sweep"
 """The study's name in its journal."""
@@ -192,10 +195,21 @@ class Study:
                     continue
             figure = next(iter(getattr(axes, "flat", [axes]))).figure
             figure.set_size_inches(*SIZE)
+            _make_readable(figure)
             FigureCanvasAgg(figure)
             files.append(folder / f"{name}.png")
             figure.savefig(files[-1], dpi=DPI, bbox_inches="tight")
         return files
+
+
+def _make_readable(figure: Figure) -> None:
+    """Lines on white instead of a grid on grey, and numbers on white where lines cross them."""
+    for axes in figure.axes:
+        axes.set_facecolor("white")
+        axes.grid(visible=False)
+        axes.spines[["left", "right"]].set_color("0.6")
+        for words in axes.get_yticklabels():
+            words.set_bbox({"facecolor": "white", "alpha": 0.8, "linewidth": 0, "pad": 1})
 
 
 def load_optuna() -> Any:

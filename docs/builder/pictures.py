@@ -1,0 +1,85 @@
+"""Pictures of the docs, made anew by the commands that they show: `make pictures NAMES='arms video plots sweep'`."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from reachlab import load_robot
+from reachlab.render.offscreen import portrait
+from reachlab.robots.catalogue import ROBOTS
+
+IMAGES = Path(__file__).parents[1] / "images"
+
+WIDTH, HEIGHT = 400, 320
+"""Size of the picture of one arm [pixels]."""
+
+FINER = 2
+"""Pictures are drawn so many times as large, for smooth edges."""
+
+COLUMNS = 3
+
+SEEDS = range(3)
+
+SPACE = """
+[space]
+learning_rate = { low = 1e-5, high = 3e-2, log = true }
+gamma = { low = 0.8, high = 0.999 }
+initial_std = { low = 0.05, high = 5.0, log = true }
+"""
+"""Of the sweep in docs/scale.md."""
+
+
+def _arms(_folder: Path) -> None:
+    """All arms at home."""
+    pictures = [portrait(load_robot(name), FINER * WIDTH, FINER * HEIGHT) for name in ROBOTS]
+    rows = [np.hstack(pictures[first : first + COLUMNS]) for first in range(0, len(pictures), COLUMNS)]
+    whole = Image.fromarray(np.vstack(rows))
+    whole.resize((whole.width // FINER, whole.height // FINER)).save(IMAGES / "arms.png", optimize=True)
+
+
+def _video(folder: Path) -> None:
+    """Four held-out episodes of the first training."""
+    _run(folder, "train --out first")
+    _run(folder, f"video first --out {IMAGES / 'video.webp'}")
+
+
+def _plots(folder: Path) -> None:
+    """Two rewards, three seeds each, 400,000 steps; nothing helps but the reward: an action is not held."""
+    runs = []
+    for reward in ("dense", "sparse"):
+        for seed in SEEDS:
+            runs.append(f"{reward}-{seed}")
+            settings = f"--reward {reward} --observation target+tool --total-steps 400000 --no-stop-early"
+            _run(folder, f"train {settings} --action-repeat 1 --seed {seed} --out {runs[-1]}")
+            _run(folder, f"eval {runs[-1]}")
+    _run(folder, f"plot {' '.join(runs)} --out {IMAGES / 'plots.png'}")
+
+
+def _sweep(folder: Path) -> None:
+    """From a bad start; ten minutes."""
+    (folder / "space.toml").write_text(SPACE, encoding="utf-8")
+    start = "--learning-rate 1e-2 --initial-std 4 --gamma 0.998 --total-steps 300000"
+    _run(folder, f"sweep space.toml {start} --trials 50 --workers 2 --out sweep")
+    shutil.copy(folder / "sweep" / "parallel.png", IMAGES / "sweep.png")
+
+
+def _run(folder: Path, words: str) -> None:
+    subprocess.run([sys.executable, "-m", "reachlab", *words.split()], cwd=folder, check=True)  # noqa: S603
+
+
+PICTURES: dict[str, Callable[[Path], None]] = {"arms": _arms, "video": _video, "plots": _plots, "sweep": _sweep}
+"""What draws each, in a folder of its own."""
+
+
+if __name__ == "__main__":
+    for name in sys.argv[1:] or PICTURES:
+        with tempfile.TemporaryDirectory() as place:
+            PICTURES[name](Path(place))
