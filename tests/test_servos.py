@@ -24,6 +24,7 @@ from reachlab.robots.servos import (
     find_loads,
     payload,
     servos,
+    too_heavy,
     too_weak,
 )
 
@@ -182,6 +183,13 @@ def test_a_joint_without_the_torque_for_its_speed_is_found(tmp_path: Path) -> No
     assert too_weak(loads, np.array([9.0]), np.array([2.5])) == {0: pytest.approx(9.5)}
     assert not too_weak(loads, np.array([9.0]), np.array([2.0]))
     assert default_torques(loads, np.array([2.5])) == pytest.approx(9.5 + 0.05)
+
+
+def test_a_joint_without_the_torque_to_stop_is_found(tmp_path: Path) -> None:
+    _, loads = loaded(tmp_path, WRIST.format(damping=0.0, friction=0.0))
+    needed = 1e-3 * 2.5 / LAG
+    assert too_heavy(loads, np.array([0.7 * needed]), np.array([2.5])) == {0: pytest.approx(needed, rel=0.01)}
+    assert not too_heavy(loads, np.array([0.9 * needed]), np.array([2.5]))
 
 
 def test_payload_and_torque_of_a_pendulum(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from reachlab.robots.isolation import own_servos
 from reachlab.robots.joint_limits import is_limited, speed_limits, torque_limits
 from reachlab.robots.model_file import JointFacts, ModelFile
 from reachlab.robots.robot import CATALOGUE, DEFAULT, DERIVED, FILE, Robot
-from reachlab.robots.servos import LAG, Loads, default_torques, find_loads, payload, servos, too_weak
+from reachlab.robots.servos import LAG, Loads, default_torques, find_loads, payload, servos, too_heavy, too_weak
 from reachlab.robots.workspace import Derived, orientation
 from reachlab.settings.validation import InputError
 
@@ -79,8 +79,19 @@ def _load(file: ModelFile, name: str, tool: str | None, base: str | None) -> Rob
     gains, servoed = servos(loads, usable, load), own_servos(arm.model, range(arm.chain.n))
     acceleration, jerk = _shaping(listed, speed, sources)
     added = {own: gains[i] for i, own in enumerate(arm.isolation.joints) if i not in servoed}
-    weak = {i: needed for i, needed in too_weak(loads, usable, np.array(speed)).items() if i not in servoed}
-    places, notices = _places(file, arm, listed, speed), [*file.notices, *arm.notices, *_weakness(arm, weak, torque)]
+    weak, heavy = (
+        {i: needed for i, needed in short(loads, usable, np.array(speed)).items() if i not in servoed}
+        for short in (too_weak, too_heavy)
+    )
+    places, notices = _places(file, arm, listed, speed), [*file.notices, *arm.notices]
+    notices += _shortage(
+        arm,
+        weak,
+        torque,
+        f"follow fast commands later than {LAG:g} s",
+        "gravity, friction and damping take at full speed",
+    )
+    notices += _shortage(arm, heavy, torque, "overshoot", f"stops them from full speed within {LAG:g} s")
     sources["home"] = CATALOGUE if listed.home else FILE if places.home == arm.home else DERIVED
     if arm.home and sources["home"] == DERIVED:
         notices.append("the file's home is not used: from there little can be reached on straight ways.")
@@ -129,15 +140,11 @@ def _limits(
     return speed, torque, {"position": position, "speed": speed_sources, "torque": torque_sources}
 
 
-def _weakness(arm: Arm, needed: dict[int, float], torque: tuple[float, ...]) -> list[str]:
+def _shortage(arm: Arm, needed: dict[int, float], torque: tuple[float, ...], then: str, what: str) -> list[str]:
     """A sentence on the joints whose torque limit is less than what they need, by number; none without such joints."""
     units = ["N" if slides else "Nm" for slides in arm.chain.slides]
     joints = [f"{arm.names[i]} has {torque[i]:.3g} of {most:.3g} {units[i]}" for i, most in needed.items()]
-    sentence = (
-        f"Joints follow fast commands later than {LAG:g} s where the torque limit is less than what gravity, friction"
-        f" and damping take at full speed: {', '.join(joints)}."
-    )
-    return [sentence] if joints else []
+    return [f"Joints {then} where the torque limit is less than what {what}: {', '.join(joints)}."] if joints else []
 
 
 def _shaping(
