@@ -65,7 +65,7 @@ FAULTS = (
     Fault("envs/functions.py", "task.sample_start(setup, for_start)", "task.sample_start(setup, for_goal)", "env task"),
     # logic
     Fault("learn/ppo.py", "gamma * v_tp1 * ~terminated", "gamma * v_tp1 * ~done", "ppo"),
-    Fault("deploy/onboard/controller.py", "arm.lower - ASIDE) & (q", "arm.lower - ASIDE) | (q", "deploy"),
+    Fault("deploy/onboard/controller.py", "arm.lower - ASIDE) | (q", "arm.lower - ASIDE) & (q", "deploy"),
 )
 
 
