@@ -68,7 +68,7 @@ fuzz: $(VENV)/installed-dev
 	$(BIN)/python tests/fuzz_commands.py 500
 
 trust: $(VENV)/installed-dev
-	PYTHONPATH=tests $(BIN)/python -m faults
+	PYTHONPATH=tests $(BIN)/python -m faults $(NAMES)
 
 # All that come with reachlab, or some: make policies NAMES='panda/precise ur5e/track'. REPLACE=--replace keeps the new ones.
 policies: $(VENV)/installed-dev

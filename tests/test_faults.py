@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 import safetensors.numpy
 
-from faults import saves, trainings
+from faults import inputs, saves, trainings
 from faults.hostile import HOSTILE, hostile_files
 from faults.saves import file_limit, make_run, no_space, state_of
 from reachlab.cli import main as cli
@@ -103,6 +103,11 @@ def test_a_number_that_is_not_finite_is_noticed_wherever_it_is_and_changes_nothi
     trial = trainings.not_finite()
     assert trial.wrong == []
     assert trial.tried >= 40
+
+
+def test_inputs_edited_by_hand_are_refused_or_harmless() -> None:
+    trials = (inputs.edited_exports(20), inputs.edited_runs(15), inputs.edited_robots(20), inputs.wrong_seeds())
+    assert [trial.wrong for trial in trials] == [[], [], [], []]
 
 
 def test_hostile_files_are_refused() -> None:

@@ -33,6 +33,14 @@ def test_every_command_that_is_asked_to_end_says_one_line_and_which_signal_it_wa
     assert capsys.readouterr() == ("", "reachlab: interrupted.\n")
 
 
+def test_where_nothing_would_be_lost_the_first_signal_raises() -> None:
+    with Interrupts() as interrupts:
+        interrupts.at_once = True
+        with pytest.raises(Interrupted) as raised:
+            signal.raise_signal(signal.SIGTERM)
+    assert (raised.value.status, interrupts.received) == (143, signal.SIGTERM)
+
+
 def test_a_closed_terminal_that_says_so_twice_ends_nothing_at_once() -> None:
     with Interrupts() as interrupts:
         signal.raise_signal(signal.SIGHUP)

@@ -5,9 +5,10 @@ from __future__ import annotations
 import logging
 import os
 import statistics
+import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
@@ -16,6 +17,7 @@ import numpy as np
 
 from faults.controllers import controllers
 from faults.hostile import hostile_files
+from faults.inputs import TRIALS as INPUTS
 from faults.saves import Trial, corruptions, cut_saves, failing_saves
 from faults.sweeps import killed_sweeps, killed_workers
 from faults.trainings import killed_runs, not_finite
@@ -56,18 +58,23 @@ TRIALS: dict[str, Callable[[], Trial]] = {
     "shared_weights": shared_weights,
     "lost_node": lost_node,
     "killed_sweeps": lambda: killed_sweeps(SWEEP_KILLS, SWEEP_TRIALS, SWEEP_STEPS),
+    **INPUTS,
 }
 
 
-def trust() -> Iterator[Row]:
-    """How often each fault went wrong, which is never, and the cost of a save."""
+def trust(names: Collection[str]) -> Iterator[Row]:
+    """How often each fault went wrong, which is never, and the cost of a save; or only those with these names."""
     for name, try_out in TRIALS.items():
+        if names and name not in names:
+            continue
         logging.disable(logging.WARNING)  # thousands of damaged checkpoints are warned of
         try:
             trial = try_out()
         finally:
             logging.disable(logging.NOTSET)
         yield _row(name, trial)
+    if names:
+        return
     for name, trial in controllers(HOSTILE_STEPS, FAULTS).items():
         yield _row(name, trial)
     for sim in ("kinematic", "mujoco"):
@@ -100,7 +107,7 @@ def _cost(sim: str) -> Iterator[Row]:
 def main() -> None:
     """Print the table."""
     use_compilation_cache()
-    cells = [(one["name"], f"{one['value']:.4g}", one["unit"], str(one["config"])) for one in trust()]
+    cells = [(one["name"], f"{one['value']:.4g}", one["unit"], str(one["config"])) for one in trust(sys.argv[1:])]
     print_table("trust", ("measurement", "value", "unit", "configuration"), cells)
 
 

@@ -36,11 +36,16 @@ class Interrupts:
 
     A closed terminal may send SIGHUP twice, by the shell and by the system, so that one ends nothing at once. Outside
     of the main thread, where Python sets no handlers, nothing is noted.
+
+    Attributes:
+        received: the signal that came.
+        at_once: the first signal raises `Interrupted`, as nothing would be lost.
     """
 
     def __init__(self) -> None:
         """Nothing noted yet."""
         self.received: int | None = None
+        self.at_once = False
         self._before: dict[int, Any] = {}
 
     def __enter__(self) -> Self:
@@ -59,6 +64,8 @@ class Interrupts:
         del frame
         if self.received is None:
             self.received = number
+            if self.at_once:
+                raise Interrupted(number)
         elif number != HANGUP:
             os._exit(EXIT_BASE + number)
 

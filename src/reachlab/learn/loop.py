@@ -134,8 +134,15 @@ class Loop:
         """State after training, saved."""
         self.checkpoints.start()
         self._loop_start = time.perf_counter() - self.now.loop_s
+        first = self.now
         while self.now.steps < self.config.loop.total_steps and not self.validated:
-            state = self._advance(state, metrics)
+            interrupts.at_once = self.now is first  # it compiles, for seconds, and nothing is lost with it
+            try:
+                state = self._advance(state, metrics)
+            except Interrupted as interruption:
+                interruption.args = (f"interrupted in its first iteration; {self.checkpoints.how_to_resume()}",)
+                raise
+            interrupts.at_once = False
             if interrupts.received is not None:
                 self._leave(state, metrics, interrupts.received)
             if self.checkpoints.due:

@@ -98,6 +98,11 @@ def numbers(text: str | None, count: int, default: float = 0.0) -> tuple[float, 
     return (default,) * count
 
 
+def are_numbers(text: str, count: int) -> bool:
+    """Whether a text is so many finite numbers."""
+    return numbers(text, count, math.nan) == numbers(text, count)
+
+
 class XmlFiles:
     """Reads the XML files of one robot: together no larger than `MOST_XML`.
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from reachlab.robots.picture_files import MISSING, PictureFiles
-from reachlab.robots.safe_xml import MOST_NESTING, Element, numbers, to_text
+from reachlab.robots.safe_xml import MOST_NESTING, Element, are_numbers, numbers, to_text
 from reachlab.robots.urdf_limits import Noted, rewrite_limits
 from reachlab.settings.validation import InputError
 
@@ -25,6 +25,20 @@ ROUNDING = 1e-9
 """Relative margin by which moments of inertia satisfy A + B >= C."""
 SAID = 1e-6
 """Relative change of an inertia from which it is told."""
+
+NUMBERS = {
+    "origin": {"xyz": 3, "rpy": 3},
+    "axis": {"xyz": 3},
+    "mass": {"value": 1},
+    "inertia": dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), 1),
+    "limit": dict.fromkeys(("lower", "upper", "effort", "velocity"), 1),
+    "dynamics": {"damping": 1, "friction": 1},
+    "safety_controller": dict.fromkeys(("soft_lower_limit", "soft_upper_limit", "k_position", "k_velocity"), 1),
+    "box": {"size": 3},
+    "sphere": {"radius": 1},
+    **{key: {"radius": 1, "length": 1} for key in ("cylinder", "capsule")},
+}
+"""How many numbers an attribute of an element has."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +71,7 @@ def rewrite_urdf(root: Element, pictures: PictureFiles) -> tuple[str, dict[str, 
     for other in [child for child in root if child.tag not in ("link", "joint", "material", "mujoco")]:
         root.remove(other)
     _check_tree(links, joints, file)
+    _check_numbers(root, file)
     noted: Noted = defaultdict(list)
     facts = {name: _rewrite_joint(name, joint, file, notices, noted) for name, joint in joints.items()}
     notices += [f"{what}: {some(names)}." for what, names in noted.items()]
@@ -120,6 +135,15 @@ def _check_tree(links: Mapping[str, Element], joints: Mapping[str, Element], fil
             raise InputError(
                 f"{what}: link {link!r} is part of a loop of joints, or more than {MOST_NESTING} joints from the base."
             )
+
+
+def _check_numbers(root: Element, file: Path) -> None:
+    for element in root.iter():
+        for key, count in NUMBERS.get(element.tag, {}).items():
+            text = element.get(key)
+            if text is not None and not are_numbers(text, count):
+                wanted = "a number" if count == 1 else f"{count} numbers"
+                raise InputError(f"robot file {str(file)!r}: {key}={text[:40]!r} of <{element.tag}> must be {wanted}.")
 
 
 def _rewrite_joint(name: str, joint: Element, file: Path, notices: list[str], noted: Noted) -> JointFacts:
