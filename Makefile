@@ -47,7 +47,7 @@ unit: $(VENV)/installed-dev
 # compiled programs, marked `compiled`, are compiled as users' are.
 slow: $(VENV)/installed-dev
 	$(QUICK) $(PYTEST) -m "slow and not compiled"
-	$(PYTEST) -m compiled
+	$(PYTEST) -m compiled $(shell grep -l mark.compiled tests/test_*.py)
 
 # What is derived of arms and compared, with the kernels of other CPUs: two of OpenBLAS's, and XLA's without AVX-512.
 DERIVED := tests/test_kernels.py tests/test_shipped.py tests/test_workspace.py tests/test_capsules.py

@@ -28,14 +28,8 @@ TABLES = {
 FIRST = next(iter(TASKS))
 """Everything is varied about this task's preset, which compiles quickly; of the others what has to do with them."""
 
-TASKS_OF_ROBOTS = {
-    "panda": ("pose", "track"),
-    "ur5e": ("precise", "clutter"),
-    "xarm7": ("pose", "clutter"),
-    "gen3": ("precise", "track"),
-    "so101": ("precise", "pose"),
-}
-"""In which other tasks robots beside the first are tried."""
+TASK_OF_ROBOT = {"panda": "pose", "ur5e": "clutter", "xarm7": "track", "gen3": "precise", "so101": "pose"}
+"""In which other task a robot beside the first is tried."""
 
 LONG = ("image+tool", "clutter")
 """What takes long and has a quicker sibling."""
@@ -59,7 +53,7 @@ def _combinations() -> Iterator[tuple[dict[str, str], bool]]:
         yield usual, task in LONG
         for kind, table in TABLES.items():
             for name in table.keys() - {usual[kind]}:
-                concerned = kind in ("sim", "action") or (kind == "robot" and task in TASKS_OF_ROBOTS[name])
+                concerned = kind in ("sim", "action") or (kind == "robot" and task == TASK_OF_ROBOT[name])
                 if (task == FIRST or concerned) and _fits(changed := {**usual, kind: name}):
                     yield changed, task != FIRST or name in LONG
 

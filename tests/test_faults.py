@@ -71,7 +71,7 @@ def after(iteration: int, act: Callable[[], object]) -> Callable[[Progress], Non
 
 
 def test_a_killed_run_resumes_to_the_same_weights() -> None:
-    assert trainings.killed_runs(8).wrong == []
+    assert trainings.killed_runs(4).wrong == []
 
 
 def test_a_save_cut_off_at_any_step_leaves_a_whole_checkpoint() -> None:

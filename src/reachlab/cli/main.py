@@ -20,7 +20,7 @@ from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, Pri
 from reachlab.cli.flags import LESSON, Distil, Train
 from reachlab.cli.sweep_flags import Sweep
 from reachlab.cli.verbs import VERBS
-from reachlab.learn.interrupts import raise_on_termination
+from reachlab.learn.interrupts import end_if_deaf, raise_on_termination
 from reachlab.settings.config import DistilRunConfig, RunConfig
 from reachlab.settings.json_form import flatten, to_json
 from reachlab.settings.presets import CHOICES, preset
@@ -68,6 +68,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Exit status of the command line; see `DONE`, `WRONG_INPUT`, `NOT_FINITE`, `INTERRUPTED`, `UNREAD`."""
     _open_closed_streams()
     raise_on_termination()
+    if arguments is None:  # this process is the command's own
+        end_if_deaf()
     try:
         try:
             return _run(list(sys.argv[1:] if arguments is None else arguments))

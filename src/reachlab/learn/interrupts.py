@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import threading
+import time
 from types import FrameType, TracebackType
 from typing import Any, Self
 
@@ -13,6 +15,9 @@ HANGUP = getattr(signal, "SIGHUP", None)
 
 ASKING = (signal.SIGINT, signal.SIGTERM, *([HANGUP] if HANGUP else []))
 """Signals that ask a process to end."""
+
+PATIENCE = 2.0
+"""Time in which a process that has nothing to save ends after a signal, whatever keeps it from hearing of it [s]."""
 
 EXIT_BASE = 128
 """A process that a signal ended has this exit status and the signal's number."""
@@ -29,6 +34,10 @@ class Interrupted(KeyboardInterrupt):
         """Interruption by the signal of that number."""
         super().__init__(message)
         self.status = EXIT_BASE + number
+
+
+_entered: list[Interrupts] = []
+"""Those that are entered now."""
 
 
 class Interrupts:
@@ -51,12 +60,14 @@ class Interrupts:
     def __enter__(self) -> Self:
         """Begin to note signals."""
         self._before = {number: signal.signal(number, self._note) for number in _heard()}
+        _entered.append(self)
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """Put the handlers back that were there; a terminal that was closed is heard once."""
+        _entered.remove(self)
         for number, handler in self._before.items():
             signal.signal(number, signal.SIG_IGN if number == HANGUP == self.received else handler)
 
@@ -82,6 +93,29 @@ def raise_on_termination() -> None:
     for number in _heard():
         if number != signal.SIGINT:
             signal.signal(number, end)
+
+
+def end_if_deaf() -> None:
+    """Let a signal end this process after `PATIENCE`, but for what `Interrupts` are there to save.
+
+    Python runs no handler while a program compiles, which takes seconds, and what a handler raises is lost where it
+    runs inside a callback. A thread hears of signals at once (`signal.set_wakeup_fd`).
+    """
+    if threading.current_thread() is threading.main_thread():
+        hearing, told = socket.socketpair()
+        told.setblocking(False)
+        signal.set_wakeup_fd(told.fileno(), warn_on_full_buffer=False)
+        threading.Thread(target=_end_later, args=(hearing, told), daemon=True).start()
+
+
+def _end_later(hearing: socket.socket, told: socket.socket) -> None:
+    del told  # it is held open
+    while number := hearing.recv(1)[0]:
+        if number in ASKING:
+            time.sleep(PATIENCE)
+            if all(one.at_once for one in _entered):
+                os.write(2, b"reachlab: interrupted.\n")
+                os._exit(EXIT_BASE + number)
 
 
 def _heard() -> list[int]:

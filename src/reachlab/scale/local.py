@@ -13,8 +13,8 @@ from reachlab.scale.engine import Job
 POLL = 0.05
 """Time between two looks at the processes [s]."""
 
-PATIENCE = 30.0
-"""Time in which trainings that are asked to end have to [s]."""
+PATIENCE = 3.0
+"""Time in which trainings that are asked to end have to [s]; one that does not goes on from its last checkpoint."""
 
 COMMAND = "from reachlab.scale.local import work; work()"
 """What a process of a training runs."""
@@ -84,9 +84,10 @@ def work() -> None:
     import threading
     from pathlib import Path
 
-    from reachlab.learn.interrupts import raise_on_termination
+    from reachlab.learn.interrupts import end_if_deaf, raise_on_termination
     from reachlab.scale.engine import end_with_parent, run_job
 
     raise_on_termination()
+    end_if_deaf()
     threading.Thread(target=end_with_parent, daemon=True).start()
     run_job(json.loads(Path(sys.argv[1]).read_text()))

@@ -128,24 +128,24 @@ def sweep(
     folder, run = SweepDirectory(Path(out)), RunDirectory(Path(out))
     _check_folder(folder, run, config, resume=resume)
     carrier: Engine = kind.load()(workers, address)
-    try:
-        if not resume:
-            run.create(config)
-            write_json(folder.sweep_file, vars(settings))
-        folder.trials.mkdir(exist_ok=True)
-        with locked(folder.path):
-            study = Study(folder.journal, space, goal, config)
-            under_way = Trials(settings, config, folder.trials, study, carrier)
-            with Interrupts() as interrupts:
+    with Interrupts() as interrupts:
+        try:
+            if not resume:
+                run.create(config)
+                write_json(folder.sweep_file, vars(settings))
+            folder.trials.mkdir(exist_ok=True)
+            with locked(folder.path):
+                study = Study(folder.journal, space, goal, config)
+                under_way = Trials(settings, config, folder.trials, study, carrier)
                 while under_way.fill(trials, workers):
                     under_way.look(LOOK)
                     best = next(iter(study.ranked), None)
                     watch(SweepProgress(study.trials, trials, under_way.shares(), best))
                     if interrupts.received is not None:
                         raise _interrupted(interrupts.received, folder)
-            return _result(config, folder, study, settings)
-    finally:
-        carrier.close()
+                return _result(config, folder, study, settings)
+        finally:
+            carrier.close()
 
 
 def _check_folder(folder: SweepDirectory, run: RunDirectory, config: RunConfig, *, resume: bool) -> None:
