@@ -138,11 +138,10 @@ class Loop:
         while self.now.steps < self.config.loop.total_steps and not self.validated:
             interrupts.at_once = self.now is first  # it compiles, for seconds, and nothing is lost with it
             try:
-                state = self._advance(state, metrics)
+                state = self._advance(state, metrics, interrupts)
             except Interrupted as interruption:
                 interruption.args = (f"interrupted in its first iteration; {self.checkpoints.how_to_resume()}",)
                 raise
-            interrupts.at_once = False
             if interrupts.received is not None:
                 self._leave(state, metrics, interrupts.received)
             if self.checkpoints.due:
@@ -153,10 +152,11 @@ class Loop:
             raise unwritable("last checkpoint", self.run, error, self.config.verb) from None
         return state
 
-    def _advance(self, state: Any, metrics: Metrics) -> Any:
+    def _advance(self, state: Any, metrics: Metrics, interrupts: Interrupts) -> Any:
         settings, tick = self.config.loop, time.perf_counter()
         try:
             state, watched = self._step(state)
+            interrupts.at_once = False
         except EngineError as error:
             self._stop(state, metrics, str(error), error.rollout)
         row = {name: float(x) for name, x in sorted(jax.device_get(watched.metrics).items())}
