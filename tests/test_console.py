@@ -12,6 +12,8 @@ from typing import Any
 import pytest
 
 from reachlab.cli.console import asked, note, print_reports, say
+from reachlab.cli.eval_command import _means
+from reachlab.cli.eval_subjects import Subject
 from reachlab.cli.progress import EvalDisplay, TrainDisplay, explained, parts_of_time, train_line
 from reachlab.evaluation.intervals import mean_report
 from reachlab.learn.loop import Progress
@@ -135,6 +137,15 @@ def test_reports_of_several_runs_are_told_with_the_mean_of_their_seeds(capsys: p
     print_reports([*reports, mean | {"run": "mean of 3 seeds"}], configure(hold_steps=2))
     rows = [line.split("│")[1].strip() for line in capsys.readouterr().out.splitlines() if "│" in line]
     assert rows == ["s0", "s1", "s2", "mean of 3 seeds"]
+
+
+def test_a_mean_is_of_runs_that_differ_by_their_seeds_alone() -> None:
+    settings = {"a": {"seed": 0}, "b": {"seed": 1}, "again": {"seed": 1}, "other": {"seed": 0, "gamma": 0.5}}
+    subjects = [Subject(name, configure(**chosen)) for name, chosen in settings.items()]
+    rates = {"a": 0.25, "b": 0.75, "again": 1.0, "other": 1.0}
+    (mean,) = _means([{**REPORT, "run": name, "success_rate": rate} for name, rate in rates.items()], subjects)
+    assert (mean["run"], mean["success_rate"]) == ("mean of 2 seeds", 0.5)
+    assert not _means([{**REPORT, "success_rate": 1.0}], [Subject("", configure())])
 
 
 def test_where_simulators_differ_in_the_length_of_a_step_it_is_told(capsys: pytest.CaptureFixture[str]) -> None:
