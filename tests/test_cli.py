@@ -257,6 +257,12 @@ WRONG = {
     "minibatches that do not divide": ("train --num-envs 10 --rollout-steps 7 --minibatches 4", "10.*4 minibatches"),
     "existing out": ("train --out taken", "'taken' exists and is not overwritten"),
     "eval without a run": ("eval", "agent 'trained' needs a run: name its directory or a policy of `reachlab list`"),
+    "eval of a file": ("eval broken.xml", "'broken.xml' is a file, where the directory of a run is needed"),
+    "eval of a run beside": ("eval rum", r"does not exist: .*\. Did you mean 'run'\?"),
+    "train into an unfinished run": (
+        "train --out begun",
+        "overwritten: name another with --out, or continue it with --resume",
+    ),
     "eval of no run": ("eval nothing", "'nothing' does not exist: train one with"),
     "eval of an empty folder": ("eval taken", "config.json' is missing"),
     "eval of an unknown agent": ("eval taken --agent tained", "Did you mean 'trained'"),
@@ -279,6 +285,8 @@ def test_wrong_input_is_answered_by_one_sentence(
     (tmp_path / "taken").mkdir()
     (tmp_path / "young").mkdir()
     (tmp_path / "young" / "metrics.jsonl").write_text("")
+    (tmp_path / "begun").mkdir()
+    (tmp_path / "begun" / "config.json").write_text("{}")
     (tmp_path / "broken.xml").write_text("<mujoco><worldbody>")
     (tmp_path / "run").symlink_to(run)
     before = sorted(tmp_path.rglob("*"))

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from reachlab.cli.console import asked, note, print_reports, say
+from reachlab.cli.deploy_command import _by_kind
 from reachlab.cli.eval_command import _means
 from reachlab.cli.eval_subjects import Subject
 from reachlab.cli.progress import EvalDisplay, TrainDisplay, explained, parts_of_time, train_line
@@ -146,6 +147,11 @@ def test_a_mean_is_of_runs_that_differ_by_their_seeds_alone() -> None:
     (mean,) = _means([{**REPORT, "run": name, "success_rate": rate} for name, rate in rates.items()], subjects)
     assert (mean["run"], mean["success_rate"]) == ("mean of 2 seeds", 0.5)
     assert not _means([{**REPORT, "success_rate": 1.0}], [Subject("", configure())])
+
+
+def test_problems_of_one_kind_are_told_in_one_line() -> None:
+    said = {"called at 175 Hz: call it every 0.004 s": 3, "called at 180.5 Hz: call it every 0.004 s": 5, "no goal": 1}
+    assert _by_kind(said) == {"called at 180.5 Hz: call it every 0.004 s": 8, "no goal": 1}
 
 
 def test_where_simulators_differ_in_the_length_of_a_step_it_is_told(capsys: pytest.CaptureFixture[str]) -> None:

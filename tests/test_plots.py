@@ -108,6 +108,8 @@ def test_runs_are_drawn_beside_each_other(run: Path, tmp_path: Path, figures: li
     plot([run, other], tmp_path / "both.png")
     named = curves(figures[0], 0)
     assert {"first-run", "second-run"} <= set(named)
+    plot(str(other), tmp_path / "alone.png")
+    assert "second-run" in curves(figures[1], 0)
     assert len(named["second-run"]) == 5
 
 

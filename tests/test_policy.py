@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from reachlab.agents.policy import Gaussian, Normaliser, distribution, make_policy, value
 from reachlab.jax_setup import jit
+from reachlab.settings.validation import InputError
 from reachlab.tasks.schema import Field, Schema
 
 K, A = 5, 3
@@ -41,6 +42,13 @@ def normal(seed, *shape):
 
 def fresh(k):
     return Normaliser(jnp.zeros(k), jnp.ones(k), jnp.zeros(()))
+
+
+def test_an_observation_of_another_size_is_refused_in_a_sentence(policy):
+    with pytest.raises(
+        InputError, match=r"observes numbers, 5 numbers, and got an array of shape \(2, 3\): give the env"
+    ):
+        policy.act(np.zeros((2, 3), np.float32))
 
 
 # --- the normaliser ----------------------------------------------------------------------------------

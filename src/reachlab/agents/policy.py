@@ -13,6 +13,7 @@ from jax import Array
 
 from reachlab.agents.encoder import FEATURES, Layers, encode, make_encoder
 from reachlab.robots.kinematics import added
+from reachlab.settings.validation import InputError
 from reachlab.tasks.schema import SIZE, Observed, Schema
 from reachlab.tasks.task import Bounds
 
@@ -129,6 +130,12 @@ class Policy:
     def inputs(self, observation: Observed) -> Inputs:
         """What the networks are given of an observation."""
         picture, vector = self.schema.split(observation)
+        if vector is not None and jnp.shape(vector)[-1:] != (self.schema.vector_size,):
+            names = ", ".join(field.name for field in self.schema.vectors)
+            raise InputError(
+                f"the policy observes {names}, {self.schema.vector_size} numbers, and got an array of shape"
+                f" {jnp.shape(vector)}: give the environment the run's `observation`."
+            )
         return Inputs(picture, None if vector is None else self.normaliser(vector))
 
     def observed(self, observation: Observed) -> Policy:

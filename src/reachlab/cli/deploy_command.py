@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json as jsonlib
+import re
+from collections.abc import Mapping
 from pathlib import Path
 
 from reachlab.cli.deploy_flags import Deploy, Export
@@ -75,11 +77,19 @@ def deploy(arguments: Deploy) -> None:
     )
     if outcome["rest_s"] is not None:
         say(f"At rest at most {outcome['rest_s']:.2f} s after the last measurement.")
-    for problem, count in outcome["problems"].items():
-        say(f"The controller said in {count:,} cycles: {problem}.")
     if outcome["in_time"] < IN_TIME:
         say("This computer is too slow or busy for the control period: the result tells little of the policy.")
+    for example, count in _by_kind(outcome["problems"]).items():
+        say(f"The controller said in {count:,} cycles: {example}.")
     _say_unshaped(arguments.policy)
+
+
+def _by_kind(problems: Mapping[str, int]) -> dict[str, int]:
+    """How often problems came that differ in their numbers alone, by the most frequent one of each kind."""
+    kinds: dict[str, list[str]] = {}
+    for problem in sorted(problems, key=lambda one: -problems[one]):
+        kinds.setdefault(re.sub(r"[\d.]+", "#", problem), []).append(problem)
+    return {same[0]: sum(problems[one] for one in same) for same in kinds.values()}
 
 
 def _say_unshaped(folder: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import difflib
 import logging
 import os
 from collections.abc import Iterator, Mapping
@@ -93,7 +94,11 @@ class RunDirectory:
             raise InputError(f"run directory '{self.path}' cannot be made: {error.strerror}.") from None
         if taken:
             refuse_if_held(self.path)
-            raise InputError(f"run directory '{self.path}' exists and is not overwritten: name another with --out.")
+            go_on = self.config_file.is_file() and not self.finished
+            more = f", or continue it with --resume {self.path}" if go_on else ""
+            raise InputError(
+                f"run directory '{self.path}' exists and is not overwritten: name another with --out{more}."
+            )
 
     # --- configuration ----------------------------------------------------------------------------
 
@@ -107,9 +112,14 @@ class RunDirectory:
             InputError: there is no such run, its configuration cannot be used, or its robot is not the one that it
                 was trained with.
         """
+        if self.path.is_file():
+            raise InputError(f"'{self.path}' is a file, where the directory of a run is needed.")
         if not self.path.is_dir():
+            beside = [one.parent.name for one in self.path.parent.glob(f"*/{self.config_file.name}")]
+            near = difflib.get_close_matches(self.path.name, beside, n=1)
+            hint = f" Did you mean '{self.path.with_name(near[0])}'?" if near else ""
             raise InputError(
-                f"run directory '{self.path}' does not exist: train one with `reachlab train --out {self.path}`."
+                f"run directory '{self.path}' does not exist: train one with `reachlab train --out {self.path}`.{hint}"
             )
         config = read_config(self.config_file)
         if check_robot:

@@ -28,14 +28,14 @@ ENDINGS = (".png", ".svg")
 """Pictures that can be written."""
 
 
-def plot(runs: Sequence[str | Path], out: str | Path) -> list[str]:
+def plot(runs: str | Path | Sequence[str | Path], out: str | Path) -> list[str]:
     """Draw runs into one picture: learning curves, and if `reachlab eval` has kept episodes, errors and failures.
 
     Runs that differ by their seeds alone are one curve, their mean with its 95 % interval. What there is no room for is
     given back, in a sentence each.
 
     Args:
-        runs: run directories.
+        runs: a run directory, or several.
         out: picture to write, its ending one of `ENDINGS`.
 
     Raises:
@@ -45,7 +45,7 @@ def plot(runs: Sequence[str | Path], out: str | Path) -> list[str]:
     if out.suffix not in ENDINGS:
         endings = " or ".join(ENDINGS)
         raise InputError(f"the picture cannot be written to '{out}': name a file that ends in {endings}.")
-    groups = group_runs([Path(run) for run in runs])
+    groups = group_runs([Path(run) for run in ([runs] if isinstance(runs, str | Path) else runs)])
     found = [(group, read_evaluations(group)) for group in groups]
     limits = {read_settings(group.runs[0]).get("success_distance") for group in groups}
     firsts = [(group.label, evaluations[0]) for group, evaluations in found if evaluations]
