@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import signal
+import subprocess
+import sys
 from collections.abc import Iterator
 
 import pytest
@@ -39,6 +41,29 @@ def test_where_nothing_would_be_lost_the_first_signal_raises() -> None:
         with pytest.raises(Interrupted) as raised:
             signal.raise_signal(signal.SIGTERM)
     assert (raised.value.status, interrupts.received) == (143, signal.SIGTERM)
+
+
+DEAF = """
+import contextlib, sys, time
+from reachlab.learn.interrupts import Interrupts, end_if_deaf, raise_on_termination
+raise_on_termination()
+end_if_deaf()
+with Interrupts() if sys.argv[1] == "saves" else contextlib.nullcontext():
+    print("up", flush=True)
+    until = time.monotonic() + 4
+    while time.monotonic() < until:
+        with contextlib.suppress(KeyboardInterrupt):  # as a callback does that lets out nothing
+            time.sleep(until - time.monotonic())
+"""
+
+
+@pytest.mark.parametrize(("kind", "status"), [("saves", 0), ("idle", 143)])
+def test_a_signal_ends_a_process_that_does_not_hear_it_unless_it_saves(kind: str, status: int) -> None:
+    with subprocess.Popen([sys.executable, "-c", DEAF, kind], stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout
+        assert process.stdout.readline() == "up\n"
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(20) == status
 
 
 def test_a_closed_terminal_that_says_so_twice_ends_nothing_at_once() -> None:

@@ -37,7 +37,7 @@ class Interrupted(KeyboardInterrupt):
 
 
 _entered: list[Interrupts] = []
-"""Those that are entered now."""
+"""Those that are entered, and those that had something to save: what follows them, as closing a log, is spared too."""
 
 
 class Interrupts:
@@ -67,7 +67,8 @@ class Interrupts:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """Put the handlers back that were there; a terminal that was closed is heard once."""
-        _entered.remove(self)
+        if self.at_once:
+            _entered.remove(self)
         for number, handler in self._before.items():
             signal.signal(number, signal.SIG_IGN if number == HANGUP == self.received else handler)
 
