@@ -49,11 +49,10 @@ from reachlab.learn.interrupts import Interrupts, end_if_deaf, raise_on_terminat
 raise_on_termination()
 end_if_deaf()
 with Interrupts() if sys.argv[1] == "saves" else contextlib.nullcontext():
-    print("up", flush=True)
-    until = time.monotonic() + 4
-    while time.monotonic() < until:
-        with contextlib.suppress(KeyboardInterrupt):  # as a callback does that lets out nothing
-            time.sleep(until - time.monotonic())
+    with contextlib.suppress(KeyboardInterrupt):  # as a callback does that lets out nothing
+        print("up", flush=True)
+        time.sleep(3)
+    time.sleep(3)
 """
 
 
