@@ -20,7 +20,7 @@ from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, Pri
 from reachlab.cli.flags import LESSON, Distil, Train
 from reachlab.cli.sweep_flags import Sweep
 from reachlab.cli.verbs import VERBS
-from reachlab.learn.interrupts import end_if_deaf, raise_on_termination
+from reachlab.learn.interrupts import EXIT_BASE, asked, end_if_deaf, raise_on_termination
 from reachlab.settings.config import DistilRunConfig, RunConfig
 from reachlab.settings.json_form import flatten, to_json
 from reachlab.settings.presets import CHOICES, preset
@@ -75,6 +75,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return _run(list(sys.argv[1:] if arguments is None else arguments))
         finally:
             sys.stdout.flush()
+    except ImportError:
+        if not asked:
+            raise
+        _say("interrupted.")
+        return EXIT_BASE + asked[0]
     except BrokenPipeError:
         _drop(sys.stdout)
         _drop(sys.stderr)

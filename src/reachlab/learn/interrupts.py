@@ -36,6 +36,9 @@ class Interrupted(KeyboardInterrupt):
         self.status = EXIT_BASE + number
 
 
+asked: list[int] = []
+"""Signals that have raised `Interrupted`; a library that is being imported may turn that into an error of its own."""
+
 _entered: list[Interrupts] = []
 """Those that are entered, and those that had something to save: what follows them, as closing a log, is spared too."""
 
@@ -87,6 +90,7 @@ def raise_on_termination() -> None:
 
     def end(number: int, frame: FrameType | None) -> None:
         del frame
+        asked.append(number)
         if number == HANGUP:
             signal.signal(number, signal.SIG_IGN)  # the second one must not interrupt what is being put away
         raise Interrupted(number)
