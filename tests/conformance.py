@@ -15,9 +15,8 @@ import numpy as np
 
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState, Transition
+from reachlab.envs.presets import configure
 from reachlab.envs.random_streams import env_keys
-from reachlab.settings.presets import configure
-from reachlab.sims import SIMULATORS
 
 NUM_ENVS, STEPS, EPISODE = 4, 60, 25
 
@@ -56,8 +55,8 @@ class Subject:
             start_noise=0.0,
         )
         self.sim, self.task = sim, task
-        self.give = SOFT_LIMIT if SIMULATORS[sim].real_time else 0.0
         self.env = Env(config, NUM_ENVS)
+        self.give = SOFT_LIMIT if max(self.env.setup.lag) > 0 else 0.0
         self.init: Callable[..., EnvState] = self.env.compile_whole(self.env.init)
         self.step: Callable[..., tuple[EnvState, Transition]] = self.env.compile_whole(self.env.step)
         self.reset: Callable[..., EnvState] = self.env.compile_whole(self.env.reset)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import sys
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -39,3 +41,21 @@ def _skipping() -> Iterator[Any]:
         if PYBULLET or "pybullet" not in str(error):
             raise
         pytest.skip("needs PyBullet")
+
+
+@pytest.fixture
+def entered(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """The example of an own task, `examples/rail.py`, is imported, and its entries go again."""
+    from reachlab.control import CONTROLLERS
+    from reachlab.tasks import TASKS
+    from reachlab.tasks.observations import OBSERVATIONS
+
+    tables: tuple[dict[str, Any], ...] = (TASKS, CONTROLLERS, OBSERVATIONS)
+    before = [set(table) for table in tables]
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "examples"))
+    monkeypatch.delitem(sys.modules, "rail", raising=False)
+    importlib.import_module("rail")
+    yield
+    for table, names in zip(tables, before, strict=True):
+        for name in set(table) - names:
+            del table[name]

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -15,18 +15,22 @@ from jax import Array
 
 from reachlab.agents import AgentEntry
 from reachlab.agents.policy import Policy
+from reachlab.control.situation import Goal, Situation
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState
 from reachlab.robots.catalogue import KnownRobot
-from reachlab.settings.rules import TaskConfig
+from reachlab.settings.config import LoopConfig
+from reachlab.settings.preset_record import Preset
+from reachlab.settings.rules import TaskSettings
 from reachlab.settings.tables import Lazy
-from reachlab.sims import ArmState, BatchArray, Moved, SimulatorEntry
+from reachlab.sims import SimulatorEntry
 from reachlab.sims.kinematic import KinematicSimulator
+from reachlab.sims.simulator import BatchArray, Moved, SimState
 from reachlab.tasks.actions import Action
 from reachlab.tasks.observations import GOAL, TOOL
-from reachlab.tasks.reach import PRECISE
+from reachlab.tasks.precise import Precise
 from reachlab.tasks.schema import Observation, Term
-from reachlab.tasks.task import Goal, Outcome, Situation, TaskSetup
+from reachlab.tasks.task import Outcome, Task, TaskSetup
 
 ARM = """
 <mujoco><worldbody><body name="base" pos="0 0 0.4"><joint axis="0 0 1" range="-150 150"/>
@@ -46,7 +50,6 @@ def robot(folder: Path) -> KnownRobot:
     return KnownRobot(
         file=folder / "three_link.xml",
         title="three links",
-        sources="",
         tools={"tip": "tip"},
         home=(0.0, -0.5, 1.0),
         workspace=((0.2, -0.6, 0.0), (0.8, 0.6, 0.9)),
@@ -62,23 +65,34 @@ def _above(setup: TaskSetup) -> tuple[np.ndarray, np.ndarray]:
 
 def _sample_goal(setup: TaskSetup, key: Array) -> Goal:
     low, high = _above(setup)
-    return Goal(jnp.asarray(low) + jax.random.uniform(key, (3,)) * (high - low))
+    return Goal.at(jnp.asarray(low) + jax.random.uniform(key, (3,)) * (high - low))
 
 
-def _asks(rules: TaskConfig, period: float) -> str:
+def _asks(rules: Hover, period: float) -> str:
     return f"hover within {rules.success_distance} m for {rules.max_steps * period} s"
 
 
-HOVER = replace(PRECISE, goal_box=_above, sample_goal=_sample_goal, asks=_asks)
+@dataclass(frozen=True)
+class Hover(Precise):
+    """Settings of hovering above the table."""
 
-TASK = Lazy("hover above the table", "extension:HOVER")
+    preset: ClassVar[Preset] = Preset(loop=LoopConfig(num_envs=32))
+
+    reward: str = "closeness"
+
+    @classmethod
+    def task(cls) -> Task:
+        return replace(super().task(), goal_box=_above, sample_goal=_sample_goal, asks=_asks)
+
+
+TASK = Lazy("hover above the table", "extension:Hover")
 
 
 class Sluggish(KinematicSimulator):
     """Joints go half the way to their command in a step."""
 
-    def step(self, state: ArmState | Moved, target_q: BatchArray) -> Moved:
-        return super().step(state, (state.q + target_q) / 2)
+    def step(self, state: SimState | Moved, command: BatchArray) -> Moved:
+        return super().step(state, (state.q + command) / 2)
 
 
 SIMULATOR = SimulatorEntry("joints go half the way", "extension:Sluggish")
@@ -95,7 +109,7 @@ def box(size: float) -> tuple[np.ndarray, np.ndarray]:
 
 def _command(setup: TaskSetup, now: Situation, action: Array) -> Array:
     chain = setup.robot.chain
-    return jnp.clip(now.target_q + 0.05 * action, jnp.array(chain.lower), jnp.array(chain.upper))
+    return jnp.clip(now.command + 0.05 * action, jnp.array(chain.lower), jnp.array(chain.upper))
 
 
 ACTION = Action(
@@ -106,10 +120,10 @@ ACTION = Action(
 )
 
 
-def reward(rules: TaskConfig, outcome: Outcome) -> dict[str, Array]:
+def reward(rules: TaskSettings, outcome: Outcome) -> dict[str, Array]:
     """Minus the square of the distance, a tenth of it."""
     del rules
-    return {"squared": -0.1 * jnp.square(outcome.distance)}
+    return {"squared": -0.1 * jnp.square(outcome.errors.distance)}
 
 
 def nudge(env: Env, policy: Policy | None, state: EnvState, key: Array, picture: Any) -> Array:

@@ -13,10 +13,10 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from reachlab.bench.arms import precise, tutorial
+from benchmarks.arms import precise, tutorial
 from reachlab.jax_setup import jit, use_compilation_cache
-from reachlab.robots.chain import Chain
-from reachlab.robots.kinematics import forward_kinematics
+from reachlab.robots.kinematics.chain import Chain
+from reachlab.robots.kinematics.forward import forward_kinematics
 from reachlab.robots.loading import load_robot
 
 DESCRIPTIONS = Path(sysconfig.get_path("purelib"), "cmeel.prefix/share/example-robot-data/robots")

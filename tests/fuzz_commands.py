@@ -36,14 +36,13 @@ from reachlab.agents import AGENTS
 from reachlab.cli import main as cli
 from reachlab.cli.flags import EVALUATED
 from reachlab.cli.verbs import VERBS
+from reachlab.envs.consistency import RANDOMISED
+from reachlab.envs.presets import preset
 from reachlab.robots.catalogue import ROBOTS
 from reachlab.runs.sinks import SINKS
 from reachlab.scale import ENGINES
 from reachlab.scale.goals import GOALS
-from reachlab.settings.consistency import RANDOMISED
 from reachlab.settings.json_form import flatten, to_json
-from reachlab.settings.presets import preset
-from reachlab.settings.rules import TaskConfig
 from reachlab.settings.validation import Range, hints
 from reachlab.sims import SIMULATORS
 from reachlab.tasks import TASKS
@@ -141,16 +140,23 @@ class Outcome:
 # --- commands -------------------------------------------------------------------------------------
 
 
+def _evaluated() -> dict[str, Any]:
+    """Annotations of the settings that evaluations may change."""
+    kinds = {name: kind for task in TASKS.values() for name, kind in hints(task.load()).items()}
+    return {name: kinds[name] for name in EVALUATED if name != "goal_velocity"}
+
+
 def flags_of(cls: type) -> dict[str, Any]:
     """Annotations of a verb's flags by name; those of the dataclasses in it stand beside them."""
     found: dict[str, Any] = {}
     for name, hint in hints(cls).items():
         if name == "goals":
-            found |= {setting: hints(TaskConfig)[setting] for setting in EVALUATED if setting != "goal_velocity"}
+            found |= _evaluated()
         elif name == "sinks":
             found |= {sink: bool for sink in SINKS if sink != "wandb"}  # which may not leave this machine
         else:
-            found |= flags_of(typing.cast("type", hint)) if dataclasses.is_dataclass(hint) else {name: hint}
+            kind = TASKS["tutorial"].load() if name == "rules" else hint
+            found |= flags_of(typing.cast("type", kind)) if dataclasses.is_dataclass(kind) else {name: kind}
     return found
 
 
@@ -224,20 +230,19 @@ def command(chance: random.Random, verbs: Sequence[str]) -> list[str]:
 def _needs(now: Callable[[str], Any]) -> dict[str, bool]:
     """Flags, and whether each has an effect."""
     mujoco, pybullet, stops = now("sim") == "mujoco", now("sim") == "pybullet", now("stop-early") not in (False, "no")
-    table, precise, moves = now("targets") == "table", now("reward") == "precise", now("task") == "track"
+    table, precise = now("targets") == "table", now("reward") == "precise"
     close = precise or now("reward") == "track"
     return {
         **dict.fromkeys(("collisions", "gravity-compensation", "physics-steps"), mujoco),
         **dict.fromkeys(("gui", "slow"), pybullet),
         **dict.fromkeys(("closeness-weight", "closeness-scale", "effort-weight"), close),
-        **dict.fromkeys(("goal-paths", "goal-speed", "goal-jump", "goal-velocity", "settle-steps"), moves),
         **dict.fromkeys(("target-low", "target-high"), not table),
         **dict.fromkeys(("stop-success", "stop-streak", "validation-interval"), stops),
         "target-height": table,
         "joint-scale": now("action") != "tool_delta",
         "tool-scale": now("action") == "tool_delta",
         "approach-weight": now("reward") in ("dense", "precise"),
-        "hold-speed": precise or float(now("hold-steps")) > 0,
+        "hold-speed": precise,
     }
 
 
@@ -266,14 +271,19 @@ def _flags(words: Sequence[str]) -> dict[str, list[str]]:
 def senseless(words: Sequence[str]) -> str | None:
     """Why a training of these flags makes no sense; written down once more, apart from what is tested."""
     said = _flags(words)
-    usual = flatten(to_json(preset(said.get("task", ["tutorial"])[0])))
+    task = said.get("task", ["tutorial"])[0]
+    every = {each: flatten(to_json(preset(each))) for each in TASKS}
+    usual = every[task]
+    foreign = {name.replace("_", "-") for settings in every.values() for name in settings if name not in usual}
+    if foreign & said.keys():
+        return "a setting of another task"
 
     def now(name: str) -> Any:
         given = said.get(name)
         return usual[name.replace("-", "_")] if given is None else given[0] if given else True
 
     def changed(name: str) -> bool:
-        given, before = said.get(name), usual[name.replace("-", "_")]
+        given, before = said.get(name), usual.get(name.replace("-", "_"))
         if given is None:
             return False
         if isinstance(before, bool):
@@ -289,8 +299,6 @@ def senseless(words: Sequence[str]) -> str | None:
             return f"--{name} has no effect"
     if "view" in said.get("randomise", []) and not str(now("observation")).startswith("image"):
         return "a view of nothing varies"
-    if float(now("hold-steps")) > float(now("max-steps")):
-        return "a hold longer than the episode"
     own = dict(zip(("target_low", "target_high"), ROBOTS["iiwa14"].goal_box or (), strict=True))
     low, high = ([float(x) for x in said.get(name.replace("_", "-")) or corner] for name, corner in own.items())
     return _misplaced(now, low, high)

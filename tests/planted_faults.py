@@ -33,14 +33,16 @@ FAULTS = (
     # signs
     Fault("tasks/rewards.py", "OUTSIDE_REWARD = -0.1", "OUTSIDE_REWARD = 0.1", "task"),
     Fault("learn/ppo.py", "- config.entropy_weight * entropy", "+ config.entropy_weight * entropy", "ppo"),
-    Fault("robots/motion_limits.py", "by_speed.append(-of_speed", "by_speed.append(of_speed", "motion_limits"),
+    Fault("control/motion_limits.py", "by_speed.append(-of_speed", "by_speed.append(of_speed", "motion_limits"),
     Fault(
         "envs/delays.py", "arm.q + older * (before.past_q", "arm.q - older * (before.past_q", "motion_limits precise"
     ),
-    Fault("robots/clearance.py", "- radii[one] - radii[other]", "- radii[one] + radii[other]", "capsules clutter"),
+    Fault(
+        "robots/shapes/clearance.py", "- radii[one] - radii[other]", "- radii[one] + radii[other]", "capsules clutter"
+    ),
     Fault("agents/policy.py", "self.mean + jnp.exp(self.log_std)", "self.mean - jnp.exp(self.log_std)", "policy ppo"),
     # off by one
-    Fault("tasks/reach.py", "clock >= rules.max_steps", "clock > rules.max_steps", "task env"),
+    Fault("tasks/task.py", "clock >= rules.max_steps", "clock > rules.max_steps", "task env"),
     Fault(
         "sims/mujoco.py", "self._batch.step(nstep=self._substeps)", "self._batch.step(nstep=self._substeps - 1)", "sims"
     ),
@@ -48,12 +50,10 @@ FAULTS = (
     Fault("runs/checkpoint.py", "for folder in found[keep:]", "for folder in found[keep - 1 :]", "checkpoint"),
     Fault("scale/trials.py", "seed=config.seed + index", "seed=config.seed + index + 1", "scale"),
     # units
-    Fault(
-        "sims/kinematic.py", "(target_q - state.q) / self._period", "(target_q - state.q) * self._period", "sims env"
-    ),
+    Fault("sims/kinematic.py", "(q - state.q) / self._period", "(q - state.q) * self._period", "sims env"),
     Fault("evaluation/report.py", "np.float64) * 1000", "np.float64) * 100", "evaluation"),
     Fault("envs/functions.py", "setup.robot.speed) * self.setup.period", "setup.robot.speed)", "precise motion_limits"),
-    Fault("robots/servos.py", "NATURAL_FREQUENCY**2", "NATURAL_FREQUENCY", "servos"),
+    Fault("robots/derive/servos.py", "NATURAL_FREQUENCY**2", "NATURAL_FREQUENCY", "servos"),
     Fault("watch/captions.py", "millimetres = 1000 * distance", "millimetres = 100 * distance", "video player"),
     # keys and seeds used twice
     Fault(
@@ -65,7 +65,7 @@ FAULTS = (
     Fault("envs/functions.py", "task.sample_start(setup, for_start)", "task.sample_start(setup, for_goal)", "env task"),
     # logic
     Fault("learn/ppo.py", "gamma * v_tp1 * ~terminated", "gamma * v_tp1 * ~done", "ppo"),
-    Fault("deploy/onboard/controller.py", "arm.lower - ASIDE) | (q", "arm.lower - ASIDE) & (q", "deploy"),
+    Fault("deploy/onboard/controller.py", "lower - ASIDE) | (q", "lower - ASIDE) & (q", "deploy"),
 )
 
 

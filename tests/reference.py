@@ -1,6 +1,6 @@
 """Kinematics in float64 NumPy, on plain 4 x 4 matrices: what the compiled ones are checked against.
 
-Written from MuJoCo's documentation of joints and shares no code with `reachlab.robots.kinematics`, only the
+Written from MuJoCo's documentation of joints and shares no code with `reachlab.robots.kinematics.forward`, only the
 named bounds of its inverse-kinematics step. Joint vectors are `[B, n]`, quaternions w, x, y, z.
 """
 
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from reachlab.robots.inverse_kinematics import DAMPING, MAX_JOINT_STEP, MAX_TURN
+from reachlab.robots.kinematics.inverse import DAMPING, MAX_JOINT_STEP, MAX_TURN
 
 
 def rotation_matrix(quaternion):
@@ -157,7 +157,7 @@ class Arm:
         return np.stack(columns, -1)
 
     def ik_step(self, q, position, target_quaternion):
-        """One damped least-squares step, by the rules that `kinematics.ik_step` documents."""
+        """One damped least-squares step, by the rules that `kinematics.ik_displace` documents."""
         q = np.asarray(q, np.float64)
         pose = self.frames(q)[0]
         jacobian = self.jacobian(q)

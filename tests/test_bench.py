@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import pytest
 
+import benchmarks
 from reachlab.bench import SUITES, run_suite
 from reachlab.bench.table import row, to_markdown
 from reachlab.settings.tables import Lazy
 from reachlab.settings.validation import InputError
 
 
-@pytest.mark.parametrize("name", SUITES)
-def test_every_suite_is_a_function_of_its_own_name(name: str) -> None:
-    suite = SUITES[name].load()
+@pytest.mark.parametrize(("name", "entry"), [*SUITES.items(), *benchmarks.SUITES.items()])
+def test_every_suite_is_a_function_of_its_own_name(name: str, entry: Lazy) -> None:
+    suite = entry.load()
     assert callable(suite)
     assert suite.__name__ == name
 

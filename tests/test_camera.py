@@ -15,8 +15,10 @@ import pytest
 from gymnasium.spaces import Box, Dict
 
 from reachlab.agents.policy import Policy
+from reachlab.control.situation import Goal
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState, Transition
+from reachlab.envs.presets import configure
 from reachlab.envs.random_streams import env_keys
 from reachlab.evaluation import episodes
 from reachlab.evaluation.episodes import Episodes
@@ -29,12 +31,12 @@ from reachlab.render.observation_camera import ObservationCamera
 from reachlab.render.view_randomisation import FIELD_OF_VIEW, SAMPLES, SHIFT, TURN, Views, make_views
 from reachlab.robots.loading import load_robot
 from reachlab.settings.config import LoopConfig
-from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError
-from reachlab.sims import SIMULATORS, make_simulator
+from reachlab.sims import SIMULATORS
+from reachlab.sims.simulator import make_simulator
 from reachlab.tasks.observations import OBSERVATIONS
 from reachlab.tasks.schema import SIZE
-from reachlab.tasks.task import Goal
+from situations import begin
 
 ROBOT = load_robot("iiwa14", "link_7")
 HOME = np.array(ROBOT.home)
@@ -99,8 +101,8 @@ def test_the_target_is_shown_where_it_is(sim: str) -> None:
         simulator = make_simulator(sim, ROBOT, configure(sim=sim).physics, len(TARGETS))
     except InputError as error:
         pytest.skip(str(error))
-    q, goal, views = at_home(len(TARGETS)), Goal(jnp.asarray(TARGETS)), nominal(len(TARGETS))
-    simulator.reset(None, q, goal, None)
+    q, goal, views = at_home(len(TARGETS)), Goal.at(jnp.asarray(TARGETS)), nominal(len(TARGETS))
+    simulator.reset(None, begin(q, goal), None)
     pictures = simulator.render_observations(q, goal, views, np.arange(len(TARGETS)))
     assert pictures.shape == (len(TARGETS), SIZE, SIZE)
     assert pictures.dtype == np.uint8
@@ -136,7 +138,7 @@ def test_no_environments_are_no_pictures(camera: ObservationCamera) -> None:
 def test_every_episode_has_its_own_view_where_views_are_random() -> None:
     env = Env(configure(observation="image", randomise=("view",)), 3)
     state = env.init(env_keys(0, 3))
-    state = replace(state, goal=Goal(state.goal.position.at[:].set(state.goal.position[0])))
+    state = replace(state, goal=Goal.at(state.goal.position.at[:].set(state.goal.position[0])))
     pictures = np.asarray(env.observe_now(state))
     assert not np.array_equal(pictures[0], pictures[1])
     assert np.array_equal(pictures, np.asarray(env.observe_now(state)))

@@ -8,7 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import jax
-import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
@@ -18,13 +17,18 @@ from scipy.spatial.transform import Rotation
 from contacts import contacts, link_of
 from foreign_arms import FILES
 from params import tried
+from reachlab.control.bodies import beside
 from reachlab.envs.core import Env
+from reachlab.envs.presets import configure
 from reachlab.evaluation.report import evaluate
 from reachlab.jax_setup import jit
-from reachlab.robots.capsule_fit import capsule_volume, cut
-from reachlab.robots.capsules import APART
 from reachlab.robots.catalogue import ROBOTS
-from reachlab.robots.clearance import (
+from reachlab.robots.files.model_file import read_model_file
+from reachlab.robots.loading import load_robot
+from reachlab.robots.robot import Robot
+from reachlab.robots.shapes.capsule_fit import capsule_volume, cut
+from reachlab.robots.shapes.clearance import (
+    APART,
     Segments,
     capsules_at,
     moving,
@@ -33,11 +37,7 @@ from reachlab.robots.clearance import (
     self_distance,
     table_distance,
 )
-from reachlab.robots.loading import load_robot
-from reachlab.robots.model_file import read_model_file
-from reachlab.robots.robot import Robot
-from reachlab.settings.presets import configure
-from reachlab.tasks.obstacles import Obstacles, beside
+from situations import swept
 
 ARMS = [*ROBOTS, str(FILES["xarm6"])]
 ROUNDING = 3e-6
@@ -149,16 +149,16 @@ def test_poses_and_distances_are_mujocos(name: str) -> None:
     at = jit(lambda q: capsules_at(robot.chain, capsules, q))(q)
     distances = np.asarray(pair_distances(capsules, at, capsules.pairs))
     turn = Rotation.align_vectors([[0.0, 0.2, 0.5]], [[0.0, 0.0, 1.0]])[0]
-    obstacles = Obstacles(
-        position=jnp.array([[0.4, 0.1, 0.3], [0.3, -0.3, 0.35]]),
-        quaternion=jnp.array([[1.0, 0.0, 0.0, 0.0], turn.as_quat(scalar_first=True)]),
-        half=jnp.array([[0.0, 0.0, 0.0], [0.0, 0.0, np.hypot(0.2, 0.5) / 2]]),
-        radius=jnp.array([0.07, 0.05]),
+    obstacles = swept(
+        position=[[0.4, 0.1, 0.3], [0.3, -0.3, 0.35]],
+        quaternion=[[1.0, 0.0, 0.0, 0.0], turn.as_quat(scalar_first=True)],
+        half=[[0.0, 0.0, 0.0], [0.0, 0.0, np.hypot(0.2, 0.5) / 2]],
+        radius=[0.07, 0.05],
     )
     start, end, radius = moving(capsules, at)
     each = [jax.tree.map(lambda x, k=k: x[k], obstacles) for k in range(2)]
     near = [np.asarray((beside(start, end, one).distance - radius).min(axis=0)) for one in each]
-    above, nearest = np.asarray(table_distance(robot, at)), np.asarray(self_distance(capsules, at))
+    above, nearest = np.asarray(table_distance(robot.capsules, at)), np.asarray(self_distance(capsules, at))
     starts, ends = (np.asarray(end).T for end in at)
     moved = [geom for geom, link in zip(geoms, capsules.links, strict=True) if link]
     for i in range(count):
@@ -177,7 +177,8 @@ def test_poses_and_distances_are_mujocos(name: str) -> None:
         for row, obstacle in enumerate(("ball", "rod")):
             number = model.geom(obstacle).id
             assert near[row][i] == pytest.approx(min(distance(geom, number) for geom in moved), abs=5e-4)
-        heights = data.geom_xpos[moved, 2] - np.abs(half[-len(moved) :, 2]) - model.geom_size[moved, 0] - robot.floors
+        bottoms = data.geom_xpos[moved, 2] - np.abs(half[-len(moved) :, 2]) - model.geom_size[moved, 0]
+        heights = bottoms - robot.capsules.floors
         assert above[i] == pytest.approx(heights.min(), abs=ROUNDING)
 
 

@@ -205,10 +205,9 @@ def test_so101_has_the_masses_and_position_limits_of_its_public_model(public_so1
     robot = load_robot("so101")
     model = compiled(robot)
     masses = {info[12].decode(): pybullet.getDynamicsInfo(public, info[0], client)[0] for info in infos}
-    jaw = masses["moving_jaw_so101_v1_link"]
-    for name in ("shoulder", "upper_arm", "lower_arm", "wrist", "gripper"):
-        # The jaw is a part of the gripper here.
-        assert model.body(name).mass[0] == pytest.approx(masses[f"{name}_link"] + jaw * (name == "gripper"))
+    masses["jaw_link"] = masses["moving_jaw_so101_v1_link"]
+    for name in ("shoulder", "upper_arm", "lower_arm", "wrist", "gripper", "jaw"):
+        assert model.body(name).mass[0] == pytest.approx(masses[f"{name}_link"])
     limits = {info[1].decode(): info[8:10] for info in infos}
     expected = [limits[model.joint(i).name] for i in range(robot.chain.n)]
     np.testing.assert_allclose(np.transpose([robot.chain.lower, robot.chain.upper]), expected, atol=1e-4)

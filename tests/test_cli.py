@@ -23,15 +23,17 @@ from reachlab.bench import SUITES
 from reachlab.cli import main as cli
 from reachlab.cli.flags import Train
 from reachlab.cli.verbs import VERBS
-from reachlab.envs.setup import NAMES, make_setup, settled
+from reachlab.envs.consistency import NAMES
+from reachlab.envs.presets import configure, preset
+from reachlab.envs.setup import make_setup, settled
+from reachlab.envs.uses import unused
 from reachlab.robots.catalogue import ROBOTS
 from reachlab.runs.directory import RunDirectory
 from reachlab.runs.metrics import read_metrics
 from reachlab.runs.shipped import shipped
 from reachlab.scale import ENGINES
 from reachlab.scale.goals import GOALS
-from reachlab.settings.config import RunConfig
-from reachlab.settings.presets import configure
+from reachlab.settings.json_form import flatten, to_json
 from reachlab.settings.validation import InputError
 from reachlab.sims import SIMULATORS
 from reachlab.sims.mujoco import MujocoSimulator
@@ -39,9 +41,9 @@ from reachlab.tasks import TASKS
 from reachlab.tasks.actions import ACTIONS
 from reachlab.tasks.observations import OBSERVATIONS
 from reachlab.tasks.paths import PATHS
-from reachlab.tasks.reach import AT_GOAL
 from reachlab.tasks.rewards import REWARDS
 from reachlab.tasks.targets import TARGETS
+from reachlab.tasks.tutorial import AT_GOAL
 
 TINY = "--num-envs 16 --rollout-steps 16 --total-steps 1024 --no-stop-early --report-episodes 10 --max-steps 300"
 """A training of four iterations."""
@@ -137,14 +139,19 @@ def test_every_command_has_help_with_every_name_of_its_table(reachlab: Shell, ve
     assert not names or f": {', '.join(names)}." in " ".join(said.out.replace("│", " ").split())
 
 
-def test_every_setting_is_a_flag_of_train_and_the_last_task_sets_the_defaults(reachlab: Shell) -> None:
+def test_every_setting_is_a_flag_of_train_and_the_last_task_sets_the_defaults(
+    reachlab: Shell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "100")
     text = reachlab("train", "--help").out
-    config = RunConfig()
+    config = preset()
     names = [name for part in (config.rules, config.physics, config.ppo) for name in vars(part)]
     names += ["task", "robot", "sim", "seed"]
     assert len(names) == len(set(names)), "flags are flat"
     for name in names:
-        assert f"--{name.replace('_', '-')}" in text
+        shown = re.search(rf"--(no-)?{name.replace('_', '-')}\b", text) is not None
+        assert shown is (name not in unused(flatten(to_json(config)))), name
+    assert text.count("\n") <= 110
     help_of = reachlab("train", "--task", "tutorial", "--task=precise", "--help").out
     assert help_of == reachlab("train", "--task", "precise", "--help").out != text
 
@@ -173,7 +180,7 @@ def test_baselines_are_measured_on_goals_of_any_setting(reachlab: Shell) -> None
     assert "among" not in reachlab(*words, "--goal-paths", "line", "circle", "--goal-velocity", "False").err
     said = reachlab("eval", "--task", "pose", "--agent", "ik", "--goal-paths", "line")
     assert said == Said(2, "", said.err)
-    assert "goal_paths has an effect only with a task whose goal moves" in said.err
+    assert "goal_paths is a setting of task track, and not of pose" in said.err
 
 
 @pytest.mark.slow
@@ -201,9 +208,10 @@ def test_help_lists_every_name_of_the_table(reachlab: Shell, verb: str, names: d
 
 
 def test_help_of_a_setting_lists_every_name_of_its_table(reachlab: Shell) -> None:
-    text = " ".join(reachlab("train", "--help").out.replace("│", " ").split())
+    texts = [" ".join(reachlab("train", "--task", task, "--help").out.replace("│", " ").split()) for task in TASKS]
     for setting, (_, table) in (NAMES | {"robot": ("robot", ROBOTS)}).items():
-        described = re.split(rf"--{setting.replace('_', '-')} \[?STR", text)[1][:700]
+        text = next(one for one in texts if f"--{setting.replace('_', '-')} " in one)
+        described = re.split(rf"--{setting.replace('_', '-')} NAME", text)[1][:700]
         assert all(re.search(rf"(?<![\w+]){re.escape(name)}(?![\w+])", described) for name in table), setting
 
 

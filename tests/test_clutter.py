@@ -15,23 +15,27 @@ from gymnasium.utils.env_checker import check_env as gymnasiums_checker
 from scipy.spatial.transform import Rotation
 from stable_baselines3.common.env_checker import check_env as stable_baselines3s_checker
 
+from reachlab.control.bodies import FAR, Bodies, Nearest, nearest
+from reachlab.control.dampers import RATE, STOP, damped, surroundings
+from reachlab.control.situation import Goal, Situation
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState
+from reachlab.envs.presets import configure
 from reachlab.envs.random_streams import env_keys
 from reachlab.envs.setup import make_setup
 from reachlab.evaluation.report import evaluate
 from reachlab.jax_setup import jit
-from reachlab.robots.clearance import capsules_at
-from reachlab.settings.presets import configure
+from reachlab.robots.kinematics.forward import Pose
+from reachlab.robots.shapes.clearance import capsules_at
 from reachlab.settings.validation import InputError
-from reachlab.sims.mujoco_contacts import CAPSULE, OBSTACLE
+from reachlab.sims.mujoco_contacts import BODY, CAPSULE
 from reachlab.sims.mujoco_model import physics_model
-from reachlab.tasks.avoidance import RATE, STOP, keep_clear, surroundings
 from reachlab.tasks.observations import observe
-from reachlab.tasks.obstacles import FAR, Nearest, Obstacles, nearest
 from reachlab.tasks.scenes import CLEAR, LONG, RADIUS, SIDE, THIN
-from reachlab.tasks.task import Goal, Situation, TaskSetup
+from reachlab.tasks.task import Scene, TaskSetup
 from reachlab.watch.player import TOUCHED, Player, target_box
+from situations import begin, swept
+from situations import situation as situation_of
 from test_contacts import capsule_ends, scene
 
 pytestmark = pytest.mark.slow
@@ -60,19 +64,19 @@ def setup() -> TaskSetup:
     return make_setup(configure("clutter"))
 
 
-def row(obstacles: Obstacles, index: int) -> Obstacles:
+def row(obstacles: Bodies, index: int) -> Bodies:
     return jax.tree.map(lambda x: np.asarray(x)[index], obstacles)
 
 
 # --- scenes ---------------------------------------------------------------------------------------
 
 
-def engine_distance(model: mujoco.MjModel, env: Env, q: np.ndarray, obstacles: Obstacles) -> float:
+def engine_distance(model: mujoco.MjModel, env: Env, q: np.ndarray, obstacles: Bodies) -> float:
     """Least distance between the arm at `q [n]` and obstacles `[K]`, as MuJoCo's own collision code has it [m]."""
     data = mujoco.MjData(model)
     kinds = mujoco.mjtGeom
     for number in range(MOST):
-        geom = model.geom(f"{OBSTACLE}{number}")
+        geom = model.geom(f"{BODY}{number}")
         half, radius = obstacles.half[number], obstacles.radius[number]
         kind = kinds.mjGEOM_BOX if half[0] else kinds.mjGEOM_CAPSULE if half[2] else kinds.mjGEOM_SPHERE
         geom.type, geom.pos, geom.quat = kind, obstacles.position[number], obstacles.quaternion[number]
@@ -81,37 +85,32 @@ def engine_distance(model: mujoco.MjModel, env: Env, q: np.ndarray, obstacles: O
     data.qpos[: len(q)] = q
     mujoco.mj_kinematics(model, data)
     moving = [f"{CAPSULE}{number}" for number, link in enumerate(env.setup.robot.capsules.links) if link]
-    there = [f"{OBSTACLE}{number}" for number in range(MOST) if obstacles.present[number]]
+    there = [f"{BODY}{number}" for number in range(MOST) if obstacles.present[number]]
     pairs = [(model.geom(one).id, model.geom(other).id) for one in moving for other in there]
     return min((mujoco.mj_geomDistance(model, data, *pair, 1.0, None) for pair in pairs), default=np.inf)
 
 
 def test_start_and_goal_are_free_of_obstacles(env: Env, begun: EnvState) -> None:
-    assert begun.obstacles is not None
-    assert begun.goal.joints is not None
     clear, ends = CLEAR * env.setup.robot.scale, np.stack([begun.arm.q, begun.goal.joints], axis=1)
-    model = physics_model(env.setup.robot, env.config.physics, obstacles=MOST)
-    seen = [engine_distance(model, env, q, row(begun.obstacles, index)) for index in range(COUNT) for q in ends[index]]
+    model = physics_model(env.setup.robot, env.config.physics, Scene(MOST, contacts=True))
+    seen = [engine_distance(model, env, q, row(begun.arm.bodies, index)) for index in range(COUNT) for q in ends[index]]
     assert min(seen) > clear - BISECTED
     assert np.median(seen) < 5 * clear, "obstacles are in the way"
 
 
 def test_the_arm_touches_nothing_at_start_and_goal(env: Env, begun: EnvState) -> None:
-    assert begun.arm.contact is not None
     assert not np.asarray(begun.arm.contact).any()
-    at_goal = env.simulator.reset(None, np.asarray(begun.goal.joints), begun.goal, None, None, begun.obstacles)
+    at_goal = env.simulator.reset(None, begin(np.asarray(begun.goal.joints), bodies=begun.arm.bodies), None)
     assert not np.asarray(at_goal.contact).any()
     np.testing.assert_allclose(at_goal.tool_position, begun.goal.position, atol=2e-4)
 
 
 def test_numbers_of_obstacles_are_those_of_the_rules(begun: EnvState) -> None:
-    assert begun.obstacles is not None
-    counts = np.asarray(begun.obstacles.present).sum(axis=1)
+    counts = np.asarray(begun.arm.bodies.present).sum(axis=1)
     assert set(counts) == set(range(MOST + 1))
     assert np.bincount(counts).max() < 0.5 * COUNT
     fixed = Env(configure("clutter", obstacles=(2, 2)), COUNT)
-    found = fixed.init(env_keys(0, COUNT)).obstacles
-    assert found is not None
+    found = fixed.init(env_keys(0, COUNT)).arm.bodies
     counts = np.asarray(found.present).sum(axis=1)
     assert counts.max() == 2
     assert (counts == 2).mean() > 0.75
@@ -119,9 +118,8 @@ def test_numbers_of_obstacles_are_those_of_the_rules(begun: EnvState) -> None:
 
 
 def test_kinds_and_sizes_are_in_range(env: Env, begun: EnvState) -> None:
-    assert begun.obstacles is not None
-    there, scale = np.asarray(begun.obstacles.present), env.setup.robot.scale
-    half, radius = np.asarray(begun.obstacles.half)[there], np.asarray(begun.obstacles.radius)[there]
+    there, scale = np.asarray(begun.arm.bodies.present), env.setup.robot.scale
+    half, radius = np.asarray(begun.arm.bodies.half)[there], np.asarray(begun.arm.bodies.radius)[there]
     box, capsule = half[:, 0] > 0, (half[:, 0] == 0) & (half[:, 2] > 0)
     ball = ~box & ~capsule
     for values, (low, high) in (
@@ -135,8 +133,8 @@ def test_kinds_and_sizes_are_in_range(env: Env, begun: EnvState) -> None:
         assert (values <= high * scale + 1e-6).all()
     assert not radius[box].any()
     assert not half[ball].any()
-    assert np.linalg.norm(begun.obstacles.quaternion, axis=-1) == pytest.approx(1, abs=1e-5)
-    assert (np.asarray(begun.obstacles.position)[~there] == np.array(FAR)).all()
+    assert np.linalg.norm(begun.arm.bodies.quaternion, axis=-1) == pytest.approx(1, abs=1e-5)
+    assert (np.asarray(begun.arm.bodies.position)[~there] == np.array(FAR)).all()
 
 
 # --- distances ------------------------------------------------------------------------------------
@@ -148,20 +146,22 @@ SAMPLES = 4000
 """Points of a capsule's axis at which NumPy looks for the nearest: half a millimetre apart at most."""
 
 
-def sampled(start: np.ndarray, end: np.ndarray, obstacles: Obstacles, floor: float) -> float:
+def sampled(start: np.ndarray, end: np.ndarray, obstacles: Bodies, floor: float) -> float:
     """Least distance of points between `start [3]` and `end [3]` from obstacles `[K]` and the table [m]."""
     points = start + np.linspace(0, 1, SAMPLES)[:, None] * (end - start)
     least = [float((points[:, 2] - floor).min())]
-    for position, quaternion, half, radius in zip(*vars(obstacles).values(), strict=True):
+    for position, quaternion, half, radius in zip(
+        obstacles.position, obstacles.quaternion, obstacles.half, obstacles.radius, strict=True
+    ):
         local = Rotation.from_quat(quaternion, scalar_first=True).inv().apply(points - position)
         outside = np.maximum(np.abs(local) - half, 0.0)
         least.append(float(np.linalg.norm(outside, axis=1).min() - radius))
     return min(least)
 
 
-def around(setup: TaskSetup, q: np.ndarray, obstacles: Obstacles) -> Nearest:
+def around(setup: TaskSetup, q: np.ndarray, obstacles: Bodies) -> Nearest:
     robot = setup.robot
-    find = jit(lambda q, obs: nearest(robot, capsules_at(robot.chain, robot.capsules, q), obs))
+    find = jit(lambda q, obs: nearest(robot.capsules, capsules_at(robot.chain, robot.capsules, q), obs))
     return find(jnp.asarray(q, jnp.float32), obstacles)
 
 
@@ -207,19 +207,19 @@ def test_normals_point_away(setup: TaskSetup) -> None:
             np.testing.assert_array_equal(normal[capsule, index], [0, 0, 1])
 
 
-def each(obstacles: Obstacles) -> list[Obstacles]:
-    """Obstacles `[K]` one by one `[1]`."""
+def each(obstacles: Bodies) -> list[Bodies]:
+    """Bodies `[K]` one by one `[1]`."""
     return [jax.tree.map(lambda x, k=k: x[k : k + 1], obstacles) for k in range(len(obstacles.radius))]
 
 
 # --- dampers --------------------------------------------------------------------------------------
 
 
-def situation(q: np.ndarray, obstacles: Obstacles) -> Situation:
+def situation(q: np.ndarray, obstacles: Bodies) -> Situation:
     joints, count = jnp.asarray(q, jnp.float32), len(q)
-    still, goal = jnp.zeros_like(joints), Goal(jnp.zeros((count, 3)), joints=jnp.zeros_like(joints))
-    tool = jnp.zeros((count, 3)), jnp.zeros((count, 4))
-    return Situation(joints, still, *tool, goal, joints, still, obstacles=obstacles)
+    still, goal = jnp.zeros_like(joints), Goal.at(jnp.zeros((count, 3)), joints=jnp.zeros_like(joints))
+    tool = Pose(jnp.zeros((count, 3)), jnp.zeros((count, 4)))
+    return situation_of(joints, still, tool, goal, last_action=still, bodies=obstacles)
 
 
 STEP = 0.02
@@ -227,29 +227,29 @@ STEP = 0.02
 
 
 @pytest.fixture(scope="module")
-def damped(setup: TaskSetup) -> tuple[np.ndarray, ...]:
+def kept_clear(setup: TaskSetup) -> tuple[np.ndarray, ...]:
     """Random displacements and what the dampers make of them `[B, n]`, and per capsule `[C, B]`: the distance before,
     after either, and how much nearer it may come [m]."""
     count = 400
     q, obstacles = joints(setup, count), scene(count, seed=7)
     step = np.random.default_rng(2).uniform(-STEP, STEP, q.shape).astype(np.float32)
     now = situation(q, obstacles)
-    kept = np.asarray(jit(lambda now, step: keep_clear(setup, now, step))(now, jnp.asarray(step)))
-    find = jit(lambda q: surroundings(setup, q, now).distance)
+    kept = np.asarray(jit(lambda now, step: damped(setup, now, step))(now, jnp.asarray(step)))
+    find = jit(lambda q: surroundings(setup.robot, q, now.bodies).distance)
     before, wild, after = (np.asarray(find(jnp.asarray(x, jnp.float32))) for x in (q, q + step, q + kept))
     stop = STOP * setup.robot.scale
     return step, kept, before, wild, after, RATE * (before - stop)
 
 
-def test_a_harmless_displacement_stays_as_it_is(damped: tuple[np.ndarray, ...]) -> None:
-    step, kept, before, wild, _, allowed = damped
+def test_a_harmless_displacement_stays_as_it_is(kept_clear: tuple[np.ndarray, ...]) -> None:
+    step, kept, before, wild, _, allowed = kept_clear
     harmless = (before - wild < allowed - 1e-3).all(axis=0)
     assert 0.02 < harmless.mean() < 0.9
     np.testing.assert_allclose(kept[harmless], step[harmless], atol=1e-7)
 
 
-def test_a_damped_displacement_comes_no_nearer_than_it_may(damped: tuple[np.ndarray, ...]) -> None:
-    _, _, before, wild, after, allowed = damped
+def test_a_damped_displacement_comes_no_nearer_than_it_may(kept_clear: tuple[np.ndarray, ...]) -> None:
+    _, _, before, wild, after, allowed = kept_clear
     counted = allowed > 0  # nearer than the distance at which it stops it should move away, as far as it can
     counted &= (before > 0).all(axis=0) & (allowed > 0).all(axis=0)
     assert counted.sum() > 100
@@ -285,9 +285,7 @@ def test_inverse_kinematics_succeed_among_obstacles() -> None:
 def test_without_obstacles_contact_is_told_all_the_same() -> None:
     env = Env(configure("clutter", obstacles=(0, 0), randomise=()), 4)
     state = env.init(env_keys(0, 4))
-    assert state.obstacles is not None
-    assert not np.asarray(state.obstacles.present).any()
-    assert state.arm.contact is not None
+    assert not np.asarray(state.arm.bodies.present).any()
     assert np.isfinite(np.asarray(env.observe_now(state))).all()
     assert evaluate(env, "ik", seed=1, episodes=4).success_rate == 1
     env.close()
@@ -295,11 +293,10 @@ def test_without_obstacles_contact_is_told_all_the_same() -> None:
 
 def ball_at(env: Env, state: EnvState, place: np.ndarray) -> EnvState:
     """State in which a ball of 5 cm is the only obstacle, at `[B, 3]` m."""
-    assert state.obstacles is not None
-    shape = np.asarray(state.obstacles.radius).shape
+    shape = np.asarray(state.arm.bodies.radius).shape
     position = np.tile(np.array(FAR, np.float32), (*shape, 1))
     position[:, 0] = place
-    ball = Obstacles(jnp.asarray(position), state.obstacles.quaternion, jnp.zeros((*shape, 3)), jnp.full(shape, 0.05))
+    ball = swept(position, state.arm.bodies.quaternion, np.zeros((*shape, 3)), np.full(shape, 0.05))
     return env.rearrange(state, ball)
 
 
@@ -308,7 +305,7 @@ def driven(env: Env, state: EnvState, ahead: np.ndarray) -> tuple[np.ndarray, np
     ended, success = np.full(env.num_envs, -1), np.zeros(env.num_envs, bool)
     action = np.zeros((env.num_envs, len(env.action_bounds[0])), np.float32)
     for number in range(100):
-        state, transition = env.step(state, action, instead=state.target_q + jnp.asarray(ahead, jnp.float32))
+        state, transition = env.step(state, action, instead=state.command + jnp.asarray(ahead, jnp.float32))
         over = np.asarray(transition.terminated) & (ended < 0)
         ended[over], success[over] = number, np.asarray(transition.terms["success"])[over]
     return ended, success
@@ -378,9 +375,8 @@ def test_the_environment_passes_the_checkers_and_episodes_end() -> None:
 
 
 def test_obstacles_are_drawn_and_the_touched_one_is_red(env: Env, begun: EnvState) -> None:
-    assert begun.obstacles is not None
-    index = int(np.asarray(begun.obstacles.present).sum(axis=1).argmax())
-    far = replace(begun.obstacles, position=jnp.full_like(begun.obstacles.position, FAR[2]))
+    index = int(np.asarray(begun.arm.bodies.present).sum(axis=1).argmax())
+    far = replace(begun.arm.bodies, position=jnp.full_like(begun.arm.bodies.position, FAR[2]))
     try:
         seen = env.render(begun, index)
     except InputError as error:
@@ -405,7 +401,7 @@ def test_an_obstacle_is_moved_by_hand_while_an_agent_plays() -> None:
     player = Player(env, 1)
     player.step("ik", None)
     tool = player.moment.tool
-    player.move_obstacle(0, tool)
+    player.move_body(0, tool)
     np.testing.assert_allclose(player.moment.blocks[0].position, tool, atol=1e-6)
     player.step("ik", None)
     assert player.failed == TOUCHED
@@ -414,7 +410,7 @@ def test_an_obstacle_is_moved_by_hand_while_an_agent_plays() -> None:
     player.follow(True)
     player.proceed()
     np.testing.assert_allclose(player.moment.blocks[0].position, tool, atol=1e-6)
-    player.move_obstacle(0, np.array([5.0, 5.0, 5.0]))
+    player.move_body(0, np.array([5.0, 5.0, 5.0]))
     np.testing.assert_allclose(player.moment.blocks[0].position, env.setup.robot.workspace[1])
     env.close()
 

@@ -7,14 +7,17 @@ from importlib import metadata
 
 import pytest
 
+from reachlab.envs.formats import from_json
+from reachlab.envs.presets import configure, in_simulator, preset
 from reachlab.settings.config import LearnerConfig, LoopConfig, PPOConfig, RunConfig, SimConfig
-from reachlab.settings.json_form import flatten, from_json, to_json
-from reachlab.settings.presets import RULES, Rule, configure, in_simulator, preset
-from reachlab.settings.rules import TaskConfig
+from reachlab.settings.json_form import flatten, to_json
+from reachlab.settings.preset_record import Preset, Rule
 from reachlab.settings.validation import InputError, choose, installing
 from reachlab.tasks import TASKS
 
-PHYSICS = to_json(RunConfig())["physics"]
+PHYSICS = to_json(preset())["physics"]
+
+RULES = [rule for task in TASKS.values() for rule in task.load().preset.rules]
 
 
 def plain(**changes):
@@ -87,11 +90,10 @@ def test_where_the_target_is_held_actions_are_not_repeated(chosen):
 
 
 def test_a_later_rule_outranks_an_earlier_one_and_what_is_chosen_all(monkeypatch):
-    rules = [Rule(lambda c: c.task == "precise", {"gamma": value, "sim": "mujoco"}) for value in (0.1, 0.2)]
-    monkeypatch.setattr("reachlab.settings.presets.RULES", rules)
+    rules = tuple(Rule(lambda _: True, {"gamma": value, "sim": "mujoco"}) for value in (0.1, 0.2))
+    monkeypatch.setattr("reachlab.tasks.precise.Precise.preset", Preset(rules=rules))
     config = preset("precise", sim="kinematic")
     assert (config.ppo.gamma, config.sim) == (0.2, "kinematic")
-    assert preset("tutorial") == RunConfig()
 
 
 @pytest.mark.parametrize("rule", RULES, ids=lambda rule: ", ".join(list(rule.settings)[:3]))
@@ -99,7 +101,7 @@ def test_every_rule_is_for_some_configuration_and_names_settings(rule):
     choices = [{}, {"sim": "pybullet"}, {"sim": "mujoco"}, {"reward": "sparse"}, {"observation": "image"}]
     presets = [preset(task, **chosen) for task in TASKS for chosen in [*choices, {"action": "joint_delta"}]]
     assert any(rule.when(config) for config in presets)
-    assert rule.settings.keys() <= flatten(to_json(RunConfig())).keys()
+    assert rule.settings.keys() <= flatten(to_json(preset())).keys()
 
 
 def test_what_was_changed_from_a_preset_stays_in_another_simulator():
@@ -116,9 +118,10 @@ def differing(one, other):
 
 
 def test_a_setting_belongs_to_one_section():
-    sections = (RunConfig, TaskConfig, SimConfig, LoopConfig, LearnerConfig, PPOConfig)
-    names = [field.name for section in sections for field in dataclasses.fields(section)]
-    assert len(names) == len(set(names))
+    for task in TASKS.values():
+        sections = (RunConfig, task.load(), SimConfig, LoopConfig, LearnerConfig, PPOConfig)
+        names = [field.name for section in sections for field in dataclasses.fields(section)]
+        assert len(names) == len(set(names))
 
 
 def test_settings_cannot_be_changed_behind_the_checks():
@@ -145,7 +148,7 @@ def test_settings_cannot_be_changed_behind_the_checks():
         ),
         ("target_high", (0.0, math.inf, 0.0), "each entry of target_high must be at least -1000 and at most 1000"),
         ("target_high", (0.0, 0.0, 1e308), "each entry of target_high must be at least -1000 and at most 1000"),
-        ("hold_steps", 2**31, "hold_steps must be at least 0 and at most 2147483647"),
+        ("keep_checkpoints", 2**31, "keep_checkpoints must be at least 1 and at most 2147483647"),
         ("physics_steps", 2**31 - 1, "physics_steps must be at least 1 and at most 1000"),
         ("validation_episodes", 10**6, "validation_episodes must be at least 1 and at most 100000"),
         ("max_steps", 10**6, "max_steps must be at least 1 and at most 100000"),
@@ -215,10 +218,9 @@ def test_config_survives_json_text():
     [
         ([], "must be an object of settings, got list"),
         (None, "must be an object of settings, got NoneType"),
-        ({}, "has no setting"),
         (plain(colour="red"), "holds an unknown setting 'colour'"),
         (plain(ppo=[]), "ppo, must be an object of settings"),
-        (plain(physics={}), "physics, has no setting 'collisions'"),
+        (plain(format=3), "has format 3, and this version reads 1 to 2"),
         (plain(physics=PHYSICS | {"gravity": 1}), "physics, holds an unknown setting 'gravity'"),
         (plain(physics=PHYSICS | {"control_period": "fast"}), "control_period must be a number, got 'fast'"),
         (

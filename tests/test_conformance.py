@@ -7,9 +7,9 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from conformance import CHECKS, Subject
-from reachlab.envs.setup import check
+from reachlab.envs.consistency import check
+from reachlab.envs.presets import configure, preset
 from reachlab.robots.catalogue import ROBOTS
-from reachlab.settings.presets import configure, preset
 from reachlab.settings.validation import InputError
 from reachlab.sims import SIMULATORS
 from reachlab.tasks import TASKS

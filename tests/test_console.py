@@ -11,15 +11,15 @@ from typing import Any
 
 import pytest
 
-from reachlab.cli.console import asked, note, print_reports, say
+from reachlab.cli.console import note, print_reports, say, task_and_success
 from reachlab.cli.deploy_command import _by_kind
 from reachlab.cli.eval_command import _means
 from reachlab.cli.eval_subjects import Subject
 from reachlab.cli.progress import EvalDisplay, TrainDisplay, explained, parts_of_time, train_line
+from reachlab.envs.presets import configure
 from reachlab.evaluation.intervals import mean_report
 from reachlab.learn.loop import Progress
 from reachlab.settings.config import RunConfig
-from reachlab.settings.presets import configure
 
 
 def progress(steps: int, elapsed_s: float, **metrics: float) -> Progress:
@@ -116,8 +116,11 @@ REPORT: dict[str, Any] = {
 """A report of episodes that end once the tool was held."""
 
 
+HELD = configure("precise", sim="kinematic", hold_steps=2, at_goal="end", control_period=1 / 240)
+
+
 def test_a_table_of_episodes_that_end_once_the_tool_was_held(capsys: pytest.CaptureFixture[str]) -> None:
-    print_reports([REPORT], configure(hold_steps=2))
+    print_reports([REPORT], HELD)
     out = capsys.readouterr().out
     assert "for 2 steps (0.0083 s), no joint faster than 0.05 rad/s, which ends the episode." in out
     assert "median error" in out
@@ -135,7 +138,10 @@ def test_reports_of_several_runs_are_told_with_the_mean_of_their_seeds(capsys: p
     close = mean_report([{**REPORT, "success_rate": rate} for rate in (0.49, 0.5, 0.51)])
     assert close["success_interval"] == pytest.approx((0.5 - 0.0248, 0.5 + 0.0248), abs=1e-4)
     assert (mean["final_error_mm"]["median"], mean["time_to_reach_s"]) == (4.0, None)
-    print_reports([*reports, mean | {"run": "mean of 3 seeds"}], configure(hold_steps=2))
+    print_reports(
+        [*reports, mean | {"run": "mean of 3 seeds"}],
+        HELD,
+    )
     rows = [line.split("│")[1].strip() for line in capsys.readouterr().out.splitlines() if "│" in line]
     assert rows == ["s0", "s1", "s2", "mean of 3 seeds"]
 
@@ -157,15 +163,16 @@ def test_problems_of_one_kind_are_told_in_one_line() -> None:
 def test_where_simulators_differ_in_the_length_of_a_step_it_is_told(capsys: pytest.CaptureFixture[str]) -> None:
     periods = {"kinematic": 1 / 240, "mujoco": 0.02}
     print_reports(
-        [{**REPORT, "sim": sim, "control_period": period} for sim, period in periods.items()], configure(hold_steps=2)
+        [{**REPORT, "sim": sim, "control_period": period} for sim, period in periods.items()],
+        HELD,
     )
     assert "A step is 4.17 ms in kinematic, 20 ms in mujoco: equally many" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(("distance", "said"), [(0.05, "within 50 mm"), (0.0125, "within 12.5 mm")])
 def test_what_a_task_asks_for_follows_from_its_settings(distance: float, said: str) -> None:
-    assert said in asked(configure(success_distance=distance))
-    assert re.match("touch a point in the arm's box", asked(configure(targets="box")))
+    assert said in task_and_success(configure(success_distance=distance))[0]
+    assert re.match("touch a point in the arm's box", task_and_success(configure(targets="box"))[0])
 
 
 def test_the_end_of_an_evaluation_is_told_once(capsys: pytest.CaptureFixture[str]) -> None:

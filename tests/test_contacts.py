@@ -1,4 +1,4 @@
-"""Obstacles and contacts in MuJoCo, checked against distances computed apart from it."""
+"""Bodies and contacts in MuJoCo, checked against distances computed apart from it."""
 
 from __future__ import annotations
 
@@ -8,66 +8,57 @@ from dataclasses import replace
 from pathlib import Path
 
 import jax
-import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
 
 from params import tried
+from reachlab.control.bodies import FAR, Bodies, absent
+from reachlab.control.situation import Situation
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvFunctions
+from reachlab.envs.presets import configure
 from reachlab.envs.random_streams import env_keys
-from reachlab.render.scene import table_top
-from reachlab.robots.clearance import capsules_at
+from reachlab.robots.files.model_file import read_model_file
 from reachlab.robots.loading import load_robot
-from reachlab.robots.model_file import read_model_file
 from reachlab.robots.robot import Robot
-from reachlab.settings.presets import configure
+from reachlab.robots.shapes.clearance import capsules_at
 from reachlab.settings.validation import InputError
-from reachlab.sims import ArmState, Moved, Simulator, make_simulator
 from reachlab.sims.mujoco_contacts import CAPSULE
 from reachlab.sims.mujoco_model import physics_model
-from reachlab.tasks.obstacles import FAR, Obstacles
-from reachlab.tasks.task import Goal, Situation
+from reachlab.sims.simulator import Moved, SimState, Simulator, make_simulator
+from reachlab.tasks.task import Scene
+from situations import begin as episodes
+from situations import swept
 from test_capsules import ARMS, FOLDED, ROUNDING, joints
 
 PHYSICS = configure("precise").physics
 COUNT = 3
-"""Obstacles around each arm."""
+"""Bodies around each arm."""
 
 NEAR = 1e-3
 """Distance within which the engine may tell either [m]."""
 
 
-def simulator(robot: Robot, num_envs: int, obstacles: int = COUNT, **settings: bool) -> Simulator:
+def simulator(robot: Robot, num_envs: int, count: int = COUNT, **settings: bool) -> Simulator:
     """MuJoCo with obstacles around each arm."""
-    return make_simulator("mujoco", robot, PHYSICS, num_envs, obstacles=obstacles, **settings)
+    return make_simulator("mujoco", robot, PHYSICS, num_envs, scene=Scene(count, contacts=count > 0), **settings)
 
 
-def no_goal(num_envs: int) -> Goal:
-    """A goal that no simulator here looks at."""
-    return Goal(jnp.zeros((num_envs, 3)))
-
-
-def begin(sim: Simulator, q: np.ndarray, obstacles: Obstacles | None = None) -> ArmState:
+def begin(sim: Simulator, q: np.ndarray, obstacles: Bodies | None = None, count: int = COUNT) -> SimState:
     """State of all arms at `q [B, n]` among obstacles."""
-    return sim.reset(None, np.asarray(q, np.float32), no_goal(len(q)), None, None, obstacles)
+    bodies = absent(len(q), count) if obstacles is None else obstacles
+    return sim.reset(None, episodes(np.asarray(q, np.float32), bodies=bodies), None)
 
 
-def touching(state: ArmState | Moved) -> np.ndarray:
+def touching(state: SimState | Moved) -> np.ndarray:
     """Whether each arm touches something `[B]`."""
-    assert state.contact is not None
     return np.asarray(state.contact)
 
 
-def bits(state: ArmState | Moved) -> np.ndarray:
+def bits(state: SimState | Moved) -> np.ndarray:
     """All that the engine knows of each arm `[B, m]`."""
     return np.asarray(state.engine)
-
-
-def shapes(*parts: np.ndarray) -> Obstacles:
-    """Obstacles of position, quaternion, half sizes and radius."""
-    return Obstacles(*(jnp.array(part, jnp.float32) for part in parts))
 
 
 def at_home(robot: Robot, num_envs: int) -> np.ndarray:
@@ -75,7 +66,7 @@ def at_home(robot: Robot, num_envs: int) -> np.ndarray:
     return np.tile(np.array(robot.home, np.float32), (num_envs, 1))
 
 
-def scene(num_envs: int, seed: int = 0, count: int = COUNT) -> Obstacles:
+def scene(num_envs: int, seed: int = 0, count: int = COUNT) -> Bodies:
     """Random balls, capsules and boxes before the arm, of which one in five is absent."""
     random, shape = np.random.default_rng(seed), (num_envs, count)
     kind, absent = random.integers(3, size=shape), random.random(shape) < 0.2
@@ -87,7 +78,7 @@ def scene(num_envs: int, seed: int = 0, count: int = COUNT) -> Obstacles:
     position[absent] = FAR
     turn = random.normal(size=(*shape, 4))
     turn /= np.linalg.norm(turn, axis=-1, keepdims=True)
-    return shapes(position, turn, half, radius)
+    return swept(position, turn, half, radius)
 
 
 # --- distances by NumPy alone ---------------------------------------------------------------------
@@ -131,7 +122,7 @@ def to_segment(ends: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
     return distance
 
 
-def to_obstacles(robot: Robot, q: np.ndarray, obstacles: Obstacles) -> np.ndarray:
+def to_obstacles(robot: Robot, q: np.ndarray, obstacles: Bodies) -> np.ndarray:
     """Least distance `[B]` m of moving capsules from obstacles, each a box that is swept by a ball."""
     moving = np.flatnonzero(robot.capsules.links)
     ends, radii = capsule_ends(robot, q)[:, :, moving, None], np.array(robot.capsules.radii)[moving, None]
@@ -160,7 +151,7 @@ def to_table(robot: Robot, q: np.ndarray) -> np.ndarray:
     """Least height `[B]` m of moving capsules above the table."""
     moving = np.flatnonzero(robot.capsules.links)
     heights = capsule_ends(robot, q)[..., 2].min(axis=0) - np.array(robot.capsules.radii)
-    return heights[:, moving].min(axis=1) - table_top(robot)
+    return heights[:, moving].min(axis=1) - robot.table_top
 
 
 # --- the model ------------------------------------------------------------------------------------
@@ -169,7 +160,7 @@ def to_table(robot: Robot, q: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("name", ARMS)
 def test_capsules_are_where_they_belong_and_weigh_nothing(name: str) -> None:
     robot = load_robot(name)
-    model, plain = physics_model(robot, PHYSICS, obstacles=COUNT), physics_model(robot, PHYSICS)
+    model, plain = physics_model(robot, PHYSICS, Scene(COUNT, contacts=True)), physics_model(robot, PHYSICS)
     for field in ("body_mass", "body_inertia", "body_ipos", "body_iquat", "dof_armature", "dof_damping", "jnt_range"):
         assert np.array_equal(getattr(model, field), getattr(plain, field)), field
     data, geoms = mujoco.MjData(model), [model.geom(f"{CAPSULE}{i}").id for i in range(len(robot.capsules.links))]
@@ -190,14 +181,13 @@ def test_capsules_are_where_they_belong_and_weigh_nothing(name: str) -> None:
 def test_an_arm_that_touches_nothing_moves_as_one_without_obstacles() -> None:
     robot = load_robot("iiwa14")
     home = at_home(robot, 4)
-    bare, among = simulator(robot, 4, obstacles=0), simulator(robot, 4)
-    one, other = begin(bare, home), begin(among, home)
-    assert one.contact is None
+    bare, among = simulator(robot, 4, count=0), simulator(robot, 4)
+    one, other = begin(bare, home, count=0), begin(among, home)
     for step in np.random.default_rng(1).uniform(-0.03, 0.03, (40, 4, 7)).astype(np.float32):
         home += step
         one, other = bare.step(one, home), among.step(other, home)
         assert np.array_equal(one.q, other.q)
-        assert one.contact is None
+        assert not np.any(one.contact)
         assert not np.any(other.contact)
 
 
@@ -227,10 +217,10 @@ def test_a_shape_is_as_large_as_it_says(kind: str) -> None:
     long = 0.02 + 0.1 * np.random.default_rng(6).random((num_envs, 1, 3), np.float32)
     half[:] = {"ball": 0 * long, "capsule": long * np.array([0, 0, 1]), "box": long}[kind]
     radius[:] = 0 if kind == "box" else 0.1
-    obstacles = shapes(np.asarray(every.position), np.asarray(every.quaternion), half, radius)
+    obstacles = swept(np.asarray(every.position), np.asarray(every.quaternion), half, radius)
     home = at_home(robot, num_envs)
     apart = to_obstacles(robot, home, obstacles)
-    told = touching(begin(simulator(robot, num_envs, obstacles=1), home, obstacles))
+    told = touching(begin(simulator(robot, num_envs, count=1), home, obstacles))
     clear = np.abs(apart) > NEAR
     assert np.array_equal(told[clear], apart[clear] < 0)
     assert 20 < told.sum() < 300
@@ -247,8 +237,8 @@ def test_a_touch_in_any_step_of_the_engine_is_told_and_the_arm_stops() -> None:
     start = at_home(robot, num_envs)
     lowered = capsule_ends(robot, start)[0, 0, -1]
     place = np.array([[[lowered[0], lowered[1], 0.15]]])
-    shelf = shapes(place, np.array([[[1, 0, 0, 0]]]), np.array([[[0.3, 0.3, 0.05]]]), np.zeros((1, 1)))
-    sim, target = simulator(robot, num_envs, obstacles=1), start.copy()
+    shelf = swept(place, np.array([[[1, 0, 0, 0]]]), np.array([[[0.3, 0.3, 0.05]]]), np.zeros((1, 1)))
+    sim, target = simulator(robot, num_envs, count=1), start.copy()
     state, deepest, first = begin(sim, start, shelf), 0.0, None
     assert not np.any(touching(state))
     for step in range(120):
@@ -287,11 +277,11 @@ def test_a_reset_changes_only_the_environments_of_its_mask() -> None:
     one, two = begin(sim, q, first), begin(sim, q, second)
     assert np.any(touching(one) != touching(two))
     mask = np.arange(num_envs) % 3 == 0
-    mixed = sim.reset(one, q, no_goal(num_envs), mask, None, second)
+    mixed = sim.reset(one, episodes(q, bodies=second), mask)
     assert np.array_equal(bits(mixed), np.where(mask[:, None], bits(two), bits(one)))
+    positions = (np.asarray(bodies.position) for bodies in (second, first, mixed.bodies))
+    assert np.array_equal(np.where(mask[:, None, None], next(positions), next(positions)), next(positions))
     assert np.array_equal(touching(mixed), np.where(mask, touching(two), touching(one)))
-    kept = sim.reset(mixed, q, no_goal(num_envs), mask, None, None)
-    assert np.array_equal(bits(kept), bits(mixed))
     for _ in range(5):
         one, two, mixed = sim.step(one, q), sim.step(two, q), sim.step(mixed, q)
     assert np.array_equal(touching(mixed), np.where(mask, touching(two), touching(one)))
@@ -305,7 +295,7 @@ def test_any_state_is_continued_from_bit_for_bit(varied: bool) -> None:
     whole, other = (simulator(robot, num_envs, randomise_dynamics=varied) for _ in range(2))
     home, random = at_home(robot, num_envs), np.random.default_rng(0)
     arms = random.uniform(-1, 1, (num_envs, 15)) if varied else None
-    state = whole.reset(None, home, no_goal(num_envs), None, arms, scene(num_envs, 3))
+    state = whole.reset(None, episodes(home, bodies=scene(num_envs, 3), dynamics=arms), None)
     commands = home + np.cumsum(random.uniform(-0.1, 0.1, (60, num_envs, 7)), axis=0).astype(np.float32)
     saved, told = state, []
     for number, command in enumerate(commands):
@@ -313,7 +303,8 @@ def test_any_state_is_continued_from_bit_for_bit(varied: bool) -> None:
             saved = jax.tree.map(np.array, state)
         state = whole.step(state, command)
         told.append(touching(state))
-    other.reset(None, home + 0.1, no_goal(num_envs), None, None if arms is None else -arms, scene(num_envs, 4))
+    others = None if arms is None else -arms
+    other.reset(None, episodes(home + 0.1, bodies=scene(num_envs, 4), dynamics=others), None)
     again = saved
     for number, command in enumerate(commands[20:], 20):
         again = other.step(again, command)
@@ -325,7 +316,8 @@ def test_any_state_is_continued_from_bit_for_bit(varied: bool) -> None:
 def test_arms_that_vary_still_do_among_obstacles() -> None:
     robot = load_robot("iiwa14")
     sim, home = simulator(robot, 2, randomise_dynamics=True), at_home(robot, 2)
-    state = sim.reset(None, home, no_goal(2), None, np.array([[-1.0] * 15, [1.0] * 15]))
+    arms = np.array([[-1.0] * 15, [1.0] * 15])
+    state = sim.reset(None, episodes(home, bodies=absent(2, COUNT), dynamics=arms), None)
     for _ in range(50):
         state = sim.step(state, home)
     sag = np.abs(np.asarray(state.q) - home).max(axis=1)
@@ -335,32 +327,29 @@ def test_arms_that_vary_still_do_among_obstacles() -> None:
 # --- around the simulator -------------------------------------------------------------------------
 
 
-def test_tasks_are_told() -> None:
+def test_tasks_and_observations_are_given_contacts() -> None:
     env = Env(configure("precise", randomise=()), 4)
     state = env.init(env_keys(0, 4))
-    assert state.arm.contact is None
-    assert env.situation(state).contact is None
+    assert not np.any(state.arm.contact)
     seen: list[Situation] = []
-    judge = env.setup.task.judge
-    task = replace(
-        env.setup.task, judge=lambda setup, old, now, clock: (seen.append(now), judge(setup, old, now, clock))[1]
-    )
+    errors = env.setup.task.errors
+    task = replace(env.setup.task, errors=lambda setup, now: (seen.append(now), errors(setup, now))[1])
     functions = EnvFunctions(replace(env.setup, task=task), (), real_time=True, pictured=False)
-    sim = simulator(env.setup.robot, 4, obstacles=1)
+    sim = simulator(env.setup.robot, 4, count=1)
     size, place = np.full((4, 1), 0.1), np.array(state.arm.tool_position)[:, None]
     place[2:] = FAR
-    ball = shapes(place, np.tile([1, 0, 0, 0], (4, 1, 1)), np.zeros((4, 1, 3)), size)
+    ball = swept(place, np.tile([1, 0, 0, 0], (4, 1, 1)), np.zeros((4, 1, 3)), size)
     arm = begin(sim, np.asarray(state.arm.q), ball)
     inside = replace(state, arm=arm)
     assert np.array_equal(np.asarray(env.situation(inside).contact), [True, True, False, False])
-    functions.judge(inside, sim.step(arm, arm.q), arm.q, state.last_action)
+    functions.judge(inside, sim.step(arm, arm.q), arm.q, state.last_action, None)
     assert np.array_equal(np.asarray(seen[0].contact), [True, True, False, False])
 
 
 @pytest.mark.parametrize("name", ["kinematic", "pybullet"])
 def test_other_simulators_refuse_obstacles(name: str) -> None:
-    with pytest.raises(InputError, match=f"simulator '{name}' has no obstacles: use --sim mujoco"):
-        make_simulator(name, load_robot("iiwa14"), PHYSICS, 1, obstacles=1)
+    with pytest.raises(InputError, match=f"simulator '{name}' judges no contacts: use --sim mujoco"):
+        make_simulator(name, load_robot("iiwa14"), PHYSICS, 1, scene=Scene(1, contacts=True))
 
 
 def test_an_arm_without_shapes_is_refused(tmp_path: Path) -> None:
@@ -368,4 +357,4 @@ def test_an_arm_without_shapes_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "bare.xml"
     file.write_text(re.sub(r"<geom [^>]*/>", "", robot.model.file.read_text()))
     with pytest.raises(InputError, match="has no shapes in its file"):
-        physics_model(replace(robot, model=read_model_file(file)), PHYSICS, obstacles=1)
+        physics_model(replace(robot, model=read_model_file(file)), PHYSICS, Scene(1, contacts=True))

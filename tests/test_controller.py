@@ -15,18 +15,14 @@ import pytest
 
 from faults.controllers import hostile_commands, written
 from reachlab.cli import main as cli
+from reachlab.control.bodies import Shape
 from reachlab.deploy.check import PipeLink, start_controller
-from reachlab.deploy.facts import TERMS
+from reachlab.deploy.onboard.bodies import placed
 from reachlab.deploy.onboard.controller import NO_GOAL, Controller
-from reachlab.deploy.onboard.deciding import COMMANDED, OBSERVED
-from reachlab.deploy.onboard.folder import LIMITS
-from reachlab.deploy.onboard.reading import read_obstacles
-from reachlab.deploy.onboard.scene import Obstacles
+from reachlab.deploy.onboard.reading import read_bodies
 from reachlab.deploy.ros2 import PolicyNode
 from reachlab.deploy.topics import Topics
 from reachlab.settings.validation import InputError
-from reachlab.tasks.actions import OWN
-from reachlab.tasks.observations import OBSERVATIONS
 
 GOAL = [0.5, 0.2, 0.4]
 """A goal in the workspace of the iiwa [m]."""
@@ -77,7 +73,7 @@ def play(controller: Any, steps: int, first: int = 0, **call: Any) -> list[str]:
 # --- the folder -----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["policy.safetensors", "policy.onnx", "controller.py"])
+@pytest.mark.parametrize("name", ["policy.safetensors", "policy.onnx", "controller.py", "step.py", "reachlab_policy.c"])
 def test_a_file_of_another_export_is_refused(
     folder: Path, clutter: Path, name: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -106,7 +102,7 @@ CHANGED: dict[str, tuple[Callable[[Facts], Any], str]] = {
     "widest": (lambda facts: facts["joints"][0]["widest"].update(speed=99.0), "was changed beside"),
     "hash": (lambda facts: facts["files"].update({"policy.onnx": "0"}), "was changed beside"),
     "no_hash": (lambda facts: facts.pop("sha256"), "is not complete"),
-    "format": (lambda facts: facts.update(format=3), "has format 3, and formats 1 and 2 are read here"),
+    "format": (lambda facts: facts.update(format=4), "has format 4, and formats 1 to 3 are read here"),
     "no_format": (lambda facts: facts.pop("format"), "cannot be read as what `reachlab export` wrote"),
     "upper": (limit("upper", 99.0), f"'{FIRST}'.*upper must be -2.9.* to 2.9.*, got 99.0.*never widened"),
     "lower": (limit("lower", -99), "lower must be"),
@@ -162,41 +158,17 @@ def test_a_description_may_be_laid_out_anew(folder: Path) -> None:
     assert play(Controller(folder), 1) == [""]
 
 
-@pytest.mark.parametrize("place", ["joint", "arm"])
-def test_a_folder_of_the_format_before_loads_and_its_lower_limits_hold(folder: Path, place: str) -> None:
-    def back(facts: Facts) -> None:
-        limits = facts.pop("limits")
-        facts["format"] = 1
-        del facts["sha256"]
-        for joint in facts["joints"]:
-            del joint["widest"]
-            joint.update(limits[joint["name"]])
-        facts["arm"].update({name: [one[name] for one in limits.values()] for name in ("lower", "upper", "speed")})
-        facts["joints"][0].update({"speed": 0.1} if place == "joint" else {})
-        facts["arm"]["speed"][0] = 0.1 if place == "arm" else facts["arm"]["speed"][0]
-
-    usual = Controller(folder).limits
-    change(folder, back)
-    limits = Controller(folder).limits
-    assert limits.speed[0] == pytest.approx(0.1)
-    assert (limits.speed[1:] == usual.speed[1:]).all()
-    assert all((getattr(limits, name) == getattr(usual, name)).all() for name in LIMITS if name != "speed")
-    with (folder / "policy.safetensors").open("ab") as file:
-        file.write(b"\n")
-    with pytest.raises(ValueError, match="is not the file that was exported"):
-        Controller(folder)
+def test_a_folder_of_a_format_before_names_its_own_controller() -> None:
+    earlier = Path(__file__).parent / "earlier" / "format_1" / "clutter-export"
+    with pytest.raises(ValueError, match=r"was exported by an earlier version: use the controller\.py of its own"):
+        Controller(earlier)
+    start_controller(earlier)
 
 
 def test_a_check_whose_arm_begins_outside_lowered_limits_says_so() -> None:
     pipe = SimpleNamespace(send=lambda _: None, poll=lambda _: True, recv=lambda: "joint 'j1' is at 2")
     with pytest.raises(InputError, match="joint 'j1' is at 2"):
         PipeLink(pipe).begin(np.zeros(1))  # type: ignore[arg-type]
-
-
-def test_the_controller_knows_every_term_and_action_that_an_export_allows() -> None:
-    assert {term.name for term in TERMS if not term.picture} == set(OBSERVED)
-    assert {term for design in OBSERVATIONS.values() for term in design.terms} == set(TERMS)
-    assert set(OWN) == set(COMMANDED)
 
 
 # --- obstacles ------------------------------------------------------------------------------------
@@ -221,12 +193,34 @@ BAD = {
 def test_an_obstacle_that_cannot_be_is_refused(name: str) -> None:
     obstacle, sentence = BAD[name]
     with pytest.raises(ValueError, match=sentence):
-        Obstacles(read_obstacles([BALL, obstacle]))
+        placed(read_bodies([BALL, obstacle]), 4)
+
+
+def test_more_obstacles_than_the_policy_knows_are_refused() -> None:
+    with pytest.raises(ValueError, match="there are 3 obstacles, and the policy knows 2 at most"):
+        placed(read_bodies([BALL] * 3), 2)
+
+
+@pytest.mark.parametrize(
+    ("obstacle", "kind", "size"),
+    [
+        ({"radius": 0.05}, Shape.BALL, [0.05, 0.0, 0.0]),
+        ({"radius": 0.05, "half": [0.0, 0.0, 0.2]}, Shape.CAPSULE, [0.05, 0.2, 0.0]),
+        ({"half": [0.1, 0.2, 0.3]}, Shape.BOX, [0.1, 0.2, 0.3]),
+        ({"half": [0.1, 0.2, 0.3], "radius": 0.1}, Shape.BOX, [0.2, 0.3, 0.4]),
+    ],
+)
+def test_an_obstacle_is_a_body(obstacle: dict[str, Any], kind: Shape, size: list[float]) -> None:
+    body = placed(read_bodies([{"position": [1.0, 2.0, 3.0], **obstacle}]), 2)
+    assert body["kind"] == [kind, Shape.BALL]
+    assert body["size"][:3] == pytest.approx(size)
+    assert body["position"][:3] == [1.0, 2.0, 3.0]
+    assert body["position"][5] < 0, "the other is not there"
 
 
 def test_a_quaternion_a_little_off_is_taken_as_a_turn() -> None:
-    around = Obstacles(read_obstacles([{**BALL, "quaternion": [1.004, 0.0, 0.0, 0.0]}]))
-    assert around.rotation[0] == pytest.approx(np.eye(3), abs=1e-12)
+    around = placed(read_bodies([{**BALL, "quaternion": [1.004, 0.0, 0.0, 0.0]}]), 1)
+    assert around["quaternion"] == pytest.approx([1.0, 0.0, 0.0, 0.0], abs=1e-12)
 
 
 @pytest.mark.parametrize("bad", ["wall", [1.0], [{**BALL, "radius": -1}]], ids=str)

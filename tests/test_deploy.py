@@ -13,16 +13,18 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import yaml
 
 import extension
+from benchmarks.deploy import lively_run
 from faults.controllers import FAULTS, exported, faulty, hostile_commands, written
 from params import tried
 from reachlab.agents.acting import make_act
-from reachlab.bench.deploy import lively_run
 from reachlab.cli import main as cli
+from reachlab.control.situation import Situation
 from reachlab.deploy import weights
 from reachlab.deploy.bundle import controller_source
 from reachlab.deploy.card import model_card
@@ -31,15 +33,16 @@ from reachlab.deploy.export import export
 from reachlab.deploy.plant import Measurement, Plant, drive
 from reachlab.deploy.plant_faults import Faults
 from reachlab.envs.core import Env
+from reachlab.envs.presets import configure
 from reachlab.envs.random_streams import REPORT_STREAM, episode_keys
 from reachlab.envs.setup import in_evaluation
 from reachlab.learn.load import load_policy
 from reachlab.runs.directory import RunDirectory
 from reachlab.settings.json_form import override
-from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError
 from reachlab.tasks.actions import ACTIONS
 from reachlab.tasks.observations import OBSERVATIONS, TOOL
+from reachlab.tasks.task import TaskSetup
 
 CASES: dict[str, tuple[str, dict[str, Any]]] = {
     "tutorial": ("tutorial", {}),
@@ -72,8 +75,10 @@ def run(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 @pytest.fixture(scope="module")
 def folder(run: RunDirectory) -> Path:
     done = export(run, run.path.parent / "policy")
-    assert done.differences.keys() == {"ONNX Runtime", "NumPy"}
-    assert max(done.differences.values()) < 1e-6
+    assert done.differences.keys() >= {"ONNX Runtime", "step.py"}
+    assert done.differences["ONNX Runtime"] < 1e-6
+    assert done.differences["step.py"] < SAME
+    assert done.differences.get("reachlab_policy.c", 0.0) < 1e-12
     return done.folder
 
 
@@ -93,12 +98,11 @@ def clutter(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def told(env: Env, state: Any, row: int) -> dict[str, Any]:
     """What the controller is told of one environment, beside joints and goal."""
     goal, extras = state.goal, {}
-    if goal.velocity is not None:
-        extras["velocity"] = np.asarray(goal.velocity, float)[row]
-    if goal.joints is not None:
-        extras["joints"] = np.asarray(goal.joints, float)[row]
-    if state.obstacles is not None:
-        parts = {name: np.asarray(part, float)[row] for name, part in vars(state.obstacles).items()}
+    for name in env.setup.rules.gives & {"velocity", "joints"}:
+        extras[name] = np.asarray(getattr(goal, name), float)[row]
+    if "bodies" in env.setup.rules.gives:
+        names = ("position", "quaternion", "half", "radius")
+        parts = {name: np.asarray(getattr(state.arm.bodies, name), float)[row] for name in names}
         count = len(parts["radius"])
         extras["obstacles"] = [{name: part[i] for name, part in parts.items()} for i in range(count)]
     picture = env.render_observation(state)
@@ -111,8 +115,7 @@ def test_the_controller_commands_what_the_environment_does(run: RunDirectory, fo
     policy, act, key = load_policy(run, env), make_act(env, "trained"), jax.random.key(0)
     state = env.compile_whole(env.init)(episode_keys(1, REPORT_STREAM, 0, EPISODES))
     step, alive = env.compile_whole(act), np.ones(EPISODES, bool)
-    runtimes = ("numpy", "onnx", "numpy")
-    controllers = [load_controller(folder).Controller(folder, runtime=runtime) for runtime in runtimes]
+    controllers = [load_controller(folder).Controller(folder) for _ in range(EPISODES)]
     for controller, q in zip(controllers, np.asarray(state.arm.q, float), strict=True):
         controller.reset(q)
     for number in range(STEPS):
@@ -125,7 +128,7 @@ def test_the_controller_commands_what_the_environment_does(run: RunDirectory, fo
         ]
         state, transition, key = step(policy, state, key)
         assert [controller.problem for controller in controllers] == [""] * EPISODES
-        assert np.array(commands)[alive] == pytest.approx(np.asarray(state.target_q)[alive], abs=SAME)
+        assert np.array(commands)[alive] == pytest.approx(np.asarray(state.command)[alive], abs=SAME)
         alive &= ~np.asarray(transition.done)
     env.close()
 
@@ -134,7 +137,8 @@ def test_the_files_say_what_they_hold(folder: Path) -> None:
     facts = json.loads((folder / "policy.json").read_text())
     card = (folder / "README.md").read_text()
     assert {file.name for file in folder.iterdir()} == {
-        *("README.md", "controller.py", "policy.json", "policy.onnx", "policy.safetensors")
+        *("README.md", "controller.py", "policy.json", "policy.onnx", "policy.safetensors", "step.py"),
+        *("reachlab_policy.c", "reachlab_policy.h", "main.c"),
     }
     assert all(joint["name"] in card for joint in facts["joints"])
     assert all(
@@ -156,29 +160,36 @@ def test_the_card_of_an_arm_of_any_name_begins_with_yaml(precise: Path, name: st
     assert front["model-index"][0]["name"] == f"precise for {name}"
 
 
-ADDED = {
-    "term": (OBSERVATIONS, extension.OBSERVATION, "observation 'own' cannot be exported: its term 'height'"),
-    "known": (
-        OBSERVATIONS,
-        replace(OBSERVATIONS["target"], terms=(replace(TOOL, value=lambda _, now: 0 * now.tool_position),)),
-        "observation 'own' cannot be exported: its term 'tool'",
-    ),
-    "action": (ACTIONS, extension.ACTION, "action 'own' cannot be exported: it is not one of reachlab's"),
+ADDED: dict[str, tuple[str, Any]] = {
+    "observation": ("observation", extension.OBSERVATION),
+    "action": ("action", extension.ACTION),
 }
-"""Entries that somebody adds under the name `own`, and what an export says: one has a term of reachlab's name."""
+"""Entries that somebody adds under the name `own`."""
 
 
 @pytest.mark.parametrize("name", ADDED)
-def test_what_the_controller_does_not_know_is_not_exported(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_what_a_user_adds_is_exported_by_itself(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    setting, entry = ADDED[name]
+    monkeypatch.setitem(OBSERVATIONS if setting == "observation" else ACTIONS, "own", entry)
+    done = export(lively_run(tmp_path / "run", "tutorial", **{setting: "own"}), tmp_path / "policy")
+    assert done.differences["step.py"] < SAME
+
+
+def test_what_cannot_be_printed_is_refused_by_name_and_place(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    table, entry, sentence = ADDED[name]
-    monkeypatch.setitem(table, "own", entry)
-    RunDirectory(tmp_path / "run").create(
-        configure("tutorial", **{"action" if table is ACTIONS else "observation": "own"})
-    )
+    def sorted_place(setup: TaskSetup, now: Situation) -> Any:
+        del setup
+        return jnp.sort(now.tool_position, axis=-1)
+
+    own = replace(OBSERVATIONS["target"], terms=(replace(TOOL, value=sorted_place),))
+    monkeypatch.setitem(OBSERVATIONS, "own", own)
+    lively_run(tmp_path / "run", "tutorial", observation="own")
     assert cli.main(["export", str(tmp_path / "run"), "--out", str(tmp_path / "policy")]) == cli.WRONG_INPUT
-    assert sentence in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "'sort' cannot be printed in Python, C and JavaScript, which `" in said
+    assert "sorted_place` (" in said
+    assert "test_deploy.py, line" in said
     assert not (tmp_path / "policy").exists()
 
 
@@ -191,7 +202,7 @@ def test_the_controller_is_one_file_for_python_3_9() -> None:
     modules = {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
     modules |= {str(node.module) for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
     outside = {module.partition(".")[0] for module in modules} - set(sys.stdlib_module_names)
-    assert outside == {"numpy", "onnxruntime"}
+    assert outside == {"numpy"}
     defined = [node.name for node in tree.body if isinstance(node, (ast.ClassDef, ast.FunctionDef))]
     defined += [
         target.id
@@ -219,16 +230,6 @@ def test_the_example_of_the_card_runs_with_numpy_alone(precise: Path) -> None:
     done = subprocess.run([sys.executable, "-I", "-c", code], capture_output=True, text=True, check=False)
     assert done.stderr == ""
     assert "no problem" in done.stdout
-
-
-def test_both_runtimes_command_the_same(precise: Path) -> None:
-    module = load_controller(precise)
-    by_numpy, by_onnx = (module.Controller(precise, runtime=name) for name in ("numpy", "onnx"))
-    q, qd, goal = by_numpy.home, 0 * by_numpy.home, [0.5, 0.2, 0.4]
-    for number in range(50):
-        command = by_numpy.step(q, qd, goal, number * by_numpy.period)
-        assert by_onnx.step(q, qd, goal, number * by_numpy.period) == pytest.approx(command, abs=1e-6)
-        q, qd = command, (command - q) / by_numpy.period
 
 
 # --- what goes wrong ------------------------------------------------------------------------------
@@ -370,7 +371,7 @@ def test_an_export_that_differs_from_its_policy_is_refused(
     lively_run(tmp_path / "run", "tutorial")
     monkeypatch.setattr(weights, "OBSERVATION_CLIP", 0.3)  # the graph is built with it
     assert cli.main(["export", str(tmp_path / "run"), "--out", str(tmp_path / "policy")]) == cli.WRONG_INPUT
-    assert "ONNX Runtime gives actions that differ" in capsys.readouterr().err
+    assert "ONNX Runtime differs from the policy by" in capsys.readouterr().err
     assert not (tmp_path / "policy").exists()
 
 

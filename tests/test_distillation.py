@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from reachlab.bench.camera import SPOILT
+from benchmarks.camera import SPOILT
 from reachlab.cli import main as cli
 from reachlab.envs.core import Env
+from reachlab.envs.presets import configure, distillation
 from reachlab.envs.random_streams import REPORT_STREAM, env_keys, episode_keys
 from reachlab.learn.dagger_buffer import Pictures, add, make_buffer
 from reachlab.learn.interrupts import Interrupted
@@ -23,7 +24,6 @@ from reachlab.learn.train import distil, train
 from reachlab.runs.directory import RunDirectory
 from reachlab.settings.config import DistilRunConfig
 from reachlab.settings.json_form import override
-from reachlab.settings.presets import configure, distillation
 from reachlab.settings.validation import InputError
 from test_resume import ask, at, rows, weights
 

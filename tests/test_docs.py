@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import dataclasses
 import os
 import re
@@ -14,6 +15,7 @@ from pathlib import Path
 
 import pytest
 
+import benchmarks
 import reachlab
 from blocks.__main__ import main as run_pages
 from blocks.pages import BLOCK, MARK, fenced, lanes
@@ -24,10 +26,10 @@ from reachlab.bench import SUITES
 from reachlab.cli import main as cli
 from reachlab.cli.flags import Bench, Eval, Train
 from reachlab.cli.verbs import VERBS
-from reachlab.envs.setup import check
+from reachlab.envs.consistency import RANDOMISED, check
 from reachlab.runs.sinks import SINKS
-from reachlab.settings.consistency import RANDOMISED
 from reachlab.settings.validation import choose, hints
+from reachlab.tasks import TASKS
 from test_imports import FOLDERS
 
 ROOT = Path(__file__).parent.parent
@@ -68,15 +70,21 @@ COMMANDS = sorted({command for text in TEXTS.values() for command in commands(te
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_a_command_of_the_documents_is_one(command: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cli, "_resumed", lambda _chosen: None)  # the run that is resumed is not there
-    monkeypatch.setattr(cli, "_given", lambda _chosen: None)  # nor is the file of settings
+def test_a_command_of_the_documents_is_one(
+    command: str, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
+) -> None:
+    chosen, nothing = cli._chosen, {"resume": None, "config": None}  # neither runs nor files of settings are there
+    monkeypatch.setattr(cli, "_chosen", lambda words: argparse.Namespace(**vars(chosen(words)) | nothing))
     verb, *words = (NUMBERS.get(word, word) for word in shlex.split(command)[1:])
     if verb == "--version":
         return
     choose("command", verb, VERBS)
     if not words or words == ["--help"]:  # only mentioned
         return
+    if "--import" in words:
+        request.getfixturevalue("entered")
+        at = words.index("--import")
+        del words[at : at + 2]
     flags = cli._parse(verb, VERBS[verb].flags, words)
     if isinstance(flags, Train):
         check(flags.run)
@@ -85,6 +93,18 @@ def test_a_command_of_the_documents_is_one(command: str, monkeypatch: pytest.Mon
         assert set(flags.randomise) <= set(RANDOMISED)
     elif isinstance(flags, Bench):
         assert flags.suite in SUITES
+
+
+def test_the_benchmarks_of_the_documents_are_there() -> None:
+    named = {name for text in TEXTS.values() for name in re.findall(r"python -m benchmarks (\w+)", text)}
+    assert {"precise", "clutter", "simulators"} <= named <= set(benchmarks.SUITES)
+
+
+def test_the_parts_of_the_example_on_its_page_are_those_of_its_file() -> None:
+    whole = (ROOT / "examples" / "rail.py").read_text(encoding="utf-8")
+    parts = blocks(TEXTS["docs/own-task.md"], "python")
+    assert len(parts) >= 6
+    assert all(part.rstrip() in whole for part in parts)
 
 
 def settings(cls: type) -> Iterator[str]:
@@ -98,7 +118,12 @@ def settings(cls: type) -> Iterator[str]:
             yield from (f"--{flag}", f"--no-{flag}") if kind is bool else (f"--{flag}",)
 
 
-FLAGS = {flag for verb in VERBS.values() for flag in settings(verb.flags)} | {f"--{name}" for name in ("help", *SINKS)}
+OF_TASKS = {flag for task in TASKS.values() for flag in settings(task.load())}
+FLAGS = (
+    OF_TASKS
+    | {flag for verb in VERBS.values() for flag in settings(verb.flags)}
+    | {f"--{name}" for name in ("help", "import", *SINKS)}
+)
 
 
 @pytest.mark.parametrize("page", TEXTS)

@@ -17,8 +17,8 @@ from params import tried
 from reachlab.agents.acting import make_act
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState, Transition
+from reachlab.envs.presets import configure
 from reachlab.envs.random_streams import env_keys
-from reachlab.settings.presets import configure
 
 NUM_ENVS = 4
 TOOL = slice(3, 6)
@@ -166,7 +166,7 @@ def test_a_straight_descent_ends_as_success_and_pays_one(tutorial: Compiled) -> 
     assert not transition.truncated[0]
     assert transition.terms["success"][0]
     assert sparse == 1.0
-    assert float(transition.terms["distance"][0]) < 0.1
+    assert float(transition.errors.distance[0]) < 0.1
     assert steps < 300
     # The approach terms telescope: five for every metre of the way.
     assert returned == pytest.approx(1 + 5 * (first - float(state.distance[0])), abs=1e-3)
@@ -191,7 +191,7 @@ def test_a_reset_changes_the_masked_environments_and_no_other(tutorial: Compiled
     fresh = tutorial.reset(settled, mask)
     assert np.asarray(fresh.clock).tolist() == [0, 60, 60, 0]
     assert np.asarray(fresh.arm.q)[mask] == pytest.approx(np.tile(tutorial.env.setup.robot.home, (2, 1)), abs=1e-6)
-    assert np.asarray(fresh.target_q)[mask] == pytest.approx(np.asarray(fresh.arm.q)[mask])
+    assert np.asarray(fresh.command)[mask] == pytest.approx(np.asarray(fresh.arm.q)[mask])
     assert not np.asarray(fresh.arm.qd)[mask].any()
     assert not np.asarray(fresh.last_action)[mask].any()
 
@@ -316,15 +316,28 @@ def test_held_at_the_target_the_joints_get_no_new_command(sim: str) -> None:
     states, _, _ = reach_and_stay("hold", sim)
     for before, after in pairwise(states):
         rests = np.asarray(before.distance) < 0.1
-        np.testing.assert_array_equal(np.asarray(after.target_q)[rests], np.asarray(before.target_q)[rests])
+        np.testing.assert_array_equal(np.asarray(after.command)[rests], np.asarray(before.command)[rests])
     assert (np.asarray(states[-2].distance) < 0.1).all()
     assert (np.asarray(states[-1].distance) > 0.05).all() or sim == "mujoco", "the tool stays where it came in"
     states, _, _ = reach_and_stay("continue", "kinematic")
     assert (np.asarray(states[-1].distance) < 0.05).all(), "it continues to the middle where nothing holds the arm"
 
 
+HOLDING = {
+    "hold_steps": 20,
+    "hold_speed": 10.0,
+    "action": "tool_delta",
+    "reward": "dense",
+    "success_distance": 0.1,
+    "start_noise": 0.0,
+    "control_period": 1 / 240,
+    "tool": "link_7",
+}
+"""The tutorial's rules, but for how long the target has to be held."""
+
+
 def test_held_long_enough_an_episode_ends_in_success_if_the_task_says_so() -> None:
-    states, last, _ = reach_and_stay("end", "kinematic", hold_steps=20, hold_speed=10.0)
+    states, last, _ = reach_and_stay("end", "kinematic", task="precise", **HOLDING)
     assert len(states) < 301
     ended = np.asarray(last.terminated)
     assert np.asarray(last.terms["success"])[ended].all()

@@ -17,6 +17,7 @@ from reachlab.agents import AGENTS, AgentEntry
 from reachlab.agents.policy import Policy, make_policy
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState
+from reachlab.envs.presets import configure
 from reachlab.envs.random_streams import (
     AGENT_STREAM,
     LEARNER_STREAM,
@@ -33,7 +34,6 @@ from reachlab.envs.random_streams import (
 from reachlab.evaluation.episodes import BATCH, Episodes, Runner, make_runner, run_episodes
 from reachlab.evaluation.intervals import wilson_interval
 from reachlab.evaluation.report import Report, evaluate, examine, summarise
-from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError
 
 REPORT_FIELDS = """
@@ -264,7 +264,8 @@ def test_a_report_sums_up_its_episodes(env: Env) -> None:
         "success": np.array([True, False, True, True]),
         "terminated": np.array([True, False, True, True]),
         "distance": np.array([0.02, 0.4, 0.04, 0.06], np.float32),
-        "angle": None,
+        "angle": np.zeros(4, np.float32),
+        "contact": np.zeros(4, bool),
         "steps": np.array([120, 1000, 240, 360]),
         "arrival": np.array([100, 1001, 240, 320]),
         "returns": np.array([1.0, -0.1, 1.0, 1.0], np.float32),

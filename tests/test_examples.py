@@ -15,12 +15,12 @@ pytestmark = pytest.mark.slow
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 NOTEBOOK = EXAMPLES / "first.ipynb"
-APART = "rejax_ppo.py"
-"""Runs in an environment of its own; see `make gymnax`."""
+APART = ("rejax_ppo.py", "rail.py")
+"""The first runs in an environment of its own, see `make gymnax`; the second is a module to import."""
 
 
 @pytest.mark.parametrize(
-    "path", sorted(path for path in EXAMPLES.glob("*.py") if path.name != APART), ids=lambda path: path.name
+    "path", sorted(path for path in EXAMPLES.glob("*.py") if path.name not in APART), ids=lambda path: path.name
 )
 def test_an_example_prints_its_result_as_json(path: Path) -> None:
     words = [sys.executable, str(path), "--steps", "1200", "--seed", "3"]

@@ -22,6 +22,7 @@ from faults import inputs, saves, trainings
 from faults.hostile import HOSTILE, hostile_files
 from faults.saves import file_limit, make_run, no_space, state_of
 from reachlab.cli import main as cli
+from reachlab.envs.presets import configure
 from reachlab.learn.interrupts import Interrupted
 from reachlab.learn.loop import NotFiniteError, Progress
 from reachlab.learn.train import train
@@ -31,7 +32,6 @@ from reachlab.runs.directory import RunDirectory
 from reachlab.runs.files import read_json, write_json
 from reachlab.runs.metrics import Metrics
 from reachlab.settings.json_form import to_json
-from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError
 from reachlab.sims.mujoco import MujocoSimulator
 from reachlab.tasks import rewards
@@ -292,11 +292,11 @@ def test_an_engine_that_breaks_stops_training_with_the_last_good_state_saved(
 ) -> None:
     real, calls = MujocoSimulator.step, []
 
-    def step(self: MujocoSimulator, state: Any, target_q: Any) -> Any:
+    def step(self: MujocoSimulator, state: Any, command: Any) -> Any:
         calls.append(None)
         if len(calls) == 20:
             state = dataclasses.replace(state, engine=jnp.full_like(state.engine, 0xFFFFFFFF))
-        return real(self, state, target_q)
+        return real(self, state, command)
 
     monkeypatch.setattr(MujocoSimulator, "step", step)
     monkeypatch.chdir(tmp_path)  # the engine writes a log of its own

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from foreign_arms import FILES, largest_difference
-from reachlab.robots.arm import find_arm
+from reachlab.robots.derive.arm import find_arm
+from reachlab.robots.files.model_file import read_model_file
 from reachlab.robots.loading import load_robot
-from reachlab.robots.model_file import read_model_file
 
 TOOLS = {
     "panda (pybullet_data)": ("panda_grasptarget", 7),

@@ -25,10 +25,10 @@ from pushes import pushes
 from reachlab.envs.core import Env
 from reachlab.envs.gymnasium_single import ReachEnv
 from reachlab.envs.gymnasium_vector import ReachVectorEnv
+from reachlab.envs.presets import configure
 from reachlab.envs.random_streams import env_keys
 from reachlab.render.offscreen import Camera
 from reachlab.robots.loading import load_robot
-from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError
 
 NUM_ENVS = 3

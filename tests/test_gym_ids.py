@@ -109,7 +109,7 @@ def test_the_methods_are_those_of_gymnasium_robotics(goal_env: ReachGoalEnv) -> 
     [
         ({"observation": "state"}, "observation of a goal environment 'state' is not one of: goal, goal.state"),
         ({"reward": "dense"}, "reward of a goal environment 'dense' is not one of: goal, goal_distance"),
-        ({"hold_steps": 3, "at_goal": "end"}, "cannot end an episode once the goal was held for hold_steps 3"),
+        ({"task": "precise", "hold_steps": 3, "at_goal": "end"}, "cannot end an episode once the goal was held for"),
     ],
 )
 @pytest.mark.parametrize("make", [gymnasium.make, gymnasium.make_vec])

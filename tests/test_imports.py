@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import graphlib
 import subprocess
 import sys
 from pathlib import Path
@@ -14,7 +15,21 @@ import reachlab
 SOURCE = Path(reachlab.__file__).parent
 
 FOLDERS = (
-    *("settings", "robots", "tasks", "render", "sims", "envs", "agents", "runs", "evaluation", "learn", "watch"),
+    *(
+        "settings",
+        "robots",
+        "control",
+        "tasks",
+        "render",
+        "sims",
+        "envs",
+        "agents",
+        "runs",
+        "evaluation",
+        "learn",
+        "emit",
+        "watch",
+    ),
     *("deploy", "scale", "bench", "cli"),
 )
 """From the ground up: a folder imports only from those before it, and from the files at the top of the package."""
@@ -94,6 +109,27 @@ def test_a_door_without_its_package_names_the_extra(monkeypatch: pytest.MonkeyPa
     monkeypatch.setitem(sys.modules, "flax", None)
     with pytest.raises(reachlab.InputError, match=r"needs gymnax \(flax is missing\): pip install .*\[gymnax\]'"):
         make()
+
+
+def test_no_imports_between_files_go_in_a_circle() -> None:
+    modules = {".".join(path.relative_to(SOURCE.parent).with_suffix("").parts): path for path in SOURCE.rglob("*.py")}
+    modules = {name.removesuffix(".__init__"): path for name, path in modules.items()}
+    imports = {name: imports_of(path) & modules.keys() - {name} for name, path in modules.items()}
+    assert len(imports) > 100
+    assert circle(imports) == []
+
+
+def circle(imports: dict[str, set[str]]) -> list[str]:
+    """Modules of which each imports the one before, the first one again at the end."""
+    try:
+        graphlib.TopologicalSorter(imports).prepare()
+    except graphlib.CycleError as error:
+        return error.args[1]
+    return []
+
+
+def test_a_circle_is_noticed() -> None:
+    assert set(circle({"a": {"b"}, "b": {"c"}, "c": {"a"}, "d": {"a"}})) == {"a", "b", "c"}
 
 
 def test_the_order_is_read_from_the_files() -> None:

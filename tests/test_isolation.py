@@ -9,10 +9,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from reachlab.robots.arm import Arm, find_arm
-from reachlab.robots.isolation import apply
+from reachlab.robots.derive.arm import Arm, find_arm
+from reachlab.robots.derive.isolation import apply
+from reachlab.robots.files.model_file import read_model_file
 from reachlab.robots.loading import load_robot
-from reachlab.robots.model_file import read_model_file
 from reachlab.robots.robot import Robot
 
 FILE = """

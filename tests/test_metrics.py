@@ -11,10 +11,10 @@ from typing import Any
 import pytest
 
 from extension import Notebook
+from reachlab.envs.presets import configure
 from reachlab.learn.train import train
 from reachlab.runs.metrics import Metrics, read_metrics
 from reachlab.runs.sinks import make_sinks
-from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError, installing
 
 ROWS = [{"steps": 128, "success_rate": 0.25}, {"steps": 256, "success_rate": 0.5, "validation_success": 0.75}]

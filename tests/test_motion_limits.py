@@ -7,13 +7,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from reachlab.control.bodies import absent
+from reachlab.control.motion_limits import STOP_TIME, Motion, MotionLimits
 from reachlab.envs.core import Env
 from reachlab.envs.delays import JITTER, LOST, Sensed, sense
+from reachlab.envs.presets import configure
 from reachlab.envs.random_streams import TRAINING_STREAM, episode_keys
 from reachlab.robots.loading import load_robot
-from reachlab.robots.motion_limits import STOP_TIME, Motion, MotionLimits
-from reachlab.settings.presets import configure
-from reachlab.sims import ArmState
+from reachlab.sims.simulator import SimState
 
 ARMS = ("iiwa14", "panda", "gen3", "so101")
 PERIODS = (0.02, 1 / 240, 0.008)
@@ -108,10 +109,10 @@ def test_environments_shape_a_batch_as_the_controller_shapes_one_arm() -> None:
 def test_an_environment_keeps_the_limits_in_training() -> None:
     env = Env(configure("precise", shaping=True, randomise=()), 16)
     state = env.init(episode_keys(0, TRAINING_STREAM, 0, 16))
-    random, commands = np.random.default_rng(0), [np.asarray(state.target_q)] * 4
+    random, commands = np.random.default_rng(0), [np.asarray(state.command)] * 4
     for _ in range(100):
         state, _ = env.step(state, random.uniform(-1, 1, (16, 7)).astype(np.float32))
-        commands.append(np.asarray(state.target_q))
+        commands.append(np.asarray(state.command))
     robot = env.setup.robot
     for order, limit in ((1, robot.speed), (2, robot.acceleration)):
         rates = np.diff(np.array(commands, float), order, axis=0) / env.setup.period**order
@@ -126,7 +127,9 @@ def test_measurements_are_a_period_old_and_some_do_not_come() -> None:
     count, period = 4000, 0.02
     keys = episode_keys(0, TRAINING_STREAM, 0, count)
     now, past_q, known = (jnp.full((count, 2), value) for value in (3.0, 1.0, -5.0))
-    arm = ArmState(now, now, jnp.zeros((count, 3)), jnp.zeros((count, 4)), None, None)
+    arm = SimState(
+        now, now, jnp.zeros((count, 3)), jnp.zeros((count, 4)), absent(count, 0), jnp.zeros(count, bool), now[:, :0]
+    )
     told = sense(Sensed(known, known, past_q, past_q), arm, keys, jnp.ones(count, jnp.int32), period)
     q = np.asarray(told.q)
     lost = q[:, 0] == -5.0

@@ -11,15 +11,17 @@ import pytest
 
 from reachlab.agents.acting import make_act
 from reachlab.agents.planner import Clearances, make_clearances, motion_along, plan
+from reachlab.control.bodies import Bodies
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState
+from reachlab.envs.presets import configure
 from reachlab.envs.random_streams import env_keys
 from reachlab.evaluation.report import evaluate
 from reachlab.robots.loading import load_robot
-from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError
-from reachlab.sims import make_simulator
-from reachlab.tasks.obstacles import Obstacles
+from reachlab.sims.simulator import make_simulator
+from reachlab.tasks.task import Scene
+from situations import begin
 
 pytestmark = pytest.mark.slow
 
@@ -29,8 +31,8 @@ EPISODES = 8
 POINTS = 200
 """Points of a path at which MuJoCo looks."""
 
-Episode = tuple[Obstacles, np.ndarray, np.ndarray]
-"""Obstacles `[1, K]`, start and goal `[n]`."""
+Episode = tuple[Bodies, np.ndarray, np.ndarray]
+"""Bodies `[1, K]`, start and goal `[n]`."""
 
 
 @pytest.fixture(scope="module", params=["iiwa14", "ur5e"])
@@ -49,9 +51,8 @@ def begun(env: Env) -> EnvState:
 
 def episodes(env: Env) -> list[Episode]:
     state = begun(env)
-    assert state.obstacles is not None
-    start, goal = np.asarray(state.target_q), np.asarray(state.goal.joints)
-    return [(jax.tree.map(lambda x, i=i: x[i : i + 1], state.obstacles), start[i], goal[i]) for i in range(EPISODES)]
+    start, goal = np.asarray(state.command), np.asarray(state.goal.joints)
+    return [(jax.tree.map(lambda x, i=i: x[i : i + 1], state.arm.bodies), start[i], goal[i]) for i in range(EPISODES)]
 
 
 def points_of(path: np.ndarray) -> np.ndarray:
@@ -60,14 +61,14 @@ def points_of(path: np.ndarray) -> np.ndarray:
     return np.stack([np.interp(np.linspace(0, along[-1], POINTS), along, joint) for joint in path.T], axis=1)
 
 
-def touched(env: Env, obstacles: Obstacles, q: np.ndarray) -> np.ndarray:
+def touched(env: Env, obstacles: Bodies, q: np.ndarray) -> np.ndarray:
     """Whether MuJoCo finds a contact `[B]` of arms at `q [B, n]` among one scene's obstacles."""
-    sim = make_simulator("mujoco", env.setup.robot, env.config.physics, len(q), obstacles=len(obstacles.radius[0]))
+    sim = make_simulator(
+        "mujoco", env.setup.robot, env.config.physics, len(q), scene=Scene(obstacles.kind.shape[1], contacts=True)
+    )
     scene = jax.tree.map(lambda x: np.repeat(np.asarray(x), len(q), axis=0), obstacles)
-    goal = replace(begun(env).goal, position=np.zeros((len(q), 3)), joints=None)
-    state = sim.reset(None, q.astype(np.float32), goal, None, None, scene)
+    state = sim.reset(None, begin(q.astype(np.float32), bodies=scene), None)
     sim.close()
-    assert state.contact is not None
     return np.asarray(state.contact)
 
 
@@ -118,14 +119,13 @@ def test_the_agent_holds_its_goals(env: Env) -> None:
 
 def test_an_arm_whose_goal_cannot_be_reached_stays_where_it_is(env: Env) -> None:
     state = begun(env)
-    assert state.obstacles is not None
     tools = np.stack([env.setup.robot.chain.tool_at(q)[0] for q in np.asarray(state.goal.joints)])
-    there = replace(state.obstacles, position=np.repeat(tools.astype(np.float32)[:, None], 4, axis=1))
-    state, act, key = replace(state, obstacles=there), make_act(env, "planner"), jax.random.key(0)
-    start = np.asarray(state.target_q)
+    there = replace(state.arm.bodies, position=np.repeat(tools.astype(np.float32)[:, None], 4, axis=1))
+    state, act, key = env.rearrange(state, there), make_act(env, "planner"), jax.random.key(0)
+    start = np.asarray(state.command)
     for _ in range(3):
         state, _, key = act(None, state, key)
-    np.testing.assert_array_equal(np.asarray(state.target_q), start)
+    np.testing.assert_array_equal(np.asarray(state.command), start)
 
 
 def test_without_ompl_there_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -135,5 +135,5 @@ def test_without_ompl_there_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_without_obstacles_there_is_one_sentence() -> None:
-    with pytest.raises(InputError, match="plans among obstacles, of which task 'precise' has none"):
+    with pytest.raises(InputError, match="agent 'planner' needs bodies beside the arm"):
         make_act(Env(configure("precise"), 1), "planner")

@@ -13,11 +13,11 @@ from scipy.spatial.transform import Rotation
 
 from reachlab.agents import AGENTS
 from reachlab.envs.core import Env
+from reachlab.envs.presets import configure
 from reachlab.envs.random_streams import REPORT_STREAM
 from reachlab.envs.setup import make_setup
 from reachlab.evaluation.episodes import make_runner, run_episodes
 from reachlab.learn.learner import make_initial_policy
-from reachlab.settings.presets import configure
 from reachlab.tasks.observations import OBSERVATIONS
 from reachlab.watch.moment import TRAIL_STEP
 from reachlab.watch.player import LATE, LEFT, Player, target_box

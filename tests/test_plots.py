@@ -15,10 +15,10 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from reachlab.agents import AGENTS
+from reachlab.envs.presets import configure
 from reachlab.runs.directory import RunDirectory
 from reachlab.settings.config import RunConfig
 from reachlab.settings.json_form import to_json
-from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError
 from reachlab.watch.plots import plot
 from reachlab.watch.results import band, group_runs, read_evaluations

@@ -15,19 +15,22 @@ from scipy.spatial.transform import Rotation
 
 from contacts import contacts
 from params import tried
+from reachlab.control.situation import Goal, Situation
 from reachlab.envs.core import Env
 from reachlab.envs.gymnasium_goal import ReachGoalEnv, ReachGoalVectorEnv
 from reachlab.envs.gymnasium_vector import ReachVectorEnv
+from reachlab.envs.presets import configure
 from reachlab.envs.setup import make_setup
 from reachlab.evaluation.report import evaluate
 from reachlab.jax_setup import jit
-from reachlab.robots.kinematics import Pose, forward_kinematics
+from reachlab.robots.kinematics.forward import Pose, forward_kinematics
 from reachlab.robots.robot import Robot
 from reachlab.sb3 import make_vec_env
-from reachlab.settings.presets import configure
 from reachlab.tasks.targets import ANGLE_TOLERANCE, POSITION_TOLERANCE, nearest_joints
-from reachlab.tasks.task import Goal, Situation, TaskSetup
+from reachlab.tasks.task import TaskSetup
 from reference import angle_between
+from situations import judged
+from situations import situation as situation_of
 
 COUNT = 200
 """Poses that are sampled of each kind."""
@@ -186,26 +189,20 @@ def env() -> Env:
 def turned(angle: float, distance: float = 0.001, speed: float = 0.0) -> Situation:
     joints, goal = jnp.zeros((1, 7)), jnp.array([[0.5, 0.0, 0.3]])
     about_x = Rotation.from_rotvec([angle, 0, 0]).as_quat()[[3, 0, 1, 2]]
-    asked = Goal(goal, jnp.array([[1.0, 0.0, 0.0, 0.0]]), joints)
-    tool = goal + jnp.array([distance, 0.0, 0.0]), jnp.array(about_x[None], jnp.float32)
-    return Situation(joints, joints.at[0, 2].set(speed), *tool, asked, joints, joints)
+    asked = Goal.at(goal, quaternion=jnp.array([[1.0, 0.0, 0.0, 0.0]]), joints=joints)
+    tool = Pose(goal + jnp.array([distance, 0.0, 0.0]), jnp.array(about_x[None], jnp.float32))
+    return situation_of(joints, joints.at[0, 2].set(speed), tool, asked)
 
 
 def test_the_held_angle_is_the_largest_of_the_last_steps(env: Env) -> None:
-    task, steps, random = env.setup.task, env.setup.rules.hold_steps, np.random.default_rng(0)
+    steps, random = env.setup.rules.hold_steps, np.random.default_rng(0)
     angles = random.uniform(0.001, 0.09, 40)
-    begun = turned(1.0)
-    progress = task.begin(env.setup, begun.goal, Pose(begun.tool_position, begun.tool_quaternion))
-    for number, angle in enumerate(angles, start=1):
-        outcome = task.judge(env.setup, progress, turned(angle), jnp.array([number]))
-        progress = outcome.progress
-        assert progress.angle_error is not None
+    *outcomes, moved = judged(env.setup, turned(1.0), [*map(turned, angles), turned(0.001, speed=0.06)])
+    for number, outcome in enumerate(outcomes, start=1):
         held = angles[max(number - steps, 0) : number].max() if number >= steps else np.inf
-        assert float(progress.angle_error[0]) == pytest.approx(held, abs=1e-6)
+        assert float(outcome.counted.angle[0]) == pytest.approx(held, abs=1e-6)
         assert bool(outcome.success[0]) == (held < env.setup.rules.success_angle)
-    moved = task.judge(env.setup, progress, turned(0.001, speed=0.06), jnp.array([41])).progress
-    assert moved.angle_error is not None
-    assert np.isinf(moved.angle_error[0])
+    assert np.isinf(moved.counted.angle[0])
 
 
 @pytest.mark.slow

@@ -10,25 +10,27 @@ import numpy as np
 import pytest
 from jax import Array
 
+from benchmarks import bound as bench_bound
+from benchmarks import precise as bench_precise
+from benchmarks import trained as bench_trained
 from reachlab.agents import AGENTS, AgentEntry
 from reachlab.agents.baselines import ik
 from reachlab.agents.policy import Policy
-from reachlab.bench import bound as bench_bound
-from reachlab.bench import precise as bench_precise
-from reachlab.bench import trained as bench_trained
 from reachlab.bench.table import to_markdown
+from reachlab.control.situation import Goal, Situation
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState
+from reachlab.envs.presets import configure
 from reachlab.envs.random_streams import env_keys
 from reachlab.evaluation.report import Report, evaluate
 from reachlab.jax_setup import jit
 from reachlab.learn.train import train
-from reachlab.robots.inverse_kinematics import ik_point_step
-from reachlab.robots.kinematics import Pose, forward_kinematics
+from reachlab.robots.kinematics.forward import Pose, forward_kinematics
+from reachlab.robots.kinematics.inverse import ik_point_step
 from reachlab.runs.directory import RunDirectory
 from reachlab.settings.json_form import override
-from reachlab.settings.presets import configure
-from reachlab.tasks.task import Goal, Situation
+from situations import judged
+from situations import situation as situation_of
 
 NUM_ENVS = 40
 HOLD = 10
@@ -43,17 +45,12 @@ def situation(distance: float, speed: float = 0.0) -> Situation:
     joints, target = jnp.zeros((1, 7)), jnp.array([[0.5, 0.0, 0.3]])
     tool = target + jnp.array([distance, 0.0, 0.0])
     upright = jnp.array([[1.0, 0.0, 0.0, 0.0]])
-    return Situation(joints, joints.at[0, 4].set(speed), tool, upright, Goal(target), joints, joints)
+    return situation_of(joints, joints.at[0, 4].set(speed), Pose(tool, upright), Goal.at(target))
 
 
 def held_after(env: Env, steps: list[Situation]) -> tuple[float, bool]:
-    task, begun = env.setup.task, situation(0.5)
-    progress = task.begin(env.setup, begun.goal, Pose(begun.tool_position, begun.tool_quaternion))
-    success = jnp.array([False])
-    for number, now in enumerate(steps, start=1):
-        outcome = task.judge(env.setup, progress, now, jnp.array([number]))
-        progress, success = outcome.progress, outcome.success
-    return float(progress.error[0]), bool(success[0])
+    outcome = judged(env.setup, situation(0.5), steps)[-1]
+    return float(outcome.counted.distance[0]), bool(outcome.success[0])
 
 
 def test_the_held_error_is_the_largest_of_the_last_steps(env):
@@ -115,7 +112,7 @@ def test_a_clipped_action_is_the_clipped_one_in_command_observation_and_reward(e
     after, expected = env.step(state, box)
     for beyond in (2.0, 1e30):
         clipped, transition = env.step(state, beyond * box)
-        assert np.array_equal(clipped.target_q, after.target_q)
+        assert np.array_equal(clipped.command, after.command)
         assert np.array_equal(transition.observation, expected.observation)
         assert np.array_equal(transition.reward, expected.reward)
     low, high = env.schema.bounds
@@ -179,15 +176,15 @@ def settled(env: Env, state: EnvState) -> EnvState:
 
 def test_every_episode_has_an_arm_of_its_own_which_a_saved_state_keeps(env, varied):
     begun = varied.init(env_keys(0, NUM_ENVS))
-    sag = np.asarray(settled(varied, begun).arm.q - begun.target_q)
+    sag = np.asarray(settled(varied, begun).arm.q - begun.command)
     usual = settled(env, env.init(env_keys(0, NUM_ENVS)))
-    ratio = sag[:, 1] / np.asarray(usual.arm.q - usual.target_q)[:, 1]
+    ratio = sag[:, 1] / np.asarray(usual.arm.q - usual.command)[:, 1]
     assert np.ptp(ratio) > 0.2
     saved = jax.tree.map(np.array, begun.arm)
     other = varied.reset(begun, np.ones(NUM_ENVS, bool))
-    assert not np.allclose(np.asarray(settled(varied, other).arm.q - other.target_q), sag)
+    assert not np.allclose(np.asarray(settled(varied, other).arm.q - other.command), sag)
     again = settled(varied, replace(begun, arm=saved))
-    assert np.array_equal(np.asarray(again.arm.q - begun.target_q), sag)
+    assert np.array_equal(np.asarray(again.arm.q - begun.command), sag)
 
 
 def test_measurements_are_noisy_and_the_score_is_not(varied):
@@ -200,7 +197,7 @@ def test_measurements_are_noisy_and_the_score_is_not(varied):
     assert np.allclose(now.tool_position, measured, atol=1e-6)
     state, transition = varied.step(state, np.zeros((NUM_ENVS, 7), np.float32))
     true = np.linalg.norm(np.asarray(state.arm.tool_position) - np.asarray(state.goal.position), axis=1)
-    assert np.allclose(transition.terms["distance"], true, atol=1e-6)
+    assert np.allclose(transition.errors.distance, true, atol=1e-6)
 
 
 def test_training_on_arms_that_vary_is_reported_on_nominal_ones(tmp_path):

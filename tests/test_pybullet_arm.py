@@ -10,15 +10,16 @@ import mujoco
 import numpy as np
 import pytest
 
+from reachlab.control.situation import Goal
+from reachlab.envs.presets import configure
 from reachlab.render.marks import Marks
-from reachlab.robots.kinematics import forward_kinematics
+from reachlab.robots.kinematics.forward import forward_kinematics
 from reachlab.robots.loading import load_robot
 from reachlab.robots.robot import PybulletModel
-from reachlab.settings.presets import configure
-from reachlab.sims import make_simulator
 from reachlab.sims.pybullet_arm import write_arm
-from reachlab.sims.pybullet_world import GROUND, TABLE, World
-from reachlab.tasks.task import Goal
+from reachlab.sims.pybullet_world import GROUND, TABLE, TutorialWorld
+from reachlab.sims.simulator import make_simulator
+from situations import begin
 
 pybullet = pytest.importorskip("pybullet")
 
@@ -97,7 +98,7 @@ def loaded(tmp_path):
 
 
 def nowhere() -> Goal:
-    return Goal(jnp.zeros((1, 3)))
+    return Goal.at(jnp.zeros((1, 3)))
 
 
 def joints(robot, count: int) -> np.ndarray:
@@ -108,7 +109,7 @@ def joints(robot, count: int) -> np.ndarray:
 def agrees_with_forward_kinematics(robot, bullet) -> None:
     q = joints(robot, 100)
     ours = forward_kinematics(robot.chain, jnp.asarray(q))
-    state, positions, quaternions = bullet.reset(None, q[:1], nowhere(), None), [], []
+    state, positions, quaternions = bullet.reset(None, begin(q[:1]), None), [], []
     for row in q:
         state = bullet.step(state, row[None])
         positions.append(state.tool.position[0])
@@ -206,7 +207,7 @@ def test_a_picture_shows_the_arm_in_its_colours_and_its_pose(crane, simulator):
     robot = crane("grip")
     bullet = simulator(robot)
     poses = joints(robot, 2)
-    pictures = [bullet.render(bullet.reset(None, q[None], nowhere(), None), nowhere(), 0, Marks()) for q in poses]
+    pictures = [bullet.render(bullet.reset(None, begin(q[None]), None), nowhere(), 0, Marks()) for q in poses]
     red = [(picture[..., 0] > 2.0 * picture[..., 1:].max(-1).clip(1)) for picture in pictures]
     assert red[0].sum() > 100
     assert (red[0] != red[1]).sum() > 100
@@ -236,10 +237,10 @@ def test_object_of_an_arm_of_another_size_settles_on_the_target_on_its_table(iiw
     robot = replace(iiwa, workspace=(tuple(low), tuple(low + size)))
     target = robot.placed((0.45, 0.1, -0.0083))
     np.testing.assert_allclose(target, low + size * [0.5, 0.5, 0] + scale * np.array([0, 0.1, -0.0083]))
-    world = World(pybullet, robot, write_arm(robot, tmp_path), configure().physics.control_period, gui=False)
+    world = TutorialWorld(pybullet, robot, write_arm(robot, tmp_path), configure().physics.control_period, gui=False)
     world.drop(target)
     for _ in range(100):
         world.step()
-    lies = pybullet.getBasePositionAndOrientation(OBJECT, physicsClientId=world.client)[0]
+    lies = world.bullet.getBasePositionAndOrientation(OBJECT)[0]
     world.close()
     np.testing.assert_allclose(lies, target, atol=0.002)

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from reachlab.cli import main as cli
+from reachlab.envs.presets import configure
 from reachlab.envs.setup import make_setup, settled
 from reachlab.jax_setup import VARIABLE, threads
 from reachlab.learn.interrupts import ASKING, Interrupted
@@ -26,7 +27,6 @@ from reachlab.runs.files import read_json, write_json
 from reachlab.runs.lock import NAME, locked
 from reachlab.runs.metrics import cut_metrics
 from reachlab.settings.config import RunConfig
-from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError
 
 pytestmark = pytest.mark.slow
@@ -202,7 +202,7 @@ def test_a_signal_saves_and_leaves_after_the_iteration_and_no_damaged_run_is_beg
 TWICE = """
 import os, signal, sys
 from pathlib import Path
-from reachlab.settings.presets import configure
+from reachlab.envs.presets import configure
 from reachlab.learn.interrupts import Interrupts
 with Interrupts():
     os.kill(os.getpid(), signal.SIGINT)
@@ -348,7 +348,7 @@ import sys
 from pathlib import Path
 import jax
 from reachlab.learn.train import train
-from reachlab.settings.presets import configure
+from reachlab.envs.presets import configure
 from reachlab.settings.validation import InputError
 jax.devices()
 try:

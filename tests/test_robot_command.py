@@ -15,15 +15,16 @@ from PIL import Image
 
 from reachlab import Robot, RunConfig, load_robot
 from reachlab.cli.robot_command import LIMITS, MARKS
+from reachlab.envs.presets import configure
 from reachlab.envs.setup import make_setup
-from reachlab.jax_setup import cache_folder
 from reachlab.render.offscreen import portrait
 from reachlab.render.scene import drawn_spec, in_front, scene_spec
 from reachlab.render.view_randomisation import FIELD_OF_VIEW, SAMPLES, make_views
 from reachlab.robots.catalogue import ROBOTS
+from reachlab.robots.files.gripper import GRASP
 from reachlab.robots.robot import TUTORIAL_WORKSPACE
 from reachlab.runs.directory import RunDirectory
-from reachlab.settings.presets import configure
+from reachlab.settings.reading import cache_folder
 from reachlab.settings.validation import InputError
 from reachlab.tasks import TASKS
 from test_cli import TINY, Said, Shell
@@ -229,7 +230,7 @@ def test_the_catalogues_tool_is_the_one_of_the_task(reachlab: Shell) -> None:
     assert (told["tool"], told["tool_found"]) == ("link_7", "catalogue")
     assert told["catalogue_tools"] == dict(ROBOTS["iiwa14"].tools)
     assert {name: task["tool"] for name, task in told["tasks"].items()} == {
-        name: "link_7" if name == "tutorial" else "flange" for name in TASKS
+        name: {"tutorial": "link_7"}.get(name, GRASP if TASKS[name].load()().mounts else "flange") for name in TASKS
     }
     told = as_json(reachlab("robot", "iiwa14", "--task", "precise", "--json"))
     assert (told["tool"], set(told["tasks"])) == ("flange", {"precise"})

@@ -17,10 +17,10 @@ from stable_baselines3.common.vec_env import VecNormalize
 from reachlab.agents.sb3_policy import load_model
 from reachlab.cli.main import main
 from reachlab.envs.core import Env
+from reachlab.envs.presets import configure
 from reachlab.envs.random_streams import env_keys
 from reachlab.evaluation.episodes import make_runner
 from reachlab.evaluation.intervals import wilson_interval
-from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError
 
 EPISODES = 64

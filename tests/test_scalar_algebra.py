@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from reachlab.jax_setup import jit
-from reachlab.robots import scalar_algebra
-from reachlab.robots.inverse_kinematics import ik_step
-from reachlab.robots.kinematics import Pose
+from reachlab.robots.kinematics import scalars
+from reachlab.robots.kinematics.inverse import ik_displace
+from reachlab.robots.kinematics.scalars import IDENTITY, Rotation, Vec
 from reachlab.robots.loading import load_robot
-from reachlab.robots.scalar_algebra import IDENTITY, Rotation, Vec
 from reference import angle_between, quaternion, random_quaternions, rotation_matrix
 
 QUARTER_TURN = Rotation(Vec(1.0, 0.0, 0.0), Vec(0.0, 0.0, 1.0), Vec(0.0, -1.0, 0.0))
@@ -31,7 +30,7 @@ def of_matrix(matrix):
 @pytest.fixture(scope="module")
 def quaternions():
     """Compiled `quaternion_from_rotation` of matrices `[B, 3, 3]`."""
-    program = jit(lambda rotation: jnp.stack(scalar_algebra.quaternion_from_rotation(rotation), -1))
+    program = jit(lambda rotation: jnp.stack(scalars.quaternion_from_rotation(rotation), -1))
     return lambda matrix: np.asarray(program(of_matrix(matrix)))
 
 
@@ -41,17 +40,17 @@ def quaternions():
 @pytest.mark.parametrize(
     ("function", "expected"),
     [
-        (lambda a: scalar_algebra.mul(a, 0.0), []),
-        (lambda a: scalar_algebra.mul(0.0, a), []),
-        (lambda a: scalar_algebra.mul(1.0, a), []),
-        (lambda a: scalar_algebra.mul(a, -1.0), ["neg"]),
-        (lambda a: scalar_algebra.mul(a, 2.0), ["mul"]),
-        (lambda a: scalar_algebra.add(a, 0.0), []),
-        (lambda a: scalar_algebra.add(0.0, a), []),
-        (lambda a: scalar_algebra.add(a, 1.0), ["add"]),
-        (lambda a: scalar_algebra.sub(a, 0.0), []),
-        (lambda a: scalar_algebra.sub(0.0, a), ["neg"]),
-        (lambda a: scalar_algebra.total([0.0, a, 0.0]), []),
+        (lambda a: scalars.mul(a, 0.0), []),
+        (lambda a: scalars.mul(0.0, a), []),
+        (lambda a: scalars.mul(1.0, a), []),
+        (lambda a: scalars.mul(a, -1.0), ["neg"]),
+        (lambda a: scalars.mul(a, 2.0), ["mul"]),
+        (lambda a: scalars.add(a, 0.0), []),
+        (lambda a: scalars.add(0.0, a), []),
+        (lambda a: scalars.add(a, 1.0), ["add"]),
+        (lambda a: scalars.sub(a, 0.0), []),
+        (lambda a: scalars.sub(0.0, a), ["neg"]),
+        (lambda a: scalars.total([0.0, a, 0.0]), []),
         (lambda a: Vec(1.0, 0.0, 0.0).dot(Vec(a, 2.0 * a, a)), ["mul"]),
         (lambda a: Vec(0.0, 0.0, 1.0).cross(Vec(a, a, a)), ["neg"]),
         (lambda a: tuple(QUARTER_TURN.apply(Vec(a, a, a))), ["neg"]),
@@ -67,9 +66,9 @@ def test_folded_arithmetic_is_arithmetic():
     """Folding may drop operations, never change a value."""
     for a in (0.0, 1.0, -1.0, 0.3, jnp.asarray([0.3, -2.0])):
         for b in (0.0, 1.0, -1.0, 0.7, jnp.asarray([4.0, 0.5])):
-            np.testing.assert_allclose(scalar_algebra.mul(a, b), np.multiply(a, b), rtol=1e-6)
-            np.testing.assert_allclose(scalar_algebra.add(a, b), np.add(a, b), rtol=1e-6)
-            np.testing.assert_allclose(scalar_algebra.sub(a, b), np.subtract(a, b), rtol=1e-6)
+            np.testing.assert_allclose(scalars.mul(a, b), np.multiply(a, b), rtol=1e-6)
+            np.testing.assert_allclose(scalars.add(a, b), np.add(a, b), rtol=1e-6)
+            np.testing.assert_allclose(scalars.sub(a, b), np.subtract(a, b), rtol=1e-6)
 
 
 def test_rotations_compose_and_invert_like_matrices():
@@ -121,7 +120,7 @@ def test_quaternion_of_a_random_rotation_is_the_references(quaternions):
 
 def test_rotation_of_a_quaternion_is_the_references():
     true = random_quaternions(np.random.default_rng(2), 500)
-    rotation = scalar_algebra.rotation_from_quaternion(*jnp.asarray(true.T, jnp.float32))
+    rotation = scalars.rotation_from_quaternion(*jnp.asarray(true.T, jnp.float32))
     found = np.stack([np.stack(column, -1) for column in rotation], -1)
     np.testing.assert_allclose(found, rotation_matrix(true), atol=1e-6)
 
@@ -136,7 +135,7 @@ def test_unrolled_cholesky_solves_what_lapack_solves(n):
     a = root @ root.transpose(0, 2, 1) + 0.1 * np.eye(n)
     b = rng.normal(size=(200, n))
     lower = [[jnp.asarray(a[:, i, j], jnp.float32) for j in range(i + 1)] for i in range(n)]
-    program = jit(lambda a, b: jnp.stack(scalar_algebra.solve_positive(a, b), -1))
+    program = jit(lambda a, b: jnp.stack(scalars.solve_positive(a, b), -1))
     x = np.asarray(program(lower, [jnp.asarray(column, jnp.float32) for column in b.T]))
     exact = np.linalg.solve(a, b[..., None])[..., 0]
     # Relative error of a backward stable solve: rounding times the condition number.
@@ -153,10 +152,10 @@ def test_what_is_computed_once_stays_computed_once_in_the_compiled_program():
     """The trick to which the kinematics owe their speed; a new XLA may drop it without a word."""
     chain = load_robot("iiwa14").chain
 
-    def step(q, target):
-        return ik_step(chain, q, target)
+    def step(*arguments):
+        return ik_displace(chain, *arguments)
 
-    arguments = jnp.zeros((256, chain.n)), Pose(jnp.zeros((256, 3)), jnp.ones((256, 4)))
+    arguments = jnp.zeros((256, chain.n)), jnp.zeros((256, 3)), jnp.ones((256, 4))
 
     def cosines(compiler):
         return compiler(step).lower(*arguments).compile().as_text().count(" cosine(")
@@ -166,7 +165,7 @@ def test_what_is_computed_once_stays_computed_once_in_the_compiled_program():
 
 def test_once_keeps_values_and_constants():
     tree = {"a": jnp.arange(3.0), "b": (2.0, jnp.ones(2))}
-    kept = scalar_algebra.once(tree)
+    kept = scalars.once(tree)
     assert kept["b"][0] == 2.0
     assert isinstance(kept["b"][0], float)
     jax.tree.map(np.testing.assert_array_equal, kept, tree)

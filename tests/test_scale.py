@@ -16,21 +16,22 @@ import pytest
 
 from reachlab.cli.main import main
 from reachlab.cli.sweep_command import SweepDisplay
+from reachlab.envs.presets import configure
 from reachlab.learn.interrupts import Interrupted
 from reachlab.learn.train import train
 from reachlab.runs.directory import RunDirectory, read_config
 from reachlab.runs.files import write_json
 from reachlab.scale.cluster import Cluster
-from reachlab.scale.engine import Job
+from reachlab.scale.engines import LocalEngine
 from reachlab.scale.goals import GOALS, check_goal
-from reachlab.scale.local import LocalEngine
-from reachlab.scale.rollouts import RayRollouts, Share, divide
+from reachlab.scale.rollouts import RayRollouts, divide
 from reachlab.scale.space import dimensions, read_space
 from reachlab.scale.study import Study
 from reachlab.scale.sweep import SweepProgress, sweep
-from reachlab.scale.trials import SweepConfig, Trials
+from reachlab.scale.training import failure_file, read_validations
+from reachlab.scale.trials import DEATHS, SweepConfig, Trials, pessimistic
 from reachlab.settings.config import RunConfig
-from reachlab.settings.presets import configure
+from reachlab.settings.json_form import to_json
 from reachlab.settings.validation import InputError, installing
 
 pytestmark = pytest.mark.slow
@@ -65,16 +66,16 @@ def test_every_environment_has_one_worker_and_parts_begin_at_whole_blocks(num_en
         return
     shares = divide(num_envs, workers)
     assert len(shares) == workers
-    assert [env for share in shares for env in range(*share)] == list(range(num_envs))
-    assert all(share.first % 16 == 0 for share in shares)
-    sizes = [share.end - share.first for share in shares]
+    assert [env for share in shares for env in share] == list(range(num_envs))
+    assert all(share.start % 16 == 0 for share in shares)
+    sizes = list(map(len, shares))
     assert max(sizes) - min(sizes) <= 16
 
 
 def test_no_worker_is_refused() -> None:
     with pytest.raises(InputError, match="at least 1"):
         divide(64, 0)
-    assert divide(64, 1) == [Share(0, 64)]
+    assert divide(64, 1) == [range(64)]
 
 
 @pytest.fixture(scope="module")
@@ -106,8 +107,8 @@ def test_workers_learn_the_weights_of_one_process_also_if_one_is_killed(sim: str
                 ray.kill(collect._workers[-1])
 
         train(config, tmp_path / "shared", watch, collect=collect)
-        assert collect.effort.lost == 1
-        assert collect.effort.calls == 4
+        assert collect.lost == 1
+        assert iterations == 4
     assert newest_weights(tmp_path / "alone") == newest_weights(tmp_path / "shared")
 
 
@@ -215,8 +216,10 @@ def test_the_first_trial_is_the_settings_themselves_where_the_space_holds_them(t
     inside = configure(learning_rate=2e-3, epochs=3)
     (tmp_path / "in").mkdir()
     (tmp_path / "out").mkdir()
-    assert make_study(tmp_path / "in", inside).ask() == (0, {"learning_rate": 2e-3, "epochs": 3})
-    assert make_study(tmp_path / "out", configure(epochs=8)).ask()[1]["epochs"] <= 4
+    study = make_study(tmp_path / "in", inside)
+    assert study.settings(study.ask()) == {"learning_rate": 2e-3, "epochs": 3}
+    study = make_study(tmp_path / "out", configure(epochs=8))
+    assert study.settings(study.ask())["epochs"] <= 4
 
 
 def test_a_study_continues_as_if_its_process_had_not_died(tmp_path: Path) -> None:
@@ -224,15 +227,16 @@ def test_a_study_continues_as_if_its_process_had_not_died(tmp_path: Path) -> Non
     (tmp_path / "cut").mkdir()
     whole = make_study(tmp_path / "whole")
     for value in (0.1, 0.4, 0.2):
-        whole.complete(whole.ask()[0], value)
+        whole.end(whole.ask(), value)
     for value in (0.1, 0.4, 0.2):
         study = make_study(tmp_path / "cut")
-        number, settings = study.ask()
+        settings = study.settings(study.ask())
         with (tmp_path / "cut" / "journal").open("ab") as journal:
             journal.write(b'{"op_code": 5, "wor')  # its process dies while it writes
         again = make_study(tmp_path / "cut")
-        assert again.begun() == [(number, settings)]
-        again.complete(number, value)
+        (trial,) = again.begun()
+        assert again.settings(trial) == settings
+        again.end(trial, value)
     assert make_study(tmp_path / "cut").trials == whole.trials
     assert [trial.value for trial in whole.ranked] == [0.4, 0.2, 0.1]
 
@@ -241,10 +245,18 @@ def test_a_goal_that_was_not_reached_is_no_value_and_never_the_best(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     study = Study(tmp_path / "journal", dimensions(SPACE, configure()), GOALS["steps"], configure())
-    study.complete(study.ask()[0], float("inf"))
+    study.end(study.ask(), float("inf"))
     assert (study.trials[0].state, study.trials[0].value, study.ranked) == ("complete", None, [])
     SweepDisplay("steps")(SweepProgress(study.trials, 1, {}, None))
     assert "  steps not reached\n" in capsys.readouterr().err
+
+
+def test_several_seeds_count_as_the_poorer_end_of_the_interval_of_their_mean() -> None:
+    assert pessimistic([0.5], maximise=True) == 0.5
+    half = 12.706 * 0.1  # Student's t of one degree of freedom, and the standard error of the mean
+    assert pessimistic([0.4, 0.6], maximise=True) == pytest.approx(0.5 - half, rel=1e-4)
+    assert pessimistic([0.4, 0.6], maximise=False) == pytest.approx(0.5 + half, rel=1e-4)
+    assert pessimistic([0.4, float("inf")], maximise=False) == float("inf")
 
 
 # --- sweeps ---------------------------------------------------------------------------------------
@@ -325,88 +337,100 @@ def wait_for(found: Any, seconds: float = 60.0) -> None:
         time.sleep(0.05)
 
 
-LONG = TINY | {"total_steps": 10_000 * 256, "checkpoint_interval": 0.1}
+LONG = configure(**TINY | {"total_steps": 10_000 * 256, "checkpoint_interval": 0.1})
 
 
-def test_a_training_ends_saved_where_its_stop_file_is(tmp_path: Path) -> None:
-    job = Job(tmp_path / "0000-0", configure(**LONG), "success_rate", 2000)
-    engine = LocalEngine(1)
-    engine.submit(job)
-    wait_for(job.values)
-    job.stop_file.touch()
-    assert engine.ended(60.0) == [job]
-    assert job.ended
-    assert not RunDirectory(job.path).finished
-    steps = RunDirectory(job.path).checkpoint_steps()[-1]
-    assert max(job.values()) <= steps < LONG["total_steps"]
+def order(path: Path, config: RunConfig, validations: int = 0) -> tuple[Any, ...]:
+    return str(path), to_json(config), "success_rate", validations
 
 
-def test_a_training_that_is_killed_is_handed_back(tmp_path: Path) -> None:
-    job = Job(tmp_path / "0000-0", configure(**LONG), "success_rate", 0)
-    engine = LocalEngine(1)
-    engine.submit(job)
-    wait_for((job.path / "checkpoints").exists)
-    os.kill(engine._processes[job].pid, signal.SIGKILL)
-    assert engine.ended(60.0) == [job]
-    assert not job.ended
-    engine.submit(job)
+def test_a_training_that_is_asked_to_end_is_saved(tmp_path: Path) -> None:
+    engine, path = LocalEngine(1), tmp_path / "0000-0"
+    training = engine.start(*order(path, LONG, 2000))
+    wait_for(lambda: len(read_validations(path)) > 1)
+    engine.stop(training)
+    wait_for(lambda: not engine.running(training))
+    assert not RunDirectory(path).finished
+    assert max(read_validations(path)) <= RunDirectory(path).checkpoint_steps()[-1] < LONG.loop.total_steps
+
+
+def test_trainings_end_with_their_engine(tmp_path: Path) -> None:
+    engine, path = LocalEngine(1), tmp_path / "0000-0"
+    training = engine.start(*order(path, LONG))
+    wait_for((path / "checkpoints").exists)
+    assert engine.running(training)
     engine.close()
-    assert engine.running == []
+    assert training.poll() is not None
+
+
+def test_validations_are_at_equal_distances_also_of_a_training_that_is_killed(tmp_path: Path) -> None:
+    config = configure(**TINY | {"total_steps": 400 * 256, "checkpoint_interval": 0.01})
+    engine, path = LocalEngine(1), tmp_path / "0000-0"
+    training = engine.start(*order(path, config, 3))
+    wait_for(lambda: len(read_validations(path)) > 1)
+    os.kill(training.pid, signal.SIGKILL)
+    wait_for(lambda: not engine.running(training))
+    assert not RunDirectory(path).finished
+    training = engine.start(*order(path, config, 3))
+    wait_for(lambda: not engine.running(training))
+    assert RunDirectory(path).finished
+    assert list(read_validations(path)) == [100 * 256, 200 * 256, 300 * 256]
 
 
 def test_a_failure_of_the_training_itself_is_written_down(tmp_path: Path) -> None:
-    job = Job(tmp_path / "0000-0", configure(**TINY, robot=str(tmp_path / "missing.urdf")), "success_rate", 0)
-    engine = LocalEngine(1)
-    engine.submit(job)
-    assert engine.ended(60.0) == [job]
-    assert "missing.urdf" in json.loads(job.failure_file.read_text())["error"]
-
-
-def test_a_poor_trial_is_given_up(tmp_path: Path) -> None:
-    config = configure(**TINY)
-    job = Job(tmp_path / "unused", config, "success_rate", 1)
-    job.values_file.write_text('{"steps": 100, "value": 0.5}\n{"steps": 200, "va')
-    assert job.values() == {100: 0.5}
-    study = make_study(tmp_path)
-    for value in (0.5, 0.6, 0.7, 0.8, 0.9):
-        number, _ = study.ask()
-        assert not study.report(number, 100, value)
-        study.complete(number, value)
-    number, _ = study.ask()
-    assert study.report(number, 100, 0.1)
-    study.prune(number)
-    assert study.trials[-1].state == "pruned"
+    engine, path = LocalEngine(1), tmp_path / "0000-0"
+    training = engine.start(*order(path, configure(**TINY, robot=str(tmp_path / "missing.urdf"))))
+    wait_for(lambda: not engine.running(training))
+    assert "missing.urdf" in json.loads(failure_file(path).read_text())["error"]
 
 
 class Dying:
-    """An engine on which every training dies, after a validation that is poorer from trial to trial."""
+    """An engine whose processes die at once, each trial's after a poorer validation, and some after their report."""
 
-    def __init__(self) -> None:
-        self.running: list[Job] = []
+    def __init__(self, finished: int) -> None:
+        self._finished, self.started, self.stopped = finished, list[str](), list[str]()
 
-    def submit(self, job: Job) -> None:
-        job.path.mkdir(parents=True, exist_ok=True)
-        number = int(job.path.name.partition("-")[0])
-        job.values_file.write_text(json.dumps({"steps": 100, "value": 1.0 - number / 10}) + "\n")
-        if number < 5:
-            write_json(job.path / "report.json", {"success_rate": 1.0 - number / 10})
-        self.running.append(job)
+    def start(self, *order: Any) -> str:
+        path = Path(order[0])
+        path.mkdir(parents=True, exist_ok=True)
+        number = int(path.name.partition("-")[0])
+        write_json(path.with_suffix(".json"), [[100, 1.0 - number / 10]])
+        if number < self._finished:
+            write_json(path / "report.json", {"success_rate": 1.0 - number / 10})
+        self.started.append(path.name)
+        return path.name
 
-    def ended(self, timeout: float) -> list[Job]:
-        del timeout
-        ended, self.running = self.running, []
-        return ended
+    def running(self, training: str) -> bool:
+        del training
+        return False
+
+    def stop(self, training: str) -> None:
+        self.stopped.append(training)
 
     def close(self) -> None:
         pass
 
 
-def test_a_trial_is_given_up_also_while_its_training_waits_to_be_continued(tmp_path: Path) -> None:
-    config, study = configure(**TINY), make_study(tmp_path)
-    trials = Trials(SweepConfig(SPACE), config, tmp_path / "trials", study, Dying())
-    while trials.fill(6, 1):
-        trials.look(0.0)
+def run_trials(folder: Path, total: int, engine: Dying) -> Study:
+    study = make_study(folder)
+    trials = Trials(SweepConfig(SPACE), configure(**TINY), folder / "trials", study, engine)
+    while trials.advance(total, 1):
+        pass
+    return study
+
+
+def test_a_poor_trial_is_given_up_also_if_its_process_has_died(tmp_path: Path) -> None:
+    engine = Dying(finished=5)
+    study = run_trials(tmp_path, 6, engine)
     assert [trial.state for trial in study.trials] == ["complete"] * 5 + ["pruned"]
+    assert engine.stopped == ["0005-0"]
+
+
+def test_a_training_whose_process_dies_is_continued_but_not_for_ever(tmp_path: Path) -> None:
+    engine = Dying(finished=0)
+    (trial,) = run_trials(tmp_path, 1, engine).trials
+    assert (trial.state, engine.started) == ("fail", ["0000-0"] * DEATHS)
+    assert f"its process died {DEATHS} times without a newer checkpoint" in trial.why
 
 
 def test_an_interrupted_sweep_says_how_it_continues(tmp_path: Path) -> None:
@@ -460,8 +484,6 @@ def test_what_cannot_be_used_is_refused_in_a_sentence(
     places = {"folder": tmp_path / "folder", "space": tmp_path / "space.toml", "config": tmp_path / "config.json"}
     places["folder"].mkdir()
     places["space"].write_text("[space]\nepochs = { low = 1, high = 4 }\n")
-    from reachlab.settings.json_form import to_json
-
     write_json(places["config"], to_json(configure()))
     assert main([word.format(**places) for word in words]) == 2
     assert refused in capsys.readouterr().err

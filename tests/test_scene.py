@@ -13,15 +13,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from reachlab.envs.core import Env
+from reachlab.envs.presets import configure
 from reachlab.envs.random_streams import env_keys
 from reachlab.render.marks import Axes, Marks
 from reachlab.render.offscreen import Camera
 from reachlab.render.scene import HEIGHT, WIDTH, scene_spec
 from reachlab.robots.loading import load_robot
 from reachlab.robots.robot import Robot
-from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError
-from reachlab.tasks.task import Progress
+from situations import errors_of
 
 TARGET = np.array([0.45, 0.1, -0.0083])
 
@@ -175,7 +175,7 @@ def test_an_environment_draws_whether_its_target_is_reached(camera: Camera) -> N
     del camera
     env = Env(configure(), 1)
     state = env.compile_whole(env.init)(env_keys(0, 1))
-    away, near = env.render(state), env.render(replace(state, progress=Progress(state.distance * 0)))
+    away, near = env.render(state), env.render(replace(state, errors=errors_of(state.distance * 0)))
     ball = changed(away, near)
     greener = near[ball].astype(int) - away[ball]
     assert (greener[:, 1] > greener[:, 0]).all()

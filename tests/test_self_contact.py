@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from reachlab.evaluation.episodes import _make_meets
-from reachlab.robots.arm import find_arm
+from reachlab.robots.derive.arm import find_arm
+from reachlab.robots.files.model_file import read_model_file
 from reachlab.robots.loading import load_robot
-from reachlab.robots.model_file import read_model_file
 from reachlab.robots.robot import Robot
 
 CYLINDER, BOX = '<cylinder radius="{}" length="{}"/>', '<box size="{} {} {}"/>'

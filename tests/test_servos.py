@@ -10,12 +10,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from reachlab.robots.arm import Arm, find_arm
-from reachlab.robots.isolation import apply
-from reachlab.robots.loading import load_robot
-from reachlab.robots.model_file import read_model_file
-from reachlab.robots.robot import Robot
-from reachlab.robots.servos import (
+from reachlab.robots.derive.arm import Arm, find_arm
+from reachlab.robots.derive.isolation import apply
+from reachlab.robots.derive.servos import (
     LAG,
     LARGEST_SAG,
     NATURAL_FREQUENCY,
@@ -27,6 +24,9 @@ from reachlab.robots.servos import (
     too_heavy,
     too_weak,
 )
+from reachlab.robots.files.model_file import read_model_file
+from reachlab.robots.loading import load_robot
+from reachlab.robots.robot import Robot
 
 LIGHT, HEAVY = 1.0, 30.0
 """Masses of arms [kg]."""
@@ -123,7 +123,7 @@ def loaded(tmp_path: Path, text: str) -> tuple[Arm, Loads]:
     """An arm, and what its joints have to move and to hold."""
     (tmp_path / "arm.xml").write_text(text)
     arm = find_arm(read_model_file(tmp_path / "arm.xml"), None, None)
-    return arm, find_loads(arm.model, range(arm.chain.n), arm.tool_body)
+    return arm, find_loads(arm.model, arm.tool)
 
 
 def gains(tmp_path: Path, text: str, torque: float = 1e6, load: float = 0.0) -> np.ndarray:
@@ -197,7 +197,7 @@ def test_payload_and_torque_of_a_pendulum(tmp_path: Path) -> None:
         PENDULUM.format(gravity=-9.81).replace("</body>", '<body name="tcp" pos="1 0 0"/></body>')
     )
     arm = find_arm(read_model_file(tmp_path / "arm.xml"), "tcp", None)
-    loads = find_loads(arm.model, range(1), arm.tool_body)
+    loads = find_loads(arm.model, arm.tool)
     holding = 2 * 9.81 * 0.5
     np.testing.assert_allclose(default_torques(loads, np.ones(1)), 3 * holding, rtol=1e-3)
     assert payload(loads, np.array([1e3]), 100.0) == 2.0, "the largest that arms vary by"

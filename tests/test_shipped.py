@@ -6,29 +6,37 @@ import hashlib
 from pathlib import Path
 
 import pytest
+from safetensors.numpy import load_file
 
 import reachlab
 from reachlab.cli.main import main
+from reachlab.envs.presets import preset
 from reachlab.envs.setup import make_setup, settled
-from reachlab.robots.catalogue import ROBOTS
 from reachlab.runs.checkpoint import ARRAYS
 from reachlab.runs.files import read_json
 from reachlab.runs.shipped import SHIPPED, find_run, shipped, told
 from reachlab.settings.json_form import difference, override
-from reachlab.settings.presets import preset
 from reachlab.settings.validation import InputError
-from reachlab.tasks import TASKS
-
-NAMES = {f"{robot}/{task}" for robot in ROBOTS for task in TASKS}
+from reachlab.tasks.observations import OBSERVATIONS
+from shipped_policies import NAMES
 
 MOST_BYTES = 8_000_000
 
-PLAYED = ("so101/tutorial", "panda/precise", "gen3/pose", "ur5e/track", "xarm7/clutter")
+PLAYED = (
+    "so101/tutorial",
+    "panda/precise",
+    "gen3/pose",
+    "ur5e/track",
+    "xarm7/clutter",
+    "panda/push",
+    "panda/lift",
+    "panda/place",
+)
 """One for each task, each of another arm."""
 
 
 def test_there_is_one_for_each_arm_and_task_and_they_are_small() -> None:
-    assert shipped().keys() == NAMES
+    assert shipped().keys() == set(NAMES)
     assert sum(file.stat().st_size for file in SHIPPED.rglob("*")) <= MOST_BYTES
 
 
@@ -37,11 +45,14 @@ def test_it_is_whole_and_made_by_the_command_that_is_told(name: str) -> None:
     run = shipped()[name]
     robot, task = name.split("/")
     config = override(preset(task), robot=robot)
-    assert difference(run.read_config(), settled(config, make_setup(config))) is None
+    setup = make_setup(config)
+    assert difference(run.read_config(), settled(config, setup)) is None
     (steps,) = run.checkpoint_steps()
     report = read_json(run.report_file)
     arrays = next(run.checkpoints.iterdir()) / ARRAYS
     assert report["checkpoint"] == {"steps": steps, "sha256": hashlib.sha256(arrays.read_bytes()).hexdigest()}
+    schema = OBSERVATIONS[config.rules.observation].schema(setup)
+    assert load_file(arrays)["learner/policy/normaliser/mean"].shape == (schema.vector_size,)
     assert f"--task {task} --robot {robot}" in told(run)
 
 

@@ -12,19 +12,21 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from benchmarks.soak import bad_actions, interleavings
 from params import tried
-from reachlab.bench.soak import bad_actions, interleavings
+from reachlab.control.situation import Goal
 from reachlab.envs.core import Env
+from reachlab.envs.presets import configure
 from reachlab.envs.random_streams import env_keys
 from reachlab.render.marks import Marks
-from reachlab.render.offscreen import LazyCamera
-from reachlab.robots.kinematics import forward_kinematics
+from reachlab.render.offscreen import Camera
+from reachlab.robots.kinematics.forward import forward_kinematics
 from reachlab.robots.loading import load_robot
-from reachlab.settings.presets import configure
-from reachlab.sims import SIMULATORS, make_simulator
+from reachlab.sims import SIMULATORS
 from reachlab.sims.mujoco import MujocoSimulator
 from reachlab.sims.rendering import Drawn
-from reachlab.tasks.task import Goal
+from reachlab.sims.simulator import make_simulator
+from situations import begin
 
 NUM_ENVS = 4
 
@@ -36,13 +38,13 @@ def test_mujoco_continues_from_a_saved_state_bit_for_bit_at_any_thread_count():
     other = MujocoSimulator(robot, config.physics, NUM_ENVS, threads=2)
     home = np.tile(np.array(robot.home, np.float32), (NUM_ENVS, 1))
     commands = home + np.random.default_rng(0).uniform(-0.3, 0.3, (120, *home.shape)).astype(np.float32)
-    arm = whole.reset(None, home, Goal(jnp.zeros((NUM_ENVS, 3))), None)
+    arm = whole.reset(None, begin(home), None)
     for command in commands[:20]:
         arm = whole.step(arm, command)
     saved = jax.tree.map(np.array, arm)
     for command in commands[20:]:
         arm = whole.step(arm, command)
-    other.reset(None, home + 0.1, Goal(jnp.zeros((NUM_ENVS, 3))), None)
+    other.reset(None, begin(home + 0.1), None)
     again = saved
     for command in commands[20:]:
         again = other.step(again, command)
@@ -68,8 +70,8 @@ def test_pybullet_follows_joint_commands_as_the_kinematic_simulator_does():
     robot, physics = load_robot("iiwa14"), configure().physics
     bullet, kinematic = (make_simulator(name, robot, physics, 2) for name in ("pybullet", "kinematic"))
     q = np.tile(np.array(robot.home, np.float32), (2, 1))
-    goal = Goal(jnp.array([[0.5, 0.0, -0.0083]] * 2))
-    here, there = kinematic.reset(None, q, goal, None), bullet.reset(None, q, goal, None)
+    goal = Goal.at(jnp.array([[0.5, 0.0, -0.0083]] * 2))
+    here, there = (sim.reset(None, begin(q, goal), None) for sim in (kinematic, bullet))
     for step in np.random.default_rng(4).uniform(-0.02, 0.02, (100, 2, 7)).astype(np.float32):
         q = q + step
         here, there = kinematic.step(here, q), bullet.step(there, q)
@@ -85,9 +87,9 @@ def test_mujoco_arm_follows_its_commands_no_faster_than_its_joints_may():
     env = Env(configure(sim="mujoco", action="joint_delta", joint_scale=1.0), NUM_ENVS)
     state = env.init(env_keys(0, NUM_ENVS))
     speed = np.array(env.setup.robot.speed)
-    before = np.asarray(state.target_q)
+    before = np.asarray(state.command)
     state, _ = env.step(state, np.ones((NUM_ENVS, 7), np.float32))
-    assert np.allclose(np.asarray(state.target_q) - before, speed * env.config.physics.control_period, atol=1e-6)
+    assert np.allclose(np.asarray(state.command) - before, speed * env.config.physics.control_period, atol=1e-6)
 
 
 def test_gravity_pulls_the_mujoco_arm_down_unless_compensated():
@@ -97,7 +99,7 @@ def test_gravity_pulls_the_mujoco_arm_down_unless_compensated():
     for compensated in (False, True):
         physics = configure(sim="mujoco", gravity_compensation=compensated).physics
         simulator = make_simulator("mujoco", robot, physics, 1)
-        arm = start = simulator.reset(None, home, Goal(jnp.zeros((1, 3))), None)
+        arm = start = simulator.reset(None, begin(home), None)
         for _ in range(100):
             arm = simulator.step(arm, home)
         sag[compensated] = float(start.tool_position[0, 2] - forward_kinematics(robot.chain, arm.q).position[0, 2])
@@ -132,9 +134,10 @@ def test_mujoco_refuses_to_continue_from_a_broken_state_and_then_continues_from_
 
 
 def test_one_thread_draws_for_all_simulators(monkeypatch):
-    monkeypatch.setattr(LazyCamera, "picture", lambda *_: threading.get_ident())
+    monkeypatch.setattr(Camera, "__init__", lambda *_: None)
+    monkeypatch.setattr(Camera, "picture", lambda *_: threading.get_ident())
     robot = load_robot("iiwa14")
-    at: Any = SimpleNamespace(q=np.zeros((1, 7)), position=np.zeros((1, 3)))
+    at: Any = SimpleNamespace(q=np.zeros((1, 7)), opening=np.zeros((1, 0)), position=np.zeros((1, 3)))
     threads = {int(Drawn(robot).render(at, at, 0, Marks(0.1))) for _ in range(3)}
     assert len(threads) == 1, "what a thread had taken for its pictures is not given back when it ends"
     assert threads != {threading.get_ident()}

@@ -22,12 +22,12 @@ from builder.commands import flags
 from builder.docstrings import field_docstrings
 from builder.tables import FORMULAS, TERMS, VARIED
 from reachlab.cli.verbs import VERBS
-from reachlab.settings.consistency import RANDOMISED
-from reachlab.settings.rules import Rules
+from reachlab.envs.consistency import RANDOMISED
 from reachlab.settings.validation import hints
 from reachlab.tasks.observations import OBSERVATIONS
 from reachlab.tasks.rewards import REWARDS
-from reachlab.tasks.task import Outcome, Progress
+from reachlab.tasks.task import Errors, Outcome
+from situations import RULES
 from test_imports import FOLDERS
 
 # --- tables ---------------------------------------------------------------------------------------
@@ -39,13 +39,13 @@ def test_formulas_of_rewards_give_what_the_rewards_give(name: str) -> None:
     distance, gap_before, speed, effort = rng.uniform(0, 0.3, (4, 50))
     outside, success, timeout = rng.random((3, 50)) < 0.5
     gained = rng.integers(-1, 2, 50)
-    progress = Progress(distance)  # type: ignore[arg-type]
-    fields = [gap_before, distance, progress, speed, effort, outside, success, timeout, gained, success | outside]
-    rules = dataclasses.replace(Rules(), effort_weight=0.3)
+    rules = dataclasses.replace(RULES, effort_weight=0.3)
+    near, errors = distance < rules.success_distance, Errors(distance, 0 * distance)
+    ends: list[Any] = [speed, effort, outside, success, timeout, gained, success | outside]
     names = {**vars(rules), "gap": distance, "gap_before": gap_before, "speed": speed, "effort": effort}
     names |= {"gained": gained, "outside": outside, "timeout": timeout, "near": distance < rules.success_distance}
     told = {term: eval(formula, {}, names | {"success": success}) for term, formula in FORMULAS[name].items()}
-    given = REWARDS[name](rules, Outcome(*fields))
+    given = REWARDS[name](rules, Outcome(errors, gap_before, distance, near, errors, (), *ends))
     assert told.keys() == given.keys()
     for term, values in given.items():
         np.testing.assert_allclose(told[term], np.asarray(values), atol=1e-6)

@@ -9,7 +9,7 @@ import pytest
 from reachlab.render.scene import scene_spec
 from reachlab.robots.catalogue import ROBOTS
 from reachlab.robots.loading import load_robot
-from reachlab.robots.shapes import SHAPES
+from reachlab.robots.shapes.solids import SHAPES
 from reachlab.watch.solids import Solid, solids
 
 TETRAHEDRON = '<asset><mesh name="corner" vertex="0 0 0 0.3 0 0 0 0.3 0 0 0 0.3"/></asset>'

@@ -14,16 +14,21 @@ from hypothesis import strategies as st
 from jax import Array
 from scipy.spatial.transform import Rotation
 
-from reachlab.envs.setup import check, make_setup, settled
-from reachlab.robots.kinematics import forward_kinematics
+from reachlab.control.situation import Goal, Situation
+from reachlab.envs.consistency import check
+from reachlab.envs.presets import configure
+from reachlab.envs.setup import make_setup, settled
+from reachlab.robots.kinematics.forward import Pose, forward_kinematics
 from reachlab.settings.config import RunConfig
-from reachlab.settings.presets import configure
-from reachlab.settings.rules import Rules, TaskConfig
 from reachlab.settings.validation import InputError
+from reachlab.tasks import TASKS
 from reachlab.tasks.actions import ACTIONS, bounded, command, joint_scale
 from reachlab.tasks.observations import OBSERVATIONS, observe
 from reachlab.tasks.rewards import REWARDS
-from reachlab.tasks.task import Goal, Outcome, Progress, Situation, TaskSetup
+from reachlab.tasks.task import Outcome, TaskSetup, judge
+from reachlab.tasks.tutorial import Tutorial
+from situations import RULES, errors_of
+from situations import situation as situation_of
 
 PERIOD, LAG = 0.02, (0.1,) * 7
 
@@ -51,14 +56,13 @@ def changed(setup: TaskSetup, **rules: Any) -> TaskSetup:
 
 def situation(tool: Any, goal: Any, actions: int = 3) -> Situation:
     still = jnp.zeros((1, 7))
-    return Situation(
-        still, still, jnp.array([tool]), jnp.array([DOWN]), Goal(jnp.array([goal])), still, jnp.zeros((1, actions))
-    )
+    at = Pose(jnp.array([tool]), jnp.array([DOWN]))
+    return situation_of(still, still, at, Goal.at(jnp.array([goal])), last_action=jnp.zeros((1, actions)))
 
 
 def outcome_of(setup: TaskSetup, tool: tuple[float, ...], clock: int, before: float = 0.5) -> Outcome:
     now = situation(tool, TARGET)
-    return setup.task.judge(setup, Progress(jnp.array([before])), now, jnp.array([clock]))
+    return judge(setup, errors_of(jnp.array([before])), (), now, jnp.array([clock]))
 
 
 def flags(outcome: Outcome) -> tuple[bool, bool, bool]:
@@ -66,7 +70,7 @@ def flags(outcome: Outcome) -> tuple[bool, bool, bool]:
 
 
 def sparse_reward(outcome: Outcome) -> float:
-    return float(sum(np.asarray(term)[0] for term in REWARDS["sparse"](Rules(), outcome).values()))
+    return float(sum(np.asarray(term)[0] for term in REWARDS["sparse"](RULES, outcome).values()))
 
 
 # --- end and reward of a step ---------------------------------------------------------------------
@@ -111,7 +115,7 @@ def test_a_tenth_of_a_metre_is_near_enough(setup: TaskSetup, distance: float, re
     tool = (0.5, 0.0, TARGET[2] + distance)
     outcome = outcome_of(setup, tool, 1)
     assert bool(outcome.success[0]) is reached
-    assert float(outcome.distance[0]) == pytest.approx(distance, abs=1e-6)
+    assert float(outcome.errors.distance[0]) == pytest.approx(distance, abs=1e-6)
 
 
 def test_success_distance_and_max_steps_are_settings(setup: TaskSetup) -> None:
@@ -132,9 +136,18 @@ def test_the_dense_reward_is_the_sparse_one_and_the_metres_gained(
 ) -> None:
     ends = {name: jnp.array([name == which]) for name in ("outside", "success", "timeout")}
     rest = dict.fromkeys(("speed", "effort", "terminated"), jnp.zeros(1))
-    gaps = jnp.array([before]), jnp.array([after])
-    outcome = Outcome(*gaps, Progress(gaps[1]), **rest, **ends, gained=1.0 * ends["success"])
-    config = Rules(approach_weight=weight)
+    outcome = Outcome(
+        errors=errors_of(jnp.array([after])),
+        counted=errors_of(jnp.array([after])),
+        gap_before=jnp.array([before]),
+        gap=jnp.array([after]),
+        near=ends["success"],
+        progress=(),
+        gained=1.0 * ends["success"],
+        **rest,
+        **ends,
+    )
+    config = replace(RULES, approach_weight=weight)
     sparse, dense = REWARDS["sparse"](config, outcome), REWARDS["dense"](config, outcome)
     assert {name: float(dense[name][0]) for name in sparse} == {name: float(sparse[name][0]) for name in sparse}
     gained = sum(float(term[0]) for term in dense.values()) - sum(float(term[0]) for term in sparse.values())
@@ -164,7 +177,7 @@ def test_where_the_episode_continues_success_pays_once(
 
 def test_holding_for_the_policy_and_asking_it_to_hold_do_not_go_together() -> None:
     with pytest.raises(InputError, match=r"at_goal 'hold' holds the arm .* hold_steps 10 .* set at_goal to 'continue'"):
-        check(configure(at_goal="hold", hold_steps=10))
+        check(configure("precise", at_goal="hold"))
 
 
 def test_coming_closer_by_a_metre_is_worth_five_by_default(setup: TaskSetup) -> None:
@@ -176,7 +189,7 @@ LENGTHS = ("tool_scale", "success_distance", "approach_weight", "target_height")
 
 
 def test_lengths_of_the_tutorials_task_are_the_tutorials_on_its_arm(setup: TaskSetup) -> None:
-    assert [getattr(TaskConfig(), name) for name in LENGTHS] == [None] * len(LENGTHS)
+    assert [getattr(Tutorial(), name) for name in LENGTHS] == [None] * len(LENGTHS)
     assert [getattr(setup.rules, name) for name in LENGTHS] == [0.005, 0.1, 5.0, -0.0083]
 
 
@@ -205,7 +218,7 @@ def test_lengths_are_in_proportion_to_the_workspace_of_another_arm(
 def test_settled_settings_state_every_length_and_are_settled() -> None:
     config = configure()
     stated = settled(config, make_setup(config))
-    assert vars(stated.rules) == vars(config.rules) | vars(Rules()) | {"tool": None}
+    assert vars(stated.rules) == vars(RULES)
     assert settled(stated, make_setup(stated)) == stated
 
 
@@ -254,14 +267,15 @@ def test_an_episode_starts_at_the_tutorials_joints(setup: TaskSetup) -> None:
 def test_a_goals_angle_is_that_of_the_turn_to_it_whatever_the_quaternions_signs(angle: float) -> None:
     axis, down = np.array([2.0, -1.0, 0.5]) / np.sqrt(5.25), Rotation.from_quat(DOWN, scalar_first=True)
     turned = (Rotation.from_rotvec(angle * axis) * down).as_quat(scalar_first=True)
-    goal = Goal(jnp.zeros((2, 3)), jnp.array([DOWN, DOWN]))
-    found = goal.angle(jnp.array([turned, -turned]))
-    assert found is not None
+    goal = Goal.at(jnp.zeros((2, 3)), quaternion=jnp.array([DOWN, DOWN]))
+    at, still = Pose(jnp.zeros((2, 3)), jnp.array([turned, -turned])), jnp.zeros((2, 7))
+    pose = make(configure("pose"))
+    found = pose.task.errors(pose, situation_of(still, still, at, goal)).angle
     assert np.asarray(found) == pytest.approx(angle, abs=2e-6 if angle < 2 else 1e-3)
 
 
-def test_a_goal_without_orientation_has_no_angle() -> None:
-    assert Goal(jnp.zeros((1, 3))).angle(jnp.array([DOWN])) is None
+def test_a_goal_without_orientation_has_no_angle(setup: TaskSetup) -> None:
+    assert setup.task.errors(setup, situation(INSIDE, TARGET)).angle.shape == (1, 0)
 
 
 # --- observations ---------------------------------------------------------------------------------
@@ -274,7 +288,8 @@ def test_observations_hold_what_their_names_say(setup: TaskSetup) -> None:
 
 
 @pytest.mark.parametrize("name", OBSERVATIONS)
-def test_a_schema_describes_the_observation_and_takes_it_apart_again(setup: TaskSetup, name: str) -> None:
+def test_a_schema_describes_the_observation_and_takes_it_apart_again(name: str) -> None:
+    setup = make(configure(name if name in TASKS else "tutorial"))
     schema = OBSERVATIONS[name].schema(setup)
     values: dict[str, Any] = {field.name: np.full((2, *field.shape), i) for i, field in enumerate(schema.fields)}
     picture, vector = schema.split(schema.join(values))
@@ -317,7 +332,7 @@ def at_home(setup: TaskSetup, target: tuple[float, ...] = TARGET) -> Situation:
     home = jnp.array([setup.robot.home])
     tool = forward_kinematics(setup.robot.chain, home)
     return situation(tool.position[0], target, actions=7)._replace(
-        q=home, target_q=home, tool_quaternion=tool.quaternion
+        q=home, command=home, tool_quaternion=tool.quaternion
     )
 
 
@@ -325,14 +340,14 @@ def test_a_joint_displacement_adds_to_the_last_command(setup: TaskSetup) -> None
     joints = changed(setup, action="joint_delta", joint_scale=0.03)
     now = at_home(setup)
     action = jnp.array([[1.0, -1.0, 0.5, 0.0, -0.5, 0.25, 0.0]])
-    moved = np.asarray(command(joints, now, action) - now.target_q)
+    moved = np.asarray(command(joints, now, action) - now.command)
     assert moved == pytest.approx(0.03 * np.asarray(action), abs=1e-6)
 
 
 def test_joint_displacements_stop_at_the_limits(setup: TaskSetup) -> None:
     joints = changed(setup, action="joint_delta")
     upper = jnp.array([setup.robot.chain.upper], jnp.float32)
-    near = at_home(setup)._replace(target_q=upper - 0.001)
+    near = at_home(setup)._replace(command=upper - 0.001)
     assert command(joints, near, jnp.ones((1, 7))).tolist() == upper.tolist()
 
 
@@ -353,7 +368,7 @@ def test_a_correction_is_added_to_inverse_kinematics_and_fades_at_the_target(set
     correction = 0.3 * jnp.array([[1.0, -1.0, 0.5, 0.0, -0.5, 0.25, 0.0]])
 
     def displacement(now: Situation, action: Array) -> np.ndarray:
-        moved = ACTIONS["joint_residual"].command(setup, now, action) - now.target_q
+        moved = ACTIONS["joint_residual"].command(setup, now, action) - now.command
         return np.asarray(moved) / joint_scale(setup)
 
     expected = np.clip(np.asarray(classical + 2 * correction), -1, 1)
@@ -369,8 +384,8 @@ def test_a_correction_is_added_to_inverse_kinematics_and_fades_at_the_target(set
 def test_inverse_kinematics_need_no_correction_but_for_what_they_wrongly_believe(setup: TaskSetup) -> None:
     now, towards = at_home(setup), ACTIONS["joint_residual"].towards
     assert np.asarray(towards(setup, now, now)) == pytest.approx(np.zeros((1, 7)))
-    believed = now._replace(target_q=now.target_q + 0.01, q=now.q + 0.01)
-    wrong = ACTIONS["joint_residual"].command(setup, now, towards(setup, now, believed)) - now.target_q
+    believed = now._replace(command=now.command + 0.01, q=now.q + 0.01)
+    wrong = ACTIONS["joint_residual"].command(setup, now, towards(setup, now, believed)) - now.command
     meant = ACTIONS["joint_delta"].towards(setup, believed, believed) * joint_scale(setup)
     assert np.asarray(wrong) == pytest.approx(np.asarray(meant), abs=1e-5)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 import pytest
 
-from reachlab.robots.tool_frames import TOOL_NAMES, find_tool, words
+from reachlab.robots.derive.tool import TOOL_NAMES, find_tools, words
 
 
 def body(name: str, inside: str = "", joint: str | None = None, kind: str = "hinge") -> str:
@@ -60,49 +60,44 @@ FOUND = {
 
 @pytest.mark.parametrize(("world", "name"), FOUND.values(), ids=list(FOUND))
 def test_the_tool_is(world: str, name: str) -> None:
-    found = find_tool(compiled(world))
-    assert (found.name, found.others) == (name, ())
+    assert find_tools(compiled(world)) == [name]
 
 
 @pytest.mark.parametrize("rank", range(len(TOOL_NAMES) - 1), ids=lambda rank: " ".join(TOOL_NAMES[rank]))
 def test_surer_names_come_first(rank: int) -> None:
     surer, other = ("_".join(TOOL_NAMES[place]) for place in (rank, rank + 1))
-    assert find_tool(compiled(arm(site(other) + site(surer)))).name == surer
+    assert find_tools(compiled(arm(site(other) + site(surer)))) == [surer]
 
 
 def test_of_two_arms_the_longer_is_taken_and_the_other_told() -> None:
     short, long = arm(site("right_tcp"), 4, "right_"), arm(site("left_tcp"), 6, "left_")
-    found = find_tool(compiled(body("torso", short + long)))
-    assert (found.name, found.others) == ("left_tcp", ("right_tcp",))
+    assert find_tools(compiled(body("torso", short + long))) == ["left_tcp", "right_tcp"]
     model = compiled(body("torso", body("right", short) + body("left", long)))
-    found = find_tool(model, base=int(model.body("right").id))
-    assert (found.name, found.others) == ("right_tcp", ())
+    assert find_tools(model, base=int(model.body("right").id)) == ["right_tcp"]
 
 
 def test_of_two_equal_arms_the_first_is_taken() -> None:
     arms = arm(site("one_tcp"), 4, "one_") + arm(site("two_tcp"), 4, "two_")
-    found = find_tool(compiled(body("torso", arms, "waist")))
-    assert (found.name, found.others) == ("one_tcp", ("two_tcp",))
+    assert find_tools(compiled(body("torso", arms, "waist"))) == ["one_tcp", "two_tcp"]
 
 
 def test_joints_that_follow_others_are_a_grippers() -> None:
     model = compiled(arm(body("link5", body("link6", "", "follower"), "driver")))
-    assert find_tool(model).name == "link6"
-    assert find_tool(model, mimics=["follower"]).name == "link5"
-    assert find_tool(model, mimics=["driver", "follower"]).name == "link4"
+    assert find_tools(model) == ["link6"]
+    assert find_tools(model, mimics=["follower"]) == ["link5"]
+    assert find_tools(model, mimics=["driver", "follower"]) == ["link4"]
 
 
 def test_joints_without_names_move_an_arm() -> None:
     model = compiled(body("a", body("b", body("c", body("tool"), ""), ""), ""))
-    assert find_tool(model).name == "tool"
+    assert find_tools(model) == ["tool"]
 
 
 @pytest.mark.parametrize(
     "world", [body("base"), '<body><joint/><geom size="1"/></body>', arm("", joints=0) + body("lid", "", "gripper")]
 )
 def test_there_is_no_tool_where_no_named_body_is_moved_by_an_arms_joint(world: str) -> None:
-    found = find_tool(compiled(world))
-    assert (found.name, found.others) == ("", ())
+    assert find_tools(compiled(world)) == []
 
 
 @pytest.mark.parametrize(

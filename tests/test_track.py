@@ -13,13 +13,13 @@ import pytest
 
 from reachlab.envs.core import Env
 from reachlab.envs.gymnasium_goal import ReachGoalVectorEnv
+from reachlab.envs.presets import configure
 from reachlab.envs.random_streams import REPORT_STREAM, env_keys
 from reachlab.envs.setup import make_setup
 from reachlab.evaluation.episodes import Track, make_runner, run_episodes
 from reachlab.evaluation.report import evaluate
 from reachlab.evaluation.tracking import followed
 from reachlab.jax_setup import jit
-from reachlab.settings.presets import configure
 from reachlab.tasks.paths import PATHS, STAY, Place, place_at, sample_path
 from reachlab.tasks.task import TaskSetup
 
@@ -120,7 +120,7 @@ def test_the_error_is_the_root_mean_square_of_the_steps_that_count() -> None:
     for number, action in enumerate(actions, start=1):
         state, done = env.step(state, action)
         distances.append(np.linalg.norm(np.asarray(state.arm.tool_position) - np.asarray(state.goal.position), axis=1))
-        error = np.asarray(done.terms["error"])
+        error = np.asarray(done.counted.distance)
         counted = np.array(distances)[SHORT["settle_steps"] if number > SHORT["settle_steps"] else -1 :]
         truth = np.sqrt(np.square(counted).mean(axis=0))
         assert error == pytest.approx(truth, rel=1e-5)

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from reachlab.envs.core import Env
+from reachlab.envs.presets import configure
 from reachlab.envs.setup import make_setup, settled
 from reachlab.evaluation.episodes import BATCH, make_runner
 from reachlab.evaluation.report import evaluate
@@ -24,7 +25,6 @@ from reachlab.learn.ppo_method import PPO
 from reachlab.learn.train import TrainResult, train
 from reachlab.runs.directory import RunDirectory
 from reachlab.settings.json_form import to_json
-from reachlab.settings.presets import configure
 
 TINY = {"num_envs": 16, "rollout_steps": 16, "total_steps": 1024, "stop_early": False, "report_episodes": 10}
 """A training of four iterations."""
@@ -42,7 +42,7 @@ import hashlib, sys
 from pathlib import Path
 from reachlab.jax_setup import use_compilation_cache
 use_compilation_cache()
-from reachlab.settings.presets import configure
+from reachlab.envs.presets import configure
 from reachlab.learn.train import train
 out = Path(sys.argv[1])
 train(configure(seed=5, **{tiny}), out)

@@ -14,24 +14,26 @@ import pytest
 
 import reachlab
 from reachlab.cli import main as cli
+from reachlab.envs.consistency import check
 from reachlab.envs.core import Env
 from reachlab.envs.gymnasium_single import ReachEnv
+from reachlab.envs.presets import configure, in_simulator
 from reachlab.envs.random_streams import env_keys
-from reachlab.envs.setup import check, check_reach, in_evaluation, make_setup, settled
+from reachlab.envs.setup import check_reach, in_evaluation, make_setup, settled
+from reachlab.envs.uses import USES
 from reachlab.learn import learner
 from reachlab.learn import train as training
 from reachlab.learn.learner import check_memory
 from reachlab.robots import loading
+from reachlab.robots.derive.workspace import Derived
 from reachlab.robots.loading import load_robot
 from reachlab.robots.robot import TUTORIAL_WORKSPACE
-from reachlab.robots.workspace import Derived
 from reachlab.runs.directory import RunDirectory
 from reachlab.settings.config import RunConfig
-from reachlab.settings.needs import NEEDS
-from reachlab.settings.presets import configure, in_simulator
 from reachlab.settings.validation import InputError
 from reachlab.sims import SIMULATORS
 from reachlab.tasks import TASKS
+from reachlab.tasks.actions import ACTIONS
 from reachlab.tasks.observations import OBSERVATIONS
 from reachlab.tasks.reachability import survey
 from reachlab.tasks.rewards import REWARDS
@@ -62,7 +64,7 @@ URDF = """
 </robot>"""
 
 
-LOGGERS = ("reachlab.envs.setup", "reachlab.settings.consistency")
+LOGGERS = ("reachlab.envs.setup", "reachlab.envs.consistency")
 
 
 def said(caplog: pytest.LogCaptureFixture) -> list[str]:
@@ -74,10 +76,13 @@ def said(caplog: pytest.LogCaptureFixture) -> list[str]:
 
 @pytest.mark.parametrize("task", TASKS)
 def test_presets_trouble_nobody_whatever_is_chosen_with_them(task: str, caplog: pytest.LogCaptureFixture) -> None:
-    sims = [sim for sim, entry in SIMULATORS.items() if entry.obstacles or task != "clutter"]
+    rules = TASKS[task].load()()
+    given = {sim: rules.gives | entry.gives | ACTIONS[rules.action].gives for sim, entry in SIMULATORS.items()}
+    sims = [sim for sim, words in given.items() if rules.task().needs <= words]
+    assert sims
     for sim, observation, reward in itertools.product(sims, OBSERVATIONS, REWARDS):
-        if observation in ("pose", "track", "clutter") and observation != task:
-            continue  # which need a goal that turns or moves, or obstacles
+        if not OBSERVATIONS[observation].needs <= given[sim]:
+            continue  # a goal that turns or moves, obstacles or an object
         check(configure(task, sim=sim, observation=observation, reward=reward))
     for sim in sims:
         check(in_simulator(configure(task), sim))
@@ -87,12 +92,12 @@ def test_presets_trouble_nobody_whatever_is_chosen_with_them(task: str, caplog: 
 
 
 WITHOUT_EFFECT: list[tuple[dict[str, Any], str]] = [
-    ({"joint_scale": 0.1}, "joint_scale has an effect only with an action of the joints, as joint_delta"),
-    ({"action": "joint_delta", "tool_scale": 0.1}, "tool_scale has an effect only with an action of the tool"),
+    ({"joint_scale": 0.1}, "joint_scale has an effect only with action joint_delta or joint_residual"),
+    ({"action": "joint_delta", "tool_scale": 0.1}, "tool_scale has an effect only with action tool_delta or tool_step"),
     ({"targets": "box", "target_height": 0.1}, "target_height has an effect only with targets table"),
     ({"target_low": (0.4, 0.0, 0.2)}, "target_low has an effect only with targets box"),
     ({"target_high": (0.4, 0.0, 0.2)}, "target_high has an effect only with targets box"),
-    ({"hold_speed": 0.1}, "hold_speed has an effect only with hold_steps above 0 or reward precise"),
+    ({"hold_speed": 0.1}, "hold_speed has an effect only with reward precise"),
     ({"reward": "sparse", "approach_weight": 1.0}, "approach_weight has an effect only with reward dense or precise"),
     ({"closeness_weight": 1.0}, "closeness_weight has an effect only with reward precise"),
     ({"closeness_scale": 1.0}, "closeness_scale has an effect only with reward precise"),
@@ -102,53 +107,65 @@ WITHOUT_EFFECT: list[tuple[dict[str, Any], str]] = [
     ({"gravity_compensation": True, "sim": "pybullet"}, "gravity_compensation has an effect only with sim mujoco"),
     ({"gui": True}, "gui has an effect only with sim pybullet"),
     ({"slow": True, "sim": "mujoco"}, "slow has an effect only with sim pybullet"),
-    ({"success_angle": 0.1}, "success_angle has an effect only with target_turn or targets any"),
-    ({"task": "precise", "angle_weight": 0.2}, "angle_weight has an effect only with target_turn or targets any"),
+    ({"success_angle": 0.1}, "success_angle is a setting of task pose, and not of tutorial"),
+    ({"task": "precise", "angle_weight": 0.2}, "angle_weight is a setting of task pose, and not of precise"),
     (
         {"task": "pose", "targets": "any", "target_turn": (0.1, 0.1, 0.1)},
-        "target_turn has an effect only with targets box or table",
+        "target_turn has an effect only with targets table or box",
     ),
-    ({"goal_paths": ("line",)}, "goal_paths has an effect only with a task whose goal moves, as track"),
-    ({"task": "precise", "goal_speed": (0.1, 0.1)}, "goal_speed has an effect only with a task whose goal moves"),
-    ({"task": "track", "goal_paths": ("jumps",), "goal_speed": (0.1, 0.1)}, "as track, and a path beside jumps"),
-    ({"task": "pose", "goal_jump": 0.1}, "goal_jump has an effect only with a task whose goal moves"),
-    ({"task": "track", "goal_paths": ("line",), "goal_jump": 0.1}, "as track, and jumps among goal_paths"),
-    ({"goal_velocity": False}, "goal_velocity has an effect only with a task whose goal moves"),
-    ({"settle_steps": 10}, "settle_steps has an effect only with a task whose goal moves"),
-    ({"task": "precise", "obstacles": (0, 2)}, "obstacles has an effect only with a task with obstacles, as clutter"),
-    ({"end_on_contact": True}, "end_on_contact has an effect only with a task with obstacles, as clutter"),
+    ({"goal_paths": ("line",)}, "goal_paths is a setting of task track, and not of tutorial"),
+    ({"task": "precise", "goal_speed": (0.1, 0.1)}, "goal_speed is a setting of task track"),
+    (
+        {"task": "track", "goal_paths": ("jumps",), "goal_speed": (0.1, 0.1)},
+        "an effect only with goal_paths line or circle or smooth",
+    ),
+    ({"task": "pose", "goal_jump": 0.1}, "goal_jump is a setting of task track"),
+    (
+        {"task": "track", "goal_paths": ("line",), "goal_jump": 0.1},
+        "an effect only with goal_paths jumps",
+    ),
+    ({"goal_velocity": False}, "goal_velocity is a setting of task track"),
+    ({"settle_steps": 10}, "settle_steps is a setting of task track"),
+    ({"task": "precise", "obstacles": (0, 2)}, "obstacles is a setting of task clutter, and not of precise"),
+    ({"end_on_contact": True}, "end_on_contact is a setting of task clutter"),
 ]
 
 CONTRADICTIONS: list[tuple[dict[str, Any], str]] = [
-    ({"hold_steps": 200, "max_steps": 100}, "cannot be held for hold_steps 200 in an episode of max_steps 100"),
+    (
+        {"task": "precise", "hold_steps": 200, "max_steps": 100},
+        "cannot be held for hold_steps 200 in an episode of",
+    ),
     ({"targets": "box", "target_low": (0.3, 0.5, 0.1), "target_high": (0.7, 0.4, 0.6)}, "in y, 0.5 against 0.4 m"),
     ({"num_envs": 10, "minibatches": 4}, "num_envs 10 cannot be divided among 4 minibatches"),
     ({"action_repeat": 11, "max_steps": 10}, "an action cannot be held for action_repeat 11"),
     ({"randomise": ("view",)}, "randomise view has an effect only with an observation with a picture"),
-    ({"randomise": ("colour",)}, "randomise 'colour' is not one of: delay, dynamics, view"),
-    ({"at_goal": "hold", "hold_steps": 5}, "at_goal 'hold' holds the arm at the target, and hold_steps 5 asks"),
+    ({"randomise": ("colour",)}, "randomise 'colour' is not one of: delay, dynamics, objects, view"),
+    (
+        {"task": "precise", "at_goal": "hold", "hold_steps": 5},
+        "'hold' holds the arm at the target, and hold_steps 5",
+    ),
     ({"at_goal": "stay"}, "at_goal 'stay' is not one of: continue, end, hold"),
     ({"targets": "floor"}, "targets 'floor' is not one of: any, box, table"),
     (
         {"task": "tutorail"},
-        "task 'tutorail' is not one of: clutter, pose, precise, track, tutorial. Did you mean 'tutorial'?",
+        f"task 'tutorail' is not one of: {', '.join(sorted(TASKS))}. Did you mean 'tutorial'?",
     ),
-    ({"task": "pose", "action": "tool_delta"}, "action 'tool_delta' holds the tool's orientation and cannot bring it"),
+    ({"task": "pose", "action": "tool_delta"}, "task 'pose' needs an action of the joints, as joint_delta"),
     ({"task": "pose", "target_turn": (0.1, -0.1, 0.0)}, "each entry of target_turn must be at least 0, got -0.1"),
-    ({"observation": "pose"}, "observation 'pose' needs a goal with an orientation: set target_turn"),
-    ({"task": "pose", "observation": "track"}, "observation 'track' needs a goal that moves, as that of task 'track'"),
-    ({"task": "track", "observation": "pose"}, "observation 'pose' needs a goal with an orientation"),
+    ({"observation": "pose"}, "observation 'pose' needs a goal whose joints are known, as of task pose or clutter"),
+    ({"task": "pose", "observation": "track"}, "observation 'track' needs a goal that moves, as of task track"),
+    ({"task": "clutter", "observation": "pose"}, "observation 'pose' needs a goal with an orientation"),
     (
         {"task": "precise", "observation": "clutter"},
-        "observation 'clutter' needs obstacles, as those of task 'clutter'",
+        "observation 'clutter' needs bodies beside the arm, as in task clutter",
     ),
     ({"task": "clutter", "obstacles": (3, 2)}, "a fewest number above the most, 3 against 2: exchange them"),
     ({"task": "clutter", "obstacles": (0, 17)}, "each entry of obstacles must be at least 0 and at most 16, got 17"),
-    ({"task": "clutter", "chained_starts": 0.5}, "with chained_starts 0.5 episodes would start inside obstacles"),
-    ({"task": "clutter", "sim": "kinematic"}, "task 'clutter' has obstacles, and simulator 'kinematic' has none"),
-    ({"task": "clutter", "sim": "pybullet"}, "task 'clutter' has obstacles, and simulator 'pybullet' has none"),
+    ({"task": "clutter", "chained_starts": 0.5}, "with chained_starts 0.5 episodes would start inside bodies"),
+    ({"task": "clutter", "sim": "kinematic"}, "task 'clutter' needs contacts, as in simulator mujoco"),
+    ({"task": "clutter", "sim": "pybullet"}, "task 'clutter' needs contacts, as in simulator mujoco"),
     ({"task": "clutter", "targets": "table"}, "the goal of task 'clutter' is a point in a box: set targets to 'box'"),
-    ({"task": "clutter", "target_turn": (0.1, 0.1, 0.1)}, "the goal of task 'clutter' is a point in a box"),
+    ({"task": "clutter", "target_turn": (0.1, 0.1, 0.1)}, "target_turn is a setting of task pose"),
     ({"task": "track", "goal_paths": ()}, "goal_paths names no path: choose one"),
     (
         {"task": "track", "goal_paths": ("line", "circel")},
@@ -159,12 +176,9 @@ CONTRADICTIONS: list[tuple[dict[str, Any], str]] = [
         {"task": "track", "settle_steps": 250},
         "no step would count after settle_steps 250 in an episode of max_steps 250",
     ),
-    ({"task": "track", "target_turn": (0.1, 0.1, 0.1)}, "the goal of task 'track' is a point that moves in a box"),
-    ({"task": "track", "targets": "any"}, "the goal of task 'track' is a point that moves in a box"),
-    ({"task": "track", "targets": "table"}, "the goal of task 'track' is a point that moves in a box"),
-    ({"task": "track", "at_goal": "hold"}, "a goal that moves is followed to the end of the episode"),
-    ({"task": "track", "hold_steps": 5}, "a goal that moves is followed to the end of the episode"),
-    ({"task": "track", "end_outside": True}, "a goal that moves is followed to the end of the episode"),
+    ({"task": "track", "targets": "any"}, "targets is a setting of task tutorial or precise or pose or clutter"),
+    ({"task": "track", "hold_steps": 5}, "hold_steps is a setting of task precise or pose or clutter"),
+    ({"targets": "any"}, "targets 'any' are poses: choose task 'pose'"),
 ]
 
 
@@ -187,9 +201,12 @@ def test_a_goal_does_not_move_in_a_flat_box() -> None:
         make_setup(configure("track", target_low=(0.3, -0.3, 0.3), target_high=(0.6, 0.3, 0.3)))
 
 
-def test_every_setting_with_a_need_is_tried() -> None:
-    tried = {name for settings, _ in WITHOUT_EFFECT for name in settings}
-    assert {name for name, need in NEEDS.items() if need.vital} <= tried
+def test_every_setting_that_choices_use_is_tried() -> None:
+    tried = {name for settings, _ in [*WITHOUT_EFFECT, *CONSEQUENCES] for name in settings}
+    used = {
+        name for choice, uses in USES.items() if choice != "stop_early" for names in uses.values() for name in names
+    }
+    assert used <= tried
 
 
 def test_training_refuses_before_anything_is_written(tmp_path: Path) -> None:
@@ -359,7 +376,7 @@ def test_a_robot_file_is_found_from_any_folder(tmp_path: Path, monkeypatch: pyte
 
 def test_a_file_that_changed_is_loaded_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     nowhere = Derived((0.0, 0.0), (1.0, 0.0, 0.0, 0.0), TUTORIAL_WORKSPACE, TUTORIAL_WORKSPACE, {})
-    monkeypatch.setattr(loading, "derived", lambda *_: nowhere)
+    monkeypatch.setattr(loading, "_derived", lambda *_: nowhere)
     file = tmp_path / "arm.xml"
     file.write_text(ARM)
     first = load_robot(str(file))

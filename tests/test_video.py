@@ -15,9 +15,9 @@ from PIL import Image
 
 from params import tried
 from reachlab.envs.core import Env
+from reachlab.envs.presets import configure
 from reachlab.envs.random_streams import REPORT_STREAM
 from reachlab.evaluation.episodes import BATCH, make_runner, run_episodes
-from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError, installing
 from reachlab.watch import video
 from reachlab.watch.captions import HEIGHT, VERDICTS, Caption, angle_text, captioned, distance_text

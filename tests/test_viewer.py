@@ -29,6 +29,7 @@ from browser.viewer import free_port
 from params import tried
 from reachlab.cli import main as cli
 from reachlab.envs.core import Env
+from reachlab.envs.presets import configure
 from reachlab.learn.load import load_policy
 from reachlab.learn.ppo_method import initial_state
 from reachlab.render import marks
@@ -36,8 +37,6 @@ from reachlab.render.marks import REACHED, TARGET_RADIUS
 from reachlab.robots.loading import load_robot
 from reachlab.runs.directory import RunDirectory
 from reachlab.settings.config import RunConfig
-from reachlab.settings.presets import configure
-from reachlab.settings.rules import Rules
 from reachlab.settings.validation import InputError, installing
 from reachlab.tasks import TASKS
 from reachlab.watch import panel
@@ -47,6 +46,7 @@ from reachlab.watch.player import TOUCHED
 from reachlab.watch.saved_page import save_page
 from reachlab.watch.server import LOCAL, start_server
 from reachlab.watch.viewer import COMMANDS, MOVABLE, UNREACHABLE, Viewer
+from situations import RULES
 
 CHECKPOINTS = (0, 128)
 
@@ -148,7 +148,11 @@ def stays_here(requests: list[str]) -> bool:
 # --- in the browser -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("task", tried(TASKS, [FIRST]))
+FOLLOWING = [task for task in TASKS if task != "slide"]
+"""Tasks whose arm can follow a target: a puck that has been struck is out of its reach."""
+
+
+@pytest.mark.parametrize("task", tried(FOLLOWING, [FIRST]))
 def test_the_arm_follows_a_target_that_is_dragged_in_the_page_and_rests_there(
     page: Page, task: str, tmp_path: Path
 ) -> None:
@@ -159,7 +163,7 @@ def test_the_arm_follows_a_target_that_is_dragged_in_the_page_and_rests_there(
         assert "to the target" in page.inner_text("body")
     followed = rows["viewer_drags_followed"]
     assert followed["value"] == followed["config"]["drags"] == 3
-    assert rows["viewer_worst_at_rest"]["value"] < 1000 * Rules().success_distance
+    assert rows["viewer_worst_at_rest"]["value"] < 1000 * RULES.success_distance
     assert rows["viewer_new_starts"]["value"] == 0
     assert stays_here(requests)
     assert {urlsplit(url).scheme for url in requests} >= {"http", "ws"}, "requests and web sockets are recorded"
@@ -337,7 +341,7 @@ def test_an_arm_that_leaves_its_workspace_says_so_and_tries_again_from_home(
     monkeypatch.setattr(viewer._server, "get_clients", lambda: {0: None})
     viewer.panel.endless = True
     target, state = viewer.player.moment.target, viewer.player.state
-    viewer.player.state = replace(state, target_q=state.target_q.at[:, 0].add(2.5))  # behind its base
+    viewer.player.state = replace(state, command=state.command.at[:, 0].add(2.5))  # behind its base
     said = []
     for _ in range(300):
         viewer.frame(FRAME)
@@ -524,9 +528,9 @@ def test_an_obstacle_that_is_pulled_is_there_in_the_scene_and_in_the_engine(tmp_
         viewer._pulled.put((0, place))
         viewer.frame(0.0)
         np.testing.assert_allclose(viewer.player.moment.blocks[0].position, place, atol=1e-6)
-        np.testing.assert_allclose(viewer.stage.obstacles[0].position, place, atol=1e-6)
+        np.testing.assert_allclose(viewer.stage.bodies[0].position, place, atol=1e-6)
         viewer._pulled.put((0, viewer.player.moment.tool))
         viewer.frame(0.0)
         viewer.step()
         assert viewer.player.failed == TOUCHED
-        assert viewer.stage.obstacles[0].color == tuple(round(255 * part) for part in marks.TOUCHED)
+        assert viewer.stage.bodies[0].color == tuple(round(255 * part) for part in marks.TOUCHED)

@@ -15,10 +15,10 @@ from typing import Any
 import pytest
 
 from reachlab.cli import main as cli
+from reachlab.envs.presets import configure
 from reachlab.learn.interrupts import Interrupted
 from reachlab.learn.train import train
 from reachlab.runs.metrics import read_metrics
-from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError
 
 wandb = pytest.importorskip("wandb")

@@ -14,15 +14,15 @@ import numpy as np
 import pytest
 
 from params import tried
+from reachlab.envs.presets import configure
 from reachlab.envs.setup import make_setup
 from reachlab.jax_setup import jit
-from reachlab.robots import derivation
+from reachlab.robots import loading
 from reachlab.robots.catalogue import ROBOTS
-from reachlab.robots.inverse_kinematics import inverse_kinematics
-from reachlab.robots.kinematics import Pose, forward_kinematics
+from reachlab.robots.kinematics.forward import Pose, forward_kinematics
+from reachlab.robots.kinematics.inverse import inverse_kinematics
 from reachlab.robots.loading import _load, load_robot
 from reachlab.robots.robot import Robot
-from reachlab.settings.presets import configure
 from reachlab.tasks.reachability import survey
 
 FIVE = """<mujoco><compiler angle="radian"/><worldbody>
@@ -146,7 +146,7 @@ def test_a_second_load_derives_nothing_and_is_equal(folder: Path, monkeypatch: p
     def derive(*_: object) -> None:
         raise AssertionError("derived again")
 
-    monkeypatch.setattr(derivation, "derive", derive)
+    monkeypatch.setattr(loading, "derive", derive)
     again = load_robot(file)
     assert again is not first
     assert places(again) == places(first)

@@ -14,9 +14,10 @@ from builder.markdown import code, table
 from reachlab.cli.flags import Train
 from reachlab.cli.sweep_flags import Sweep
 from reachlab.cli.verbs import VERBS
+from reachlab.envs.presets import preset
 from reachlab.settings.config import RunConfig
-from reachlab.settings.presets import preset
 from reachlab.settings.validation import hints
+from reachlab.tasks import TASKS
 
 
 @dataclass(frozen=True)
@@ -81,6 +82,8 @@ def _command(verb: str) -> str:
     groups: dict[str, list[Flag]] = {}
     for flag in flags(cls, cls(run=preset()) if cls is Train else None):
         groups.setdefault(flag.group, []).append(flag)
+    if cls is Train:
+        groups |= _of_other_tasks()
     text = f"{(cls.__doc__ or '').strip()}\n"
     if cls is Sweep:
         text += "\nAll settings of `reachlab train` are flags too, and hold for every training.\n"
@@ -88,6 +91,18 @@ def _command(verb: str) -> str:
         rows = [[code(flag.written), flag.default, flag.text] for flag in members]
         text += f"\n{heading}\n\n{table(['flag', 'default', 'what it is'], rows)}"
     return text
+
+
+def _of_other_tasks() -> dict[str, list[Flag]]:
+    """Flags that each task has beside those of the tasks before it."""
+    groups: dict[str, list[Flag]] = {}
+    known: set[str] = set()
+    for task in TASKS:
+        rules = preset(task).rules
+        group = f"Settings that task `{task}` has too."
+        groups[group] = [flag for flag in flags(type(rules), rules, group) if flag.written not in known]
+        known |= {flag.written for flag in groups[group]}
+    return {group: members for group, members in list(groups.items())[1:] if members}
 
 
 def _commands() -> str:

@@ -19,6 +19,7 @@ BLUE, GREEN, ORANGE, GREY = "#cfe0f7", "#cdebd5", "#fbe0c3", "#e3e6eb"
 ROOMS = (
     ("settings", "what can be set", GREY),
     ("robots", "what an arm is", BLUE),
+    ("control", "without learning", BLUE),
     ("tasks", "what is asked of it", BLUE),
     ("render", "how it is drawn", BLUE),
     ("sims", "what moves it", BLUE),
@@ -27,6 +28,7 @@ ROOMS = (
     ("runs", "what is kept", GREEN),
     ("evaluation", "how good it is", GREEN),
     ("learn", "how it is learnt", GREEN),
+    ("emit", "behaviour printed", GREEN),
     ("watch", "what people look at", ORANGE),
     ("deploy", "out to a robot", ORANGE),
     ("scale", "more than one process", ORANGE),

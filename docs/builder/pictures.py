@@ -1,4 +1,4 @@
-"""Pictures of the docs, made anew by the commands that they show: `make pictures NAMES='arms video plots sweep'`."""
+"""Pictures of the docs, made anew by the commands that they show: `make pictures NAMES='arms video push'`."""
 
 from __future__ import annotations
 
@@ -51,6 +51,16 @@ def _video(folder: Path) -> None:
     _run(folder, f"video first --out {IMAGES / 'video.webp'}")
 
 
+def _push(folder: Path) -> None:
+    """Three held-out cubes of the policy that comes with reachlab."""
+    _run(folder, f"video panda/push --episodes 3 --out {IMAGES / 'push.webp'}")
+
+
+def _lift(folder: Path) -> None:
+    """Three held-out cubes that are lifted."""
+    _run(folder, f"video panda/lift --episodes 3 --out {IMAGES / 'lift.webp'}")
+
+
 def _plots(folder: Path) -> None:
     """Two rewards, three seeds each, 400,000 steps; nothing helps but the reward: an action is not held."""
     runs = []
@@ -75,7 +85,14 @@ def _run(folder: Path, words: str) -> None:
     subprocess.run([sys.executable, "-m", "reachlab", *words.split()], cwd=folder, check=True)  # noqa: S603
 
 
-PICTURES: dict[str, Callable[[Path], None]] = {"arms": _arms, "video": _video, "plots": _plots, "sweep": _sweep}
+PICTURES: dict[str, Callable[[Path], None]] = {
+    "arms": _arms,
+    "video": _video,
+    "push": _push,
+    "lift": _lift,
+    "plots": _plots,
+    "sweep": _sweep,
+}
 """What draws each, in a folder of its own."""
 
 

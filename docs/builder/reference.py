@@ -8,15 +8,15 @@ from collections.abc import Callable
 import reachlab
 
 RECORDS = (
-    "settings.rules.TaskConfig",
+    "tasks.tutorial.Tutorial",
     "settings.config.SimConfig",
     "settings.config.LoopConfig",
     "settings.config.LearnerConfig",
     "settings.config.PPOConfig",
     "settings.config.DistilRunConfig",
     "settings.config.DaggerConfig",
-    "robots.kinematics.Pose",
-    "robots.inverse_kinematics.IKSolution",
+    "robots.kinematics.forward.Pose",
+    "robots.kinematics.inverse.IKSolution",
     "envs.functions.EnvState",
     "envs.functions.Transition",
     "watch.video.Clip",

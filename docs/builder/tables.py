@@ -8,24 +8,25 @@ from collections.abc import Callable, Mapping
 from builder.markdown import code, number, span, table
 from reachlab.agents import AGENTS
 from reachlab.bench import SUITES
-from reachlab.cli.console import asked, succeeded
-from reachlab.envs.setup import check, make_setup
+from reachlab.cli.console import task_and_success
+from reachlab.envs.consistency import RANDOMISED, check
+from reachlab.envs.presets import configure, preset
+from reachlab.envs.setup import make_setup
+from reachlab.envs.uses import USES
 from reachlab.robots.catalogue import ROBOTS
 from reachlab.robots.loading import load_robot
 from reachlab.settings.config import RunConfig
-from reachlab.settings.consistency import RANDOMISED
 from reachlab.settings.json_form import flatten, to_json
-from reachlab.settings.presets import configure, preset
 from reachlab.settings.validation import InputError
 from reachlab.sims import SIMULATORS
 from reachlab.tasks import TASKS
 from reachlab.tasks.actions import ACTIONS, joint_scale
 from reachlab.tasks.observations import OBSERVATIONS
 from reachlab.tasks.paths import PATHS
-from reachlab.tasks.reach import AT_GOAL
 from reachlab.tasks.rewards import REWARDS
 from reachlab.tasks.schema import Field
 from reachlab.tasks.targets import TARGETS
+from reachlab.tasks.tutorial import AT_GOAL
 
 TERMS = {
     "goal": "the target's position",
@@ -45,7 +46,16 @@ TERMS = {
     "goal_velocity": "the target's velocity; zero where it is not told",
     "clearance": "for each capsule of the arm, the direction away from what is nearest to it, longer the nearer it is",
     "scene": "how near obstacles are to the points of a grid of 4 × 4 × 4",
-    "achieved_goal": "where the tool is",
+    "object_way": "from the tool to the object",
+    "left": "from the object to the target, along the table",
+    "left_near": "the same, divided by its length and 0.02 m",
+    "faces": "sine and cosine of four times the object's yaw; 0 of one that is round",
+    "left_all": "from the object to the goal",
+    "left_all_near": "the same, divided by its length and 0.02 m",
+    "opening": "opening of the gripper",
+    "squeeze": "how far below the opening the gripper is commanded",
+    "object_velocity": "velocity of the object along the table",
+    "achieved_goal": "where the tool is, or the object that it moves",
     "desired_goal": "where it is asked to be",
 }
 """What each term of an observation is."""
@@ -79,6 +89,8 @@ VARIED = {
     "dynamics": "in MuJoCo servo gains within 15 %, joint damping within 30 % and a payload at the tool; in every"
     " simulator joints measured with noise of 0.5 mrad and 0.01 rad/s",
     "delay": "measurements are a control period old and up to 10 ms more, and 5 % of them do not come",
+    "objects": "an object's mass from 0.3 to 3 times, its friction from 0.3 to 1 and its size within 25 %; all an"
+    " episode it is measured up to 5 mm and 5° off",
     "view": "light, colours, uneven brightness, grain, and the camera's pose within 2 cm and 2°",
 }
 """What each choice of `randomise` varies."""
@@ -86,7 +98,9 @@ VARIED = {
 
 def _tasks() -> str:
     configs = {name: preset(name) for name in TASKS}
-    asks = table(["task", "asks the arm to"], [[code(name), asked(config)] for name, config in configs.items()])
+    asks = table(
+        ["task", "asks the arm to"], [[code(name), task_and_success(config)[0]] for name, config in configs.items()]
+    )
     choices = [
         [name, one.sim, one.rules.observation, one.rules.action, one.rules.reward] for name, one in configs.items()
     ]
@@ -95,15 +109,18 @@ def _tasks() -> str:
 
 
 def _successes() -> str:
-    return table(["task", "an episode is a success if"], [[code(name), succeeded(preset(name))] for name in TASKS])
+    return table(
+        ["task", "an episode is a success if"], [[code(name), task_and_success(preset(name))[1]] for name in TASKS]
+    )
 
 
 def _presets() -> str:
     """Settings of each task's preset that differ from those of the tutorial's."""
     usual = flatten(to_json(preset("tutorial")))
     others = {name: flatten(to_json(preset(name))) for name in TASKS if name != "tutorial"}
-    changed = [key for key in usual if key != "task" and any(usual[key] != other[key] for other in others.values())]
-    rows = [[code(key), *(_setting(one[key]) for one in (usual, *others.values()))] for key in changed]
+    names = dict.fromkeys(key for one in (usual, *others.values()) for key in one if key != "task")
+    changed = [key for key in names if any(usual.get(key) != other.get(key) for other in others.values())]
+    rows = [[code(key), *(_setting(one.get(key)) for one in (usual, *others.values()))] for key in changed]
     return table(["setting", "tutorial", *others], rows)
 
 
@@ -122,7 +139,7 @@ def _fitting(**chosen: str) -> RunConfig:
         InputError: there is none.
     """
     usual = {task: flatten(to_json(preset(task))) for task in TASKS}
-    for task in sorted(TASKS, key=lambda task: any(usual[task][name] != value for name, value in chosen.items())):
+    for task in sorted(TASKS, key=lambda task: any(usual[task].get(name) != value for name, value in chosen.items())):
         try:
             config = configure(task, **chosen)
             check(config)
@@ -155,7 +172,8 @@ def _actions() -> str:
     for name, design in ACTIONS.items():
         setup = make_setup(_fitting(action=name))
         low, high = design.bounds(setup)
-        unit = f"{number(setup.rules.tool_scale)} m" if design.scale == "tool_scale" else _joint_unit(name)
+        (scale,) = USES["action"][name]
+        unit = f"{number(setup.rules.tool_scale)} m" if scale == "tool_scale" else _joint_unit(name)
         bounds = " × ".join(dict.fromkeys(span([a], [b]) for a, b in zip(low.tolist(), high.tolist(), strict=True)))
         rows.append(
             [
@@ -164,7 +182,7 @@ def _actions() -> str:
                 code(f"[{len(low)}]"),
                 bounds,
                 unit,
-                code(f"--{design.scale}".replace("_", "-")),
+                code(f"--{scale}".replace("_", "-")),
             ]
         )
     return table(["action", "what it is", "shape", "bounds", "an action of 1", "set by"], rows)

@@ -18,17 +18,17 @@ if TYPE_CHECKING:
     from reachlab.envs.core import Env
     from reachlab.envs.gymnasium_single import ReachEnv
     from reachlab.envs.gymnasium_vector import ReachVectorEnv
+    from reachlab.envs.presets import configure, distillation
     from reachlab.evaluation.report import Report, evaluate
     from reachlab.learn.load import LoadedRun, load
     from reachlab.learn.train import TrainResult, distil, train
-    from reachlab.robots.inverse_kinematics import inverse_kinematics
-    from reachlab.robots.kinematics import forward_kinematics
+    from reachlab.robots.kinematics.forward import forward_kinematics
+    from reachlab.robots.kinematics.inverse import inverse_kinematics
     from reachlab.robots.loading import load_robot
     from reachlab.robots.robot import Robot
     from reachlab.scale.sweep import sweep
     from reachlab.scale.trials import SweepConfig
     from reachlab.settings.config import RunConfig
-    from reachlab.settings.presets import configure, distillation
     from reachlab.settings.validation import InputError
     from reachlab.watch.plots import plot
     from reachlab.watch.video import write_video
@@ -49,13 +49,13 @@ _HOMES = {
     "RunConfig": "settings.config",
     "SweepConfig": "scale.trials",
     "TrainResult": "learn.train",
-    "configure": "settings.presets",
+    "configure": "envs.presets",
     "distil": "learn.train",
-    "distillation": "settings.presets",
+    "distillation": "envs.presets",
     "evaluate": "evaluation.report",
     "export": "deploy.export",
-    "forward_kinematics": "robots.kinematics",
-    "inverse_kinematics": "robots.inverse_kinematics",
+    "forward_kinematics": "robots.kinematics.forward",
+    "inverse_kinematics": "robots.kinematics.inverse",
     "load": "learn.load",
     "load_robot": "robots.loading",
     "plot": "watch.plots",

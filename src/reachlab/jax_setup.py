@@ -13,10 +13,11 @@ from typing import Any
 import jax
 from jax.stages import Wrapped
 
+from reachlab.settings.reading import cache_folder
 from reachlab.settings.validation import InputError
 
 CPU_OPTIONS: dict[str, str | int] = {
-    # Without this XLA's CPU compiler drops optimisation barriers before it fuses (see `scalar_algebra.once`).
+    # Without this XLA's CPU compiler drops optimisation barriers before it fuses (see `scalars.once`).
     "xla_disable_hlo_passes": "cse_barrier_expander",
     # The kernels are simple loops: higher levels take a fifth longer to compile and run no faster.
     "xla_backend_optimization_level": 1,
@@ -45,11 +46,6 @@ def compile_together(*calls: tuple[Callable[..., Any], tuple[Any, ...]]) -> list
     """Brief functions, compiled at the same time, each for arguments like those that stand beside it."""
     with ThreadPoolExecutor() as pool:
         return list(pool.map(lambda call: jit(call[0], brief=True).lower(*call[1]).compile(), calls))
-
-
-def cache_folder() -> Path:
-    """The user's folder for what can be computed again."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "reachlab"
 
 
 def use_compilation_cache() -> None:

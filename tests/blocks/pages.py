@@ -21,7 +21,8 @@ BLOCK = re.compile(r"((?:^<!-- not run.*? -->\n+)*)^```([\w{}-]*)\n(.*?)^```$", 
 MARK = re.compile(r"<!-- not run(?: \((.+?)\))?: (.+?) -->")
 
 LEFT_OUT = {
-    "reachlab bench": "measures for minutes or hours; tests/test_docs.py checks its suite and its flags",
+    "reachlab bench": "measures for minutes; tests/test_docs.py checks its suite and its flags",
+    "python -m benchmarks": "measures for minutes or hours; tests/test_docs.py checks its suite",
     "make demo": "installs anew; `make test` installs in the same way, and its two commands are run here",
     "--gui": "opens a window; tests/test_sims.py",
 }

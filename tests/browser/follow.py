@@ -175,6 +175,10 @@ class Hand:
         mouse.down()
         mouse.move(*pixel(away, **size), steps=MOUSE_STEPS)
 
+    def _posed(self) -> np.ndarray:
+        """Where the tool is, and how wide the hand is open: it closes and opens while the tool stands still."""
+        return np.concatenate([self._shown.player.moment.tool, np.asarray(self._shown.player.state.arm.opening)[0]])
+
     def _wait_for_rest(self) -> None:
         """Wait until the arm rests, and note where.
 
@@ -182,12 +186,12 @@ class Hand:
             TimeoutError: it does not.
         """
         player, end = self._shown.player, time.monotonic() + PATIENCE
-        place, since = player.moment.tool, time.monotonic()
+        place, since = self._posed(), time.monotonic()
         while time.monotonic() - since < REST or player.over:
             time.sleep(POLL)
-            moment = player.moment
-            if np.linalg.norm(moment.tool - place) > STILL or player.failed:
-                place, since = moment.tool, time.monotonic()
+            posed = self._posed()
+            if np.linalg.norm(posed - place) > STILL or player.failed:
+                place, since = posed, time.monotonic()
             if time.monotonic() > end:
                 raise TimeoutError(f"the arm does not rest within {PATIENCE:g} s after a drag")
         self.resting.append(player.moment.distance)

@@ -70,7 +70,7 @@ def viewer(tasks: Sequence[str]) -> Iterator[Row]:
             for measure in (_starts, _live, _followed):
                 with opened(browser, *SIZE) as page:
                     yield from measure(page, run, config)
-            if TASKS[task].load().sample_obstacles is None:
+            if "bodies" not in TASKS[task].load()().gives:
                 others = [policy.path for name, policy in policies.items() if Path(name).name == task]
                 yield from live(browser, run.path, others, task, Path(folder))
 

@@ -15,6 +15,7 @@ os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 
 import numpy as np
 
+from faults.c_sources import c_sources
 from faults.controllers import controllers
 from faults.hostile import hostile_files
 from faults.inputs import TRIALS as INPUTS
@@ -25,11 +26,11 @@ from faults.workers import lost_node, shared_weights
 from reachlab.bench.table import Row, row
 from reachlab.cli.console import print_table
 from reachlab.envs.core import Env
+from reachlab.envs.presets import configure, in_simulator
 from reachlab.jax_setup import use_compilation_cache
 from reachlab.learn.ppo_method import initial_state
 from reachlab.runs.directory import RunDirectory
 from reachlab.settings.config import RunConfig
-from reachlab.settings.presets import configure, in_simulator
 
 KILLS, CORRUPTIONS, FAILING_SAVES = 50, 10_000, 20
 """How often each fault is tried."""
@@ -42,6 +43,9 @@ SWEEP_KILLS, SWEEP_TRIALS, SWEEP_STEPS = 20, 8, 400_000
 
 HOSTILE_STEPS, FAULTS = 1_000_000, 1000
 """Control steps of an exported policy's controller among hostile measurements, and how often each fault is tried."""
+
+DECISIONS = 100_000
+"""Steps of an export's C sources that are compared with Python's."""
 
 SAVES = 20
 """Saves that are timed; the median counts."""
@@ -58,6 +62,8 @@ TRIALS: dict[str, Callable[[], Trial]] = {
     "shared_weights": shared_weights,
     "lost_node": lost_node,
     "killed_sweeps": lambda: killed_sweeps(SWEEP_KILLS, SWEEP_TRIALS, SWEEP_STEPS),
+    "c_sources_precise": lambda: c_sources("precise", DECISIONS, HOSTILE_STEPS),
+    "c_sources_clutter": lambda: c_sources("clutter", DECISIONS // 10, HOSTILE_STEPS),
     **INPUTS,
 }
 

@@ -10,14 +10,13 @@ from typing import Any
 import jax
 import numpy as np
 
+from benchmarks.deploy import lively_run
 from faults.saves import Trial
-from reachlab.bench.deploy import lively_run
 from reachlab.deploy.check import load_controller
 from reachlab.deploy.export import export, write_files
-from reachlab.deploy.facts import describe
 from reachlab.envs.core import Env
+from reachlab.envs.presets import configure
 from reachlab.learn.learner import make_initial_policy
-from reachlab.settings.presets import configure
 
 REST = 0.25
 """Time from the first sign of a fault in which the arm has to rest [s]."""
@@ -46,7 +45,7 @@ def written(folder: Path, task: str, **settings: Any) -> Path:
     shapes = jax.eval_shape(lambda key: make_initial_policy(env.config, env, key), jax.random.key(0))
     policy = jax.tree.map(lambda one: np.full(one.shape, 0.02, one.dtype), shapes)
     folder.mkdir()
-    write_files(folder, env, policy, {**describe(env, policy), "run": {}, "held_out": [], "versions": {}})
+    write_files(folder, env, policy, {"run": {}, "held_out": [], "versions": {}})
     env.close()
     return folder
 

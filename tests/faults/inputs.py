@@ -26,9 +26,9 @@ from faults.robot_trial import try_out
 from faults.saves import Trial, make_run, problem_of
 from reachlab.deploy.check import load_controller
 from reachlab.envs.core import Env
+from reachlab.envs.presets import configure
 from reachlab.evaluation.report import evaluate
 from reachlab.runs.directory import RunDirectory
-from reachlab.settings.presets import configure
 from reachlab.settings.validation import LAST_SEED, InputError
 
 VALUES = (None, "", "x", True, -1, 0, 7, 1e308, math.nan, math.inf, [], {}, 10**30, [1.0] * 7, "../../etc/passwd")

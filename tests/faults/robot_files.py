@@ -36,26 +36,26 @@ HOSTILE: dict[str, tuple[dict[str, Content], str]] = {
     "is a device": ({"arm.urdf": lambda path: path.symlink_to("/dev/zero")}, "not a regular file"),
     "is a link to itself": ({"arm.urdf": lambda path: path.symlink_to(path)}, "arm.urdf"),
     "is missing": ({"other.urdf": ""}, "does not exist"),
-    "is binary": ({"arm.urdf": bytes(range(256)) * 100}, "binary"),
+    "is binary": ({"arm.urdf": bytes(range(256)) * 100}, "not well-formed"),
     "is noise": ({"arm.xml": b"\x80\x81\xfe<mujoco/>"}, "not well-formed"),
     "is a terabyte": ({"arm.xml": sparse(2**40)}, "larger than 20 MB"),
     "is a page of the web": ({"arm.xml": "<html><body/></html>"}, "its root is <html>"),
     "is SDF": ({"arm.xml": "<sdf version='1.7'><model/></sdf>"}, "its root is <sdf>"),
-    "is a part": ({"arm.xml": "<mujocoinclude/>"}, "a part that other files include"),
+    "is a part": ({"arm.xml": "<mujocoinclude/>"}, "its root is <mujocoinclude>"),
     "is xacro": ({"arm.urdf": urdf('<xacro:macro name="x"/>')}, "xacro arm.urdf > "),
     "is named xacro": ({"arm.urdf.xacro": urdf()}, "xacro arm.urdf.xacro > arm"),
     "stops in the middle": ({"arm.urdf": urdf()[:-30]}, "not well-formed"),
-    "has an unknown encoding": ({"arm.urdf": f'<?xml version="1.0" encoding="klingon"?>{urdf()}'}, "encoding"),
+    "has an unknown encoding": ({"arm.urdf": f'<?xml version="1.0" encoding="klingon"?>{urdf()}'}, "read"),
     "expands entities": ({"arm.urdf": ENTITIES + urdf()}, "DOCTYPE"),
     "reads a file as an entity": (
         {"arm.xml": f'<!DOCTYPE r [<!ENTITY x SYSTEM "file:///etc/passwd">]>{mjcf()}'},
         "DOCTYPE",
     ),
     "has a document type elsewhere": ({"arm.xml": f'<!DOCTYPE r SYSTEM "http://localhost/x.dtd">{mjcf()}'}, "DOCTYPE"),
-    "is deep": ({"arm.xml": "<a>" * 100_000}, "deeper than 200"),
+    "is deep": ({"arm.xml": "<a>" * 100_000}, "more than 20,000 XML tags"),
     "is deep in bodies": ({"arm.xml": mjcf("<body>" * 300 + "</body>" * 300)}, "deeper than 200"),
-    "has a million elements": ({"arm.xml": mjcf("<geom/>" * 1_000_000)}, "more than 10,000 XML elements"),
-    "has a number of a million digits": ({"arm.urdf": urdf(speed="9" * 1_000_000)}, "finite numbers"),
+    "has a million elements": ({"arm.xml": mjcf("<geom/>" * 1_000_000)}, "more than 20,000 XML tags"),
+    "has a number of a million digits": ({"arm.urdf": urdf(speed="9" * 1_000_000)}, "finite numbers up to"),
     # --- MJCF -----------------------------------------------------------------------------------------
     "includes itself": ({"arm.xml": mjcf('<include file="arm.xml"/>')}, "includes 'arm.xml' twice"),
     "includes in a circle": (
@@ -79,32 +79,13 @@ HOSTILE: dict[str, tuple[dict[str, Content], str]] = {
         {"arm.xml": mjcf('<include file="a.xml"/>'), "a.xml": lambda path: path.symlink_to("/etc/passwd")},
         "no .xml file in its folder",
     ),
-    "names itself as its part": (
+    "has sub-models": (
         {"arm.xml": mjcf('<attach model="m" prefix="a"/>', '<asset><model name="m" file="arm.xml"/></asset>')},
-        "names more than 50 models, or nests them",
+        "<model>, which is not read",
     ),
-    "attaches parts without end": (
-        {
-            "arm.xml": mjcf(
-                "".join(f'<attach model="m" prefix="a{i}"/>' for i in range(100)),
-                '<asset><model name="m" file="b.xml"/></asset>',
-            ),
-            "b.xml": mjcf(
-                "".join(f'<attach model="m" prefix="a{i}"/>' for i in range(100)),
-                '<asset><model name="m" file="c.xml"/></asset>',
-            ),
-            "c.xml": mjcf("<body><geom size='1'/></body>" * 100),
-        },
-        "unfolds to",
-    ),
-    "attaches itself": ({"arm.xml": mjcf('<attach body="arm" prefix="a"/>')}, "attaches parts of itself"),
     "replicates a million times": (
         {"arm.xml": mjcf('<replicate count="1000000"><geom size="1"/></replicate>')},
-        "unfolds to",
-    ),
-    "replicates in replicates": (
-        {"arm.xml": mjcf('<replicate count="200">' * 5 + '<geom size="1"/>' + "</replicate>" * 5)},
-        "unfolds to",
+        "<replicate>, which is not read",
     ),
     "has a composite": (
         {"arm.xml": mjcf('<composite type="cable" count="100000 1 1"/>')},
@@ -116,11 +97,11 @@ HOSTILE: dict[str, tuple[dict[str, Content], str]] = {
     ),
     "has a plugin": (
         {"arm.xml": mjcf(top='<extension><plugin plugin="mujoco.pid"/></extension>')},
-        "plugins are not loaded",
+        "<extension>, which is not read",
     ),
     "has an enormous height field": (
         {"arm.xml": mjcf(top='<asset><hfield name="h" nrow="100000" ncol="100000" size="1 1 1 1"/></asset>')},
-        "is too large",
+        "finite numbers up to",
     ),
     "has an enormous texture": (
         {
@@ -128,26 +109,24 @@ HOSTILE: dict[str, tuple[dict[str, Content], str]] = {
                 top='<asset><texture name="t" type="2d" builtin="flat" width="100000" height="100000"/></asset>'
             )
         },
-        "is too large",
+        "finite numbers up to",
     ),
     "has an enormous number": (
         {"arm.xml": mjcf(top='<custom><numeric name="n" size="2000000000"/></custom>')},
-        "is too large",
+        "finite numbers up to",
     ),
-    "has enormous user data": ({"arm.xml": mjcf(top='<size nuserdata="2000000000"/>')}, "is too large"),
-    "has enormous keyframes": ({"arm.xml": mjcf(top='<size nkey="2000000000"/>')}, "is too large"),
-    "asks for memory": ({"arm.xml": mjcf(top='<size memory="900G" njmax="2000000000" nconmax="2000000000"/>')}, "read"),
+    "asks for memory": ({"arm.xml": mjcf(top='<size memory="900G" njmax="2000000000" nkey="2000000000"/>')}, "read"),
     "has an enormous sensor": (
         {"arm.xml": mjcf(top='<sensor><user dim="2000000000" needstage="pos"/></sensor>')},
-        "is too large",
+        "read",
     ),
     "has an enormous delay": (
         {"arm.xml": mjcf(top='<actuator><motor joint="j" delay="1" nsample="2000000000"/></actuator>')},
-        "is too large",
+        "finite numbers up to",
     ),
     "has an enormous mesh of its own": (
         {"arm.xml": mjcf(top='<asset><mesh name="m" builtin="plate" params="100000 100000"/></asset>')},
-        "is too large",
+        "finite numbers up to",
     ),
     "searches length ranges without end": (
         {
@@ -156,20 +135,12 @@ HOSTILE: dict[str, tuple[dict[str, Content], str]] = {
                 '<actuator><motor joint="j"/></actuator>'
             )
         },
-        "is too large",
+        "read",
     ),
     "has NaN": ({"arm.xml": mjcf(geom='<geom size="nan"/>')}, "finite numbers"),
     "has infinity": ({"arm.xml": mjcf('<body pos="0 0 1e999"/>')}, "finite numbers"),
-    "has no mass": ({"arm.xml": mjcf(geom="")}, "does not compile"),
-    "names parts of parts": (
-        {
-            "arm.xml": mjcf(
-                top="<asset>" + "".join(f'<model name="m{i}" file="arm.xml"/>' for i in range(20)) + "</asset>"
-            )
-        },
-        "names more than 50 models",
-    ),
-    "has a mass that overflows": ({"arm.xml": mjcf(geom='<geom size="1e19" density="1e20"/>')}, "weighs more than"),
+    "has no mass": ({"arm.xml": mjcf(geom="")}, "read: Moving bodies without a mass get 0.01 kg: arm."),
+    "has a mass that overflows": ({"arm.xml": mjcf(geom='<geom size="1e5" density="1e20"/>')}, "weighs more than"),
     "has two thousand bodies with shapes": (
         {
             "arm.xml": mjcf(
@@ -185,10 +156,13 @@ HOSTILE: dict[str, tuple[dict[str, Content], str]] = {
     ),
     # --- URDF -----------------------------------------------------------------------------------------
     "has NaN in a joint": ({"arm.urdf": urdf(axis="0 nan 1")}, "finite numbers"),
-    "has a zero axis": ({"arm.urdf": urdf(axis="0 0 0")}, "is zero"),
-    "has an unknown joint": ({"arm.urdf": urdf(kind="wobbly")}, "of type 'wobbly'"),
-    "has two roots": ({"arm.urdf": urdf(LINK.format("stray", ""))}, "2 links without a parent"),
-    "has a missing parent": ({"arm.urdf": urdf(JOINT.format("ghost", "arm", "fixed", "1 0 0", "1"))}, "'ghost'"),
+    "has a zero axis": ({"arm.urdf": urdf(axis="0 0 0")}, "axis too small"),
+    "has an unknown joint": ({"arm.urdf": urdf(kind="wobbly")}, "invalid joint type"),
+    "has two roots": ({"arm.urdf": urdf(LINK.format("stray", ""))}, "read"),
+    "has a missing parent": (
+        {"arm.urdf": urdf(JOINT.format("ghost", "arm", "fixed", "1 0 0", "1"))},
+        "parent or child missing",
+    ),
     "has a link of two parents": (
         {
             "arm.urdf": urdf(
@@ -197,14 +171,17 @@ HOSTILE: dict[str, tuple[dict[str, Content], str]] = {
                 JOINT.format("arm", "x", "fixed", "1 0 0", "1"),
             )
         },
-        "child of two joints",
+        "multiple parents",
     ),
-    "is a loop": ({"arm.urdf": urdf(JOINT.format("arm", "base", "fixed", "1 0 0", "1"))}, "part of a loop"),
-    "has two links of a name": ({"arm.urdf": urdf(LINK.format("arm", ""))}, "two links named 'arm'"),
+    "is a loop": ({"arm.urdf": urdf(JOINT.format("arm", "base", "fixed", "1 0 0", "1"))}, "not found"),
+    "has two links of a name": ({"arm.urdf": urdf(LINK.format("arm", ""))}, "repeated"),
     "has no links": ({"arm.urdf": "<robot/>"}, "has no links."),
-    "has a thousand links in a chain": ({"arm.urdf": chain(1000)}, "more than 200 joints from the base"),
-    "has thousands of links": ({"arm.urdf": urdf('<link name="x"/>' * 2100)}, "at most 2,000 are read"),
-    "has a negative mass": ({"arm.urdf": urdf(child="").replace('mass value="1"', 'mass value="-1"')}, "is negative"),
+    "has a thousand links in a chain": ({"arm.urdf": chain(1000)}, "held by more than 200 others"),
+    "has thousands of links": ({"arm.urdf": urdf('<link name="x"/>' * 2100)}, "repeated"),
+    "has a negative mass": (
+        {"arm.urdf": urdf(child="").replace('mass value="1"', 'mass value="-1"')},
+        "mass and inertia of moving bodies must be larger",
+    ),
     # --- files of meshes and textures -----------------------------------------------------------------
     "names a mesh outside": ({"arm.urdf": urdf(child=mesh_of(OUTSIDE))}, NOT_DRAWN),
     "names a mesh outside as a file": ({"arm.urdf": urdf(child=mesh_of(f"file://{{root}}/{SECRET}"))}, NOT_DRAWN),
@@ -228,7 +205,7 @@ HOSTILE: dict[str, tuple[dict[str, Content], str]] = {
     "names a mesh of many letters": ({"arm.urdf": urdf(child=mesh_of("a" * 100_000 + ".stl"))}, NOT_DRAWN),
     "names thousands of meshes": (
         {"arm.urdf": urdf(child="".join(mesh_of(f"package://p{i}/{i}.stl") for i in range(1100)))},
-        "more than 1,000 meshes",
+        "more than 1,000 meshes or textures",
     ),
     "names a thousand packages": (
         {"arm.urdf": urdf(child="".join(mesh_of(f"package://p{i}/{i}.stl") for i in range(1000)))},
@@ -239,13 +216,13 @@ HOSTILE: dict[str, tuple[dict[str, Content], str]] = {
     "has an enormous mesh": ({"arm.urdf": urdf(child=mesh_of("a.stl")), "a.stl": sparse(2**40)}, NOT_DRAWN),
     "has enormous meshes in all": (
         {"arm.urdf": urdf(child="".join(mesh_of(f"{i}.stl") for i in range(4))), "0.stl": big_meshes},
-        "meshes of more than 300 MB",
+        "more than 300 MB",
     ),
     "has a mesh that lies about its faces": (
         {"arm.urdf": urdf(child=mesh_of("a.stl")), "a.stl": stl(faces=2**32 - 1)},
-        NOT_DRAWN,
+        "not drawn",
     ),
-    "has an empty mesh": ({"arm.urdf": urdf(child=mesh_of("a.stl")), "a.stl": ""}, NOT_DRAWN),
+    "has an empty mesh": ({"arm.urdf": urdf(child=mesh_of("a.stl")), "a.stl": ""}, "not drawn"),
     "has a mesh of NaN": ({"arm.urdf": urdf(child=mesh_of("a.stl")), "a.stl": stl(float("nan"))}, "not drawn"),
     "has a mesh of zero size": (
         {"arm.urdf": urdf(child=mesh_of("a.stl").replace("/></g", ' scale="0 0 0"/></g')), "a.stl": stl()},
@@ -261,7 +238,7 @@ HOSTILE: dict[str, tuple[dict[str, Content], str]] = {
     ),
     "has a mesh of lies about its counts": (
         {"arm.xml": mesh_asset("a.msh"), "a.msh": struct.pack("<4i", 2**30, 0, 0, 2**30)},
-        NOT_DRAWN,
+        "not drawn",
     ),
     "has a mesh whose faces name no vertex": (
         {"arm.xml": mesh_asset("a.msh"), "a.msh": struct.pack("<4i12f3i", 4, 0, 0, 1, *range(12), 0, 1, 2**30)},
@@ -283,7 +260,7 @@ HOSTILE: dict[str, tuple[dict[str, Content], str]] = {
             "arm.xml": mjcf(top='<asset><skin name="s" file="s.skn"/></asset>'),
             "s.skn": struct.pack("<4i", 2**30, 2**30, 2**30, 1),
         },
-        "read: Left out: skins of files",
+        "read",
     ),
 }
 """Files by name, and part of what is said: the refusal, or `read: ` and the notices."""

@@ -9,7 +9,10 @@ from pathlib import Path
 SECRET = "secret.stl"
 """A mesh that lies outside of the robot's folders."""
 
-LINK = '<link name="{0}"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial>{1}</link>'
+LINK = (
+    '<link name="{0}"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+    "{1}</link>"
+)
 JOINT = (
     '<joint name="{0}_{1}" type="{2}"><parent link="{0}"/><child link="{1}"/><axis xyz="{3}"/>'
     '<limit lower="-1" upper="1" effort="5" velocity="{4}"/></joint>'

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from faults.robot_files import HOSTILE, Content
 from faults.robot_parts import SECRET, stl
-from reachlab.robots.model_file import read_model_file
+from reachlab.robots.files.model_file import read_model_file
 from reachlab.settings.validation import InputError
 
 

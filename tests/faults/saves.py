@@ -18,10 +18,10 @@ from typing import Any
 
 import numpy as np
 
+from reachlab.envs.presets import configure
 from reachlab.runs.checkpoint import clean
 from reachlab.runs.directory import RunDirectory
 from reachlab.settings.config import RunConfig
-from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError
 
 CALLS = ("open", "write", "fsync", "close", "mkdir", "rename", "replace", "unlink", "rmdir")
@@ -51,7 +51,7 @@ def state_of(step: int) -> dict[str, np.ndarray]:
 def make_run(folder: Path, steps: tuple[int, ...] = (1, 2)) -> RunDirectory:
     """Run with a checkpoint at each of the steps."""
     run = RunDirectory(folder)
-    run.create(configure())
+    run.create(configure(seed=3))
     for step in steps:
         run.write_checkpoint(step, state_of(step))
     return run
@@ -200,7 +200,7 @@ def problem_of(folder: Path, good: RunConfig) -> str | None:
 
 
 def _is_sentence(text: str) -> bool:
-    return "\n" not in text and text.endswith(".")
+    return "\n" not in text and text.endswith((".", "?"))
 
 
 # --- disks without room ---------------------------------------------------------------------------

@@ -99,7 +99,7 @@ def _trainings(parent: int) -> Iterator[int]:
             ours = _below(int(folder.name), parent)
         except OSError:
             continue
-        if ours and (b"reachlab.scale.local" in said or b"ray::run_job" in said):
+        if ours and (b"reachlab.scale.training" in said or b"ray::run_training" in said):
             yield int(folder.name)
 
 

@@ -21,12 +21,12 @@ import numpy as np
 
 from faults.saves import Trial
 from reachlab.envs.core import Env
+from reachlab.envs.presets import configure
 from reachlab.jax_setup import jit
 from reachlab.learn import ppo, ppo_method
 from reachlab.learn.ppo_method import TrainState, compile_iteration, initial_state
 from reachlab.learn.train import train
 from reachlab.runs.directory import RunDirectory
-from reachlab.settings.presets import configure
 
 KILLS_IN_A_RUN = 10
 """Kills after which a run is trained to its end."""
@@ -150,7 +150,8 @@ class Poison:
 
 
 def _floats(tree: object) -> list[int]:
-    return [i for i, leaf in enumerate(jax.tree.leaves(tree)) if jnp.issubdtype(leaf.dtype, jnp.floating)]
+    leaves = enumerate(jax.tree.leaves(tree))
+    return [number for number, leaf in leaves if leaf.size and jnp.issubdtype(leaf.dtype, jnp.floating)]
 
 
 def not_finite() -> Trial:

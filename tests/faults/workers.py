@@ -7,9 +7,9 @@ import threading
 from pathlib import Path
 
 from faults.saves import Trial
+from reachlab.envs.presets import configure
 from reachlab.learn.train import train
 from reachlab.scale.rollouts import RayRollouts
-from reachlab.settings.presets import configure
 
 WORKERS = (1, 2, 4)
 """Numbers of workers that are tried."""
@@ -52,7 +52,7 @@ def lost_node() -> Trial:
                         threading.Timer(0.3, cluster.remove_node, (other,), {"allow_graceful": False}).start()
 
                 train(CONFIG, Path(place) / "shared", watch, collect=collect)
-                lost = collect.effort.lost
+                lost = collect.lost
         finally:
             cluster.shutdown()
         if not lost:

@@ -17,8 +17,8 @@ from gymnax.wrappers.gym import GymnaxToGymWrapper, GymnaxToVectorGymWrapper
 import reachlab.gymnax
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvFunctions, EnvState, Transition
+from reachlab.envs.presets import configure
 from reachlab.gymnax import jit
-from reachlab.settings.presets import configure
 from reachlab.settings.validation import InputError
 
 STEPS, NUM_ENVS = 300, 4
@@ -83,7 +83,7 @@ def test_equal_keys_give_the_episodes_of_env_bit_for_bit(made: tuple[Any, Any], 
         assert np.array_equal(observation, own_observation[0])
         assert np.array_equal(info["final_observation"], done.observation[0])
         assert (reward, terminated, truncated) == (done.reward[0], done.terminated[0], done.truncated[0])
-        assert (info["is_success"], info["distance"]) == (done.terms["success"][0], done.terms["distance"][0])
+        assert (info["is_success"], info["distance"]) == (done.terms["success"][0], done.errors.distance[0])
         assert state.time == own.clock[0]
         ends = {name: count + bool(info[name]) for name, count in ends.items()}
     assert min(ends.values()) > 0, "episodes ended in every way"

@@ -33,7 +33,7 @@ AGENTS: dict[str, AgentEntry] = {
         "reachlab.agents.baselines:ik_open",
     ),
     "planner": AgentEntry(
-        "a path among obstacles, planned by random sampling and followed; needs the extra 'planner'",
+        "a path among bodies, planned by random sampling and followed; needs the extra 'planner'",
         "reachlab.agents.planner:planner",
         remembers=True,
     ),

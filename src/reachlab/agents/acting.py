@@ -65,7 +65,7 @@ def _named(fields: Mapping[str, Field]) -> str:
 
 
 def name_of(agent: str | Function) -> str:
-    """What an agent is called in reports."""
+    """Name of an agent in reports."""
     return agent if isinstance(agent, str) else getattr(agent, "__name__", type(agent).__name__)
 
 

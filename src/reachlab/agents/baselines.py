@@ -9,7 +9,7 @@ from jax import Array
 from reachlab.agents.policy import Policy
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState
-from reachlab.robots.kinematics import forward_kinematics
+from reachlab.robots.kinematics.forward import forward_kinematics
 from reachlab.tasks.actions import ACTIONS
 
 
@@ -37,6 +37,7 @@ def ik_open(env: Env, policy: Policy | None, state: EnvState, key: Array, pictur
     """Inverse kinematics without feedback: to the goal from where the tool was commanded, whatever is measured."""
     del policy, key, picture
     now = env.situation(state)
-    commanded = forward_kinematics(env.setup.robot.chain, now.target_q).position
-    believed = now._replace(q=now.target_q, qd=jnp.zeros_like(now.qd), tool_position=commanded)
+    q = now.command[:, : env.setup.robot.chain.n]
+    commanded = forward_kinematics(env.setup.robot.chain, q).position
+    believed = now._replace(q=q, qd=jnp.zeros_like(now.qd), tool_position=commanded)
     return ACTIONS[env.config.rules.action].towards(env.setup, now, believed)

@@ -1,4 +1,4 @@
-"""Agent `planner`: a path among obstacles is planned once an episode by random sampling, and followed."""
+"""Agent `planner`: a path among bodies is planned once an episode by random sampling, and followed."""
 
 from __future__ import annotations
 
@@ -14,17 +14,18 @@ from jax import Array
 from reachlab.agents.acting import Act
 from reachlab.agents.baselines import ik
 from reachlab.agents.policy import Policy
+from reachlab.control.bodies import Bodies, nearest
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState, Transition
 from reachlab.jax_setup import jit
-from reachlab.robots.clearance import capsules_at, self_distance
+from reachlab.robots.shapes.clearance import capsules_at, self_distance
 from reachlab.settings.validation import InputError, installing
-from reachlab.tasks.obstacles import Obstacles, nearest
+from reachlab.tasks import WORDS
 from reachlab.tasks.scenes import CLEAR
 from reachlab.tasks.task import TaskSetup
 
-Clearances = Callable[[np.ndarray, Obstacles], Array]
-"""Distances `[2, B]` m of an arm at joints `[B, n]` among one scene's obstacles `[1, K]`: from them and the table, and
+Clearances = Callable[[np.ndarray, Bodies], Array]
+"""Distances `[2, B]` m of an arm at joints `[B, n]` among one scene's bodies `[1, K]`: from them and the table, and
 of its links from each other."""
 
 LIMIT = 1.0
@@ -50,16 +51,16 @@ def make_clearances(setup: TaskSetup) -> Clearances:
     """Function that gives the distances within which a path has to stay."""
     robot = setup.robot
 
-    def clearances(q: Array, obstacles: Obstacles) -> Array:
+    def clearances(q: Array, bodies: Bodies) -> Array:
         at = capsules_at(robot.chain, robot.capsules, q)
-        outside = nearest(robot, at, obstacles).distance.min(axis=0)
+        outside = nearest(robot.capsules, at, bodies).distance.min(axis=0)
         return jnp.stack([outside, self_distance(robot.capsules, at) if robot.capsules.pairs else outside])
 
     return jit(clearances)
 
 
 def plan(
-    setup: TaskSetup, clearances: Clearances, obstacles: Obstacles, start: np.ndarray, goal: np.ndarray
+    setup: TaskSetup, clearances: Clearances, bodies: Bodies, start: np.ndarray, goal: np.ndarray
 ) -> np.ndarray | None:
     """Joint vectors `[k, n]` on a path from `start [n]` to `goal [n]`, straight between them; None if none is found.
 
@@ -69,7 +70,7 @@ def plan(
     Args:
         setup: the task on the arm.
         clearances: of `make_clearances`.
-        obstacles: of the scene `[1, K]`.
+        bodies: of the scene `[1, K]`.
         start: joints that the arm is at, float32.
         goal: joints that are asked for, float32.
     """
@@ -78,13 +79,13 @@ def plan(
     util.setLogLevel(util.LogLevel.LOG_NONE)
     util.RNG.setSeed(1)
     # As many as there will be in every call, which is compiled now: the limit is not spent on that.
-    ends = np.asarray(clearances(np.resize(np.stack([start, goal]), (TOGETHER, len(start))), obstacles))[:, :2]
+    ends = np.asarray(clearances(np.resize(np.stack([start, goal]), (TOGETHER, len(start))), bodies))[:, :2]
     if (ends[:, 1] < np.minimum(ends[:, 0], 0.0)).any():
         return None
     least = np.minimum(CLEAR * setup.robot.scale / 2, ends.min(axis=1) - ROUNDING)[:, None]
 
     def free(q: np.ndarray) -> bool:
-        return bool((np.asarray(clearances(q.astype(np.float32), obstacles)) >= least).all())
+        return bool((np.asarray(clearances(q.astype(np.float32), bodies)) >= least).all())
 
     chain = setup.robot.chain
     space = base.RealVectorStateSpace(chain.n)
@@ -161,7 +162,7 @@ def motion_along(setup: TaskSetup, path: np.ndarray) -> Motion:
 
 
 class _Plans:
-    """What is planned for the episodes of a batch, each when it is first seen."""
+    """Plans for the episodes of a batch, each when it is first seen."""
 
     def __init__(self, env: Env) -> None:
         self._setup, self._clearances = env.setup, make_clearances(env.setup)
@@ -174,14 +175,13 @@ class _Plans:
 
     def commands(self, state: EnvState, mask: np.ndarray) -> np.ndarray:
         """Next joint commands `[B, n]` in the environments of `mask [B]`; not a number where a path is at its end."""
-        assert state.goal.joints is not None and state.obstacles is not None, "asked before"  # noqa: S101, PT018
         keys, joints = np.asarray(jax.random.key_data(state.key)), np.asarray(state.goal.joints)
-        clock, q, given = np.asarray(state.clock), np.asarray(self._situation(state).q), np.array(state.target_q)
+        clock, q, given = np.asarray(state.clock), np.asarray(self._situation(state).q), np.array(state.command)
         for row in np.flatnonzero(mask):
             episode = keys[row].tobytes() + joints[row].tobytes()
             if episode != self._episodes[row]:
                 self._episodes[row], self._begun[row] = episode, clock[row]
-                scene = jax.tree.map(lambda x, row=row: x[row : row + 1], state.obstacles)
+                scene = jax.tree.map(lambda x, row=row: x[row : row + 1], state.arm.bodies)
                 path = plan(self._setup, self._clearances, scene, given[row], joints[row])
                 self._motions[row] = None if path is None else motion_along(self._setup, path)
             if (motion := self._motions[row]) is not None:
@@ -198,11 +198,11 @@ def planner(env: Env) -> Act:
     """The step of an agent that follows a planned path; where none is found the arm stays where it is.
 
     Raises:
-        InputError: OMPL is not installed, or there are no obstacles.
+        InputError: OMPL is not installed, or the task has no bodies.
     """
     _ompl()
-    if env.setup.task.sample_obstacles is None:
-        raise InputError(f"agent 'planner' plans among obstacles, of which task {env.config.task!r} has none.")
+    if "bodies" not in env.setup.rules.gives:
+        raise InputError(f"agent 'planner' needs {WORDS['bodies']}.")
     plans, hold = _Plans(env), jit(partial(ik, env))
 
     def act(

@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 
 from reachlab.agents.encoder import FEATURES, Layers, encode, make_encoder
-from reachlab.robots.kinematics import added
+from reachlab.robots.kinematics.forward import added
 from reachlab.settings.validation import InputError
 from reachlab.tasks.schema import SIZE, Observed, Schema
 from reachlab.tasks.task import Bounds
@@ -31,7 +31,7 @@ et al., "What matters in on-policy reinforcement learning?", 2021)."""
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Parameters:
-    """What is trained: layers of actor and critic, `log_std [a]`, and the encoder where observations hold a picture."""
+    """Layers of actor and critic, `log_std [a]`, and the encoder where observations hold a picture."""
 
     actor: Layers
     critic: Layers
@@ -40,7 +40,7 @@ class Parameters:
 
 
 class Inputs(NamedTuple):
-    """What the networks are given: a picture `[..., SIZE, SIZE]` uint8 and a normalised vector `[..., k]`, or one."""
+    """Inputs of the networks: a picture `[..., SIZE, SIZE]` uint8 and a normalised vector `[..., k]`, or one."""
 
     picture: Array | None
     vector: Array | None
@@ -128,7 +128,7 @@ class Policy:
         return self.action(head.mean if key is None else head.sample(key))
 
     def inputs(self, observation: Observed) -> Inputs:
-        """What the networks are given of an observation."""
+        """Inputs of the networks, of an observation."""
         picture, vector = self.schema.split(observation)
         if vector is not None and jnp.shape(vector)[-1:] != (self.schema.vector_size,):
             names = ", ".join(field.name for field in self.schema.vectors)
@@ -150,11 +150,10 @@ class Policy:
 
 
 def features(parameters: Parameters, inputs: Inputs) -> Array:
-    """What actor and critic are given `[..., f]`: the vector, and what the encoder makes of the picture."""
+    """Inputs of actor and critic `[..., f]`: the vector, and what the encoder makes of the picture."""
     picture, vector = inputs
     if picture is None or parameters.encoder is None:
-        assert vector is not None, "an observation has a picture or a vector"  # noqa: S101
-        return vector
+        return cast("Array", vector)  # an observation has a picture or a vector
     encoded = encode(parameters.encoder, picture)
     return encoded if vector is None else jnp.concatenate([encoded, vector], axis=-1)
 

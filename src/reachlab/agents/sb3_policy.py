@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from reachlab.agents.acting import Function
+from reachlab.envs.formats import from_json
 from reachlab.envs.gymnasium_shared import SETTINGS
 from reachlab.settings.config import RunConfig
-from reachlab.settings.json_form import from_json
 from reachlab.settings.reading import MOST_MODEL, read_regular
 from reachlab.settings.validation import InputError, installing
 from reachlab.tasks.schema import Schema

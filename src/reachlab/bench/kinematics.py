@@ -13,9 +13,9 @@ from jax import Array
 from reachlab.bench.table import Row, row
 from reachlab.bench.timing import shortest_time
 from reachlab.jax_setup import jit
-from reachlab.robots.chain import Chain
-from reachlab.robots.inverse_kinematics import inverse_kinematics
-from reachlab.robots.kinematics import forward_kinematics, jacobian
+from reachlab.robots.kinematics.chain import Chain
+from reachlab.robots.kinematics.forward import forward_kinematics, jacobian
+from reachlab.robots.kinematics.inverse import inverse_kinematics
 from reachlab.robots.loading import load_robot
 from reachlab.robots.robot import Robot
 

@@ -14,10 +14,10 @@ from reachlab.bench.table import Row, machine, row
 from reachlab.bench.timing import shortest_time
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState
+from reachlab.envs.presets import configure
 from reachlab.envs.random_streams import env_keys
 from reachlab.jax_setup import jit
 from reachlab.learn.ppo_method import compile_iteration, initial_state
-from reachlab.settings.presets import configure
 
 ENV_BATCHES = (256, 1024, 4096, 16384)
 """Batch sizes among which the best is looked for."""

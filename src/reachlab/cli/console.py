@@ -1,19 +1,16 @@
-"""What a person reads in the terminal: results on standard output, progress and warnings on standard error."""
+"""Text in the terminal: results on standard output, progress and warnings on standard error."""
 
 from __future__ import annotations
 
 import errno
 import os
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 
 from reachlab.settings.config import RunConfig
-
-if TYPE_CHECKING:
-    from reachlab.tasks.task import TaskSetup
 
 PLAIN_WIDTH = 120
 """Width of tables where there is no terminal [characters]."""
@@ -65,22 +62,12 @@ def note(text: str) -> None:
 # --- words ----------------------------------------------------------------------------------------
 
 
-def asked(config: RunConfig) -> str:
-    """What a task asks for."""
-    setup = _setup(config)
-    return setup.task.asks(setup.rules, setup.period)
-
-
-def succeeded(config: RunConfig) -> str:
-    """What an episode has to come to, to count as a success."""
-    setup = _setup(config)
-    return setup.task.succeeds(setup.rules, setup.period)
-
-
-def _setup(config: RunConfig) -> TaskSetup:
+def task_and_success(config: RunConfig) -> tuple[str, str]:
+    """A task, and what an episode of it has to come to, to count as a success."""
     from reachlab.envs.setup import make_setup
 
-    return make_setup(config)
+    setup = make_setup(config)
+    return setup.task.asks(setup.rules, setup.period), setup.task.succeeds(setup.rules, setup.period)
 
 
 # --- tables ---------------------------------------------------------------------------------------
@@ -92,26 +79,23 @@ def print_reports(reports: Sequence[dict[str, Any]], config: RunConfig) -> None:
     varied = f", {' and '.join(first['randomised'])} randomised" if first["randomised"] else ""
     what = f"{first['task']} task, {first['robot']}{varied}"
     say(f"{what}: {first['episodes']:,} held-out targets of seed {first['seed']}.")
-    say(f"Success: {succeeded(config)}.")
-    several = ["run"] if any("run" in report for report in reports) else []
-    table = Table(*several, "agent", "simulator")
-    figures = [_figures(report, held=config.rules.hold_steps > 0) for report in reports]
+    say(f"Success: {task_and_success(config)[1]}.")
+    runs = ["run"] if any("run" in report for report in reports) else []
+    table = Table(*runs, "agent", "simulator")
+    figures = [_figures(report, held=config.rules.holds) for report in reports]
     for heading in ("success", "95 % interval", *figures[0]):
         table.add_column(heading, justify="right")
     for report, row in zip(reports, figures, strict=True):
         low, high = report["success_interval"]
         interval = f"{100 * low:.1f} to {100 * high:.1f}" if low < high else "–"
         success = _percent(report["success_rate"]), interval
-        told = (report.get(name, "") for name in several)
-        table.add_row(*told, report["agent"], report["sim"], *success, *row.values())
+        table.add_row(*(report.get(name, "") for name in runs), report["agent"], report["sim"], *success, *row.values())
     console.print(table)
     _say_steps(reports)
     _say_ends(reports)
     met = "links of the arm met, by the shapes in its file"
     for kind, what in (("contact", "the arm touched anything"), ("self_contact", met)):
-        told = [report for report in reports if report[kind] is not None]
-        if told:
-            shares = (f"{_who(report)} {_percent(report[kind])}" for report in told)
+        if shares := [f"{_who(one)} {_percent(one[kind])}" for one in reports if one[kind] is not None]:
             say(f"Episodes in which {what}: {', '.join(shares)}.")
 
 
@@ -119,8 +103,8 @@ def _say_steps(reports: Sequence[dict[str, Any]]) -> None:
     """Print how long a step is, where simulators differ in it: their numbers of steps cannot be compared."""
     periods = {report["sim"]: report.get("control_period") for report in reports}
     if len({*periods.values()} - {None}) > 1:
-        told = (f"{1000 * period:.3g} ms in {sim}" for sim, period in periods.items() if period)
-        say(f"A step is {', '.join(told)}: equally many steps are different times.")
+        steps = (f"{1000 * period:.3g} ms in {sim}" for sim, period in periods.items() if period)
+        say(f"A step is {', '.join(steps)}: equally many steps are different times.")
 
 
 WAYS = {"outside": "left the workspace", "contact": "touched something", "time": "ran out of time"}
@@ -150,7 +134,7 @@ def _who(report: dict[str, Any]) -> str:
 
 
 def _figures(report: dict[str, Any], *, held: bool) -> dict[str, str]:
-    """What is told of a report beside its success, by heading; which of it depends on what the task asks for."""
+    """Figures of a report beside its success, by heading; which of them depends on the task."""
     time_s, error, angle = report["time_to_reach_s"], report["final_error_mm"], report["final_angle_rad"]
     reached = {"time to reach": "" if time_s is None else f"{time_s:.2f} s"}
     if tracking := report["tracking"]:
@@ -179,9 +163,7 @@ def _millimetres(error: float | None) -> str:
 
 def print_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     """Print a plain table."""
-    table = Table(title=title, title_justify="left")
-    for heading in headings:
-        table.add_column(heading, overflow="fold")
+    table = Table(*(Column(heading, overflow="fold") for heading in headings), title=title, title_justify="left")
     for row in rows:
         table.add_row(*row)
     console.print(table)

@@ -22,19 +22,21 @@ def export(arguments: Export) -> None:
     """Run `reachlab export`."""
     prepare()
     from reachlab.cli.console import say
-    from reachlab.deploy.export import SITUATIONS, TOLERANCE, export
+    from reachlab.deploy.export import SITUATIONS, TOLERANCES, export
 
     done = export(arguments.run, arguments.out)
     if arguments.json:
         print(jsonlib.dumps({"folder": str(done.folder), "files": done.files, "differences": done.differences}))
         return
     sizes = ", ".join(f"{name} ({size / 1000:.0f} kB)" for name, size in done.files.items())
-    worst = " and ".join(f"{value:.0e} ({name})" for name, value in done.differences.items())
-    say(f"Written: {done.folder}: {sizes}.")
-    say(
-        f"Largest difference from the policy in {SITUATIONS:,} situations, of its actions' box: {worst};"
-        f" {TOLERANCE:.0e} are allowed."
+    worst = ", ".join(
+        f"{name} {value:.0e} {TOLERANCES[name][1]} ({TOLERANCES[name][0]:.0e} allowed)"
+        for name, value in done.differences.items()
     )
+    say(f"Written: {done.folder}: {sizes}.")
+    say(f"Largest differences in {SITUATIONS:,} situations: {worst}.")
+    if "reachlab_policy.c" not in done.differences:
+        say("The C sources were not tried: no compiler was found, or the policy gets pictures.")
     _say_unshaped(done.folder)
     say(f"Next: reachlab deploy check {done.folder}")
 

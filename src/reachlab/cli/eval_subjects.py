@@ -1,4 +1,4 @@
-"""What `reachlab eval` evaluates: runs, models of other libraries, or baselines alone."""
+"""Subjects of `reachlab eval`: runs, models of other libraries, or baselines alone."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 from reachlab.agents import AGENTS
 from reachlab.cli.flags import Eval
+from reachlab.envs.presets import preset
 from reachlab.settings.config import RunConfig
 from reachlab.settings.json_form import override
-from reachlab.settings.presets import preset
 from reachlab.settings.validation import InputError
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass
 class Subject:
-    """What is evaluated: a run, a model, or without either the settings that the flags name.
+    """Subject of an evaluation: a run, a model, or without either the settings that the flags name.
 
     What is `saved` in a run is loaded once: all simulators get the same checkpoint, even where a training writes newer
     ones meanwhile.
@@ -37,17 +37,20 @@ class Subject:
 
 
 def find_subjects(arguments: Eval) -> list[Subject]:
-    """What the flags name; several runs are of one task on one arm.
+    """Subjects that the flags name; several runs are of one task on one arm.
 
     Raises:
         InputError: they are not, or one of them is named twice or cannot be used.
     """
     from reachlab.runs.shipped import find_run
 
+    for name in () if any(map(_is_zip, arguments.runs)) else ("trust", "normaliser"):
+        if vars(arguments)[name]:
+            raise InputError(f"--{name} goes with a model of Stable-Baselines3: name its .zip, or leave it out.")
     made = []
     for path in arguments.runs or (None,):
-        run = find_run(path) if path and not _is_model(path) else None
-        model = _model(arguments, path)
+        model = _model(arguments, path) if path else None
+        run = find_run(path) if path and not model else None
         made.append(Subject(str(path or ""), _settings(arguments, run, model), run, model))
     first, *others = made
     for other in others:
@@ -73,27 +76,18 @@ def _is_onnx(path: Path) -> bool:
     return (path.suffix == ".onnx" and not path.is_dir()) or (path / "policy.onnx").is_file()
 
 
-def _is_model(path: Path) -> bool:
-    """Whether a path names a policy of another kind than a run directory."""
-    return _is_zip(path) or _is_onnx(path)
-
-
-def _model(arguments: Eval, path: Path | None) -> SavedModel | OnnxNetwork | None:
+def _model(arguments: Eval, path: Path) -> SavedModel | OnnxNetwork | None:
     """The model of Stable-Baselines3 or the policy in ONNX that is named, if one is.
 
     Raises:
-        InputError: it is not trusted or cannot be loaded, or there is none and flags speak of one.
+        InputError: it is not trusted or cannot be loaded.
     """
-    if not any(map(_is_zip, arguments.runs)):
-        for name in ("trust", "normaliser"):
-            if getattr(arguments, name):
-                raise InputError(f"--{name} goes with a model of Stable-Baselines3: name its .zip, or leave it out.")
-    if path is None or not _is_model(path):
-        return None
-    if not _is_zip(path):
+    if _is_onnx(path):
         from reachlab.deploy.onnx_network import OnnxNetwork
 
         return OnnxNetwork(path)
+    if not _is_zip(path):
+        return None
     if not arguments.trust:
         raise InputError(
             f"'{path}' is a model of Stable-Baselines3, which is unpickled and may run any code: add --trust"
@@ -110,14 +104,12 @@ def _settings(arguments: Eval, run: RunDirectory | None, model: SavedModel | Onn
     Raises:
         InputError: no such run, one that is missing or not needed, or a robot that is not named right.
     """
-    arm = {name: vars(arguments)[name] for name in ("robot", "tool", "base", "package")}
-    named = {"task": arguments.task} | arm
+    arm = {name: value for name in ("robot", "tool", "base", "package") if (value := vars(arguments)[name])}
+    named = ({"task": arguments.task} if arguments.task else {}) | arm
     known = model.config if model else None
-    said = {name: value for name, value in named.items() if value}
-    if known and said == {"task": known.task}:
-        said = {}
-    if (run or known) and (given := [f"--{name}" for name in said]):
-        raise InputError(f"a run has its own task and robot: leave {' and '.join(given)} out, or the run.")
+    if (run and named) or (known and named not in ({}, {"task": known.task})):
+        given = " and ".join(f"--{name}" for name in named)
+        raise InputError(f"a run has its own task and robot: leave {given} out, or the run.")
     if run:
         return run.read_config()
     if known:
@@ -128,5 +120,4 @@ def _settings(arguments: Eval, run: RunDirectory | None, model: SavedModel | Onn
             f"agent {needing[0]!r} needs a run: name its directory or a policy of `reachlab list`, or choose --agent"
             f" among {others}."
         )
-    config = preset(arguments.task or "tutorial")
-    return override(config, **{name: value for name, value in arm.items() if value})
+    return override(preset(arguments.task or "tutorial"), **arm)

@@ -10,11 +10,11 @@ import tyro
 
 from reachlab.agents import AGENTS
 from reachlab.bench import SUITES
+from reachlab.cli.short_help import field_docstrings, first_sentence
+from reachlab.envs.presets import DISTILLATION
 from reachlab.runs.sinks import SINKS
 from reachlab.scale import ENGINES
 from reachlab.settings.config import DaggerConfig, RunConfig
-from reachlab.settings.presets import DISTILLATION
-from reachlab.settings.rules import TaskConfig
 from reachlab.settings.validation import (
     Checked,
     Count,
@@ -26,6 +26,7 @@ from reachlab.settings.validation import (
     Steps,
     hints,
 )
+from reachlab.tasks import TASKS
 
 Optional = tyro.conf.arg(metavar="PATH", help_behavior_hint="")
 """A path that may be left out."""
@@ -38,7 +39,7 @@ Engine = Annotated[str, tyro.conf.arg(help=f"What carries the workers: {', '.joi
 Address = Annotated[
     str | None,
     tyro.conf.arg(
-        help="Address of a Ray cluster that runs; by default Ray is started here.",
+        help="Address of a Ray cluster; by default Ray is started here.",
         metavar="HOST:PORT",
         help_behavior_hint="",
     ),
@@ -51,38 +52,37 @@ def _sink_flags() -> type:
     return make_dataclass("SinkFlags", flags, frozen=True)
 
 
-def _no_sinks() -> Any:
-    """Flags of the sinks, none of them given."""
-    return _sink_flags()()
-
-
-Sinks = Annotated[Any, tyro.conf.arg(name="", constructor_factory=_sink_flags)]
-"""Whether each sink is wanted, by its name."""
-
-
 @dataclass(frozen=True)
-class Train(Checked):
-    """Train a policy and report on held-out targets."""
+class Training(Checked):
+    """Flags of whatever trains one policy."""
 
-    # Without a name, its own settings are in the first group of flags, and its parts are groups under their own names.
-    run: Annotated[RunConfig, tyro.conf.arg(name="")] = field(default_factory=RunConfig)
     out: Annotated[Path | None, Optional] = None
     """Run directory to make; by default a new one below runs/."""
     resume: Annotated[Path | None, Optional] = None
-    """Run directory to resume: training continues from its newest checkpoint, with its own settings."""
-    config: Annotated[Path | None, Optional] = None
-    """File with all settings, as the config.json of a run or the best.json of a sweep; flags change them."""
-    workers: NonNegativeInt = 0
-    """Processes that collect experience, of one thread each; with 0 this one does. The weights are the same."""
-    engine: Engine = "ray"
-    address: Address = None
-    sinks: Sinks = field(default_factory=_no_sinks)
+    """Run directory to resume, with its own settings; training continues from its newest checkpoint."""
+    sinks: Annotated[Any, tyro.conf.arg(name="", constructor_factory=_sink_flags)] = field(
+        default_factory=lambda: _sink_flags()()  # noqa: PLW0108 (tables may grow until it is called)
+    )
     json: bool = False
     """Print the result as one JSON object on standard output."""
 
 
 @dataclass(frozen=True)
-class Distil(Checked):
+class Train(Training):
+    """Train a policy and report on held-out targets."""
+
+    # Without a name, its own settings are in the first group of flags, and its parts are groups under their own names.
+    run: Annotated[RunConfig, tyro.conf.arg(name="")] = field(default_factory=RunConfig)
+    config: Annotated[Path | None, Optional] = None
+    """File with all settings; flags change them. It is the config.json of a run or the best.json of a sweep."""
+    workers: NonNegativeInt = 0
+    """Processes that collect experience, of one thread each; with 0 this one does. The weights are the same."""
+    engine: Engine = "ray"
+    address: Address = None
+
+
+@dataclass(frozen=True)
+class Distil(Training):
     """Teach a policy that gets camera pictures, by one that gets the positions themselves."""
 
     teacher: Annotated[Path | None, tyro.conf.Positional] = None
@@ -93,12 +93,8 @@ class Distil(Checked):
     """Simulator, kinematic or mujoco; by default the teacher's."""
     seed: Seed = 0
     """Seed of everything random."""
-    out: Annotated[Path | None, Optional] = None
-    """Run directory to make; by default a new one below runs/."""
-    resume: Annotated[Path | None, Optional] = None
-    """Run directory to resume: training continues from its newest checkpoint, with its own settings."""
     randomise: tuple[str, ...] = ()
-    """What varies from episode to episode, dynamics and view, see train; by default what varied for the teacher."""
+    """What varies from episode to episode, of dynamics, delay and view; by default what varied for the teacher."""
     total_steps: Steps = DISTILLATION["total_steps"]
     """Environment steps after which training ends: 4,096 an iteration with the default `--action-repeat`."""
     report_episodes: Count = DISTILLATION["report_episodes"]
@@ -108,48 +104,46 @@ class Distil(Checked):
     deterministic: bool = False
     """Compute on one thread: the same weights on any number of cores."""
     settings: DaggerConfig = field(default_factory=DaggerConfig)
-    sinks: Sinks = field(default_factory=_no_sinks)
-    json: bool = False
-    """Print the result as one JSON object on standard output."""
 
 
-LESSON = ("observation", "seed", "randomise", "total_steps", "report_episodes", "action_repeat", "deterministic")
+STUDENT = ("observation", "seed", "randomise", "total_steps", "report_episodes", "action_repeat", "deterministic")
 """Flags of `Distil` that are settings of its run, beside `settings`."""
 
 
-GOALS = ("targets", "target_turn", "target_low", "target_high", "target_height")
-"""Settings that say where goals are."""
-
 EVALUATED = (
-    *GOALS,
-    "goal_paths",
-    "goal_speed",
-    "goal_jump",
-    "obstacles",
-    "goal_velocity",
-    "settle_steps",
-    "start_noise",
-    "max_steps",
+    *("targets", "target_turn", "target_low", "target_high", "target_height", "goal_paths", "goal_speed", "goal_jump"),
+    *("obstacles", "goal_velocity", "settle_steps", "start_noise", "max_steps"),
 )
 """Settings of a task that an evaluation may change: what is asked for, and for how long."""
 
 
 def _goal_flags() -> type:
     """Dataclass with a flag for each setting of `EVALUATED`; None where one is not given."""
-    told = tyro.conf.arg(
-        help="As in train, by default the run's or the task's.", metavar="VALUE", help_behavior_hint=""
-    )
-    flags = [(name, Annotated[hints(TaskConfig)[name] | None, told], None) for name in EVALUATED]
+    kinds = {name: kind for task in reversed(TASKS.values()) for name, kind in hints(task.load()).items()}
+    texts = {name: text for task in reversed(TASKS.values()) for name, text in field_docstrings(task.load()).items()}
+
+    def flag(name: str) -> Any:
+        marks = tyro.conf.arg(help=first_sentence(texts[name]), metavar="VALUE", help_behavior_hint="")
+        return Annotated[kinds[name] | None, marks]
+
+    flags = [(name, flag(name), None) for name in EVALUATED]
     return make_dataclass("GoalFlags", flags, bases=(Checked,), frozen=True)
 
 
-def _no_goal_flags() -> Any:
-    """Flags of an evaluation's goals, none of them given."""
-    return _goal_flags()()
+@dataclass(frozen=True)
+class Arm(Checked):
+    """Flags of an arm beside its name."""
+
+    tool: Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")] = None
+    """Tool frame, a site or body; by default the catalogue's for the task, or the one found in the file."""
+    base: Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")] = None
+    """Body of the robot's file that holds the arm; joints before it are locked. By default its first."""
+    package: tuple[str, ...] = ()
+    """Folders of the ROS packages that the file names, each as NAME=FOLDER."""
 
 
 @dataclass(frozen=True)
-class Eval(Checked):
+class Eval(Arm):
     """Evaluate a run beside its baselines, or baselines alone, on held-out targets."""
 
     runs: Annotated[tuple[Path, ...], tyro.conf.Positional] = ()
@@ -163,12 +157,6 @@ class Eval(Checked):
     """Task preset, where there is no run; see `reachlab list`."""
     robot: Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")] = None
     """Robot, where there is no run: a name of `reachlab list`, or the path of an MJCF or URDF file."""
-    tool: Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")] = None
-    """Its tool frame, a site or body; by default its own for the task."""
-    base: Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")] = None
-    """Body of its file that holds the arm; joints before it are locked."""
-    package: tuple[str, ...] = ()
-    """Folders of the ROS packages that its file names, each as NAME=FOLDER."""
     sim: Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")] = None
     """Simulator, or `all` of them; by default the run's own or the task's."""
     agent: Agents = ("trained",)
@@ -177,9 +165,9 @@ class Eval(Checked):
     seed: Seed = 1
     """Seed of the targets."""
     randomise: tuple[str, ...] = ()
-    """What varies from episode to episode: dynamics, and for a policy that gets pictures view; see train."""
+    """What varies from episode to episode: dynamics, delay, and for a policy that gets pictures view."""
     goals: Annotated[Any, tyro.conf.arg(name="", constructor_factory=_goal_flags)] = field(
-        default_factory=_no_goal_flags
+        default_factory=lambda: _goal_flags()()  # noqa: PLW0108 (tables may grow until it is called)
     )
     """Other goals than those of the run or the task; reports of a run on such goals are not kept in it."""
     gui: bool = False
@@ -191,19 +179,13 @@ class Eval(Checked):
 
 
 @dataclass(frozen=True)
-class ShowRobot(Checked):
+class ShowRobot(Arm):
     """Show what is known of an arm, in the catalogue or in a file of your own: the first thing to do with a new one."""
 
     robot: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|FILE", help_behavior_hint="")] = None
     """Robot: a name of `reachlab list`, or the path of an MJCF or URDF file."""
     task: Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")] = None
     """Task whose tool frame is taken where the catalogue lists several; by default its first one."""
-    tool: Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")] = None
-    """Tool frame, a site or body; by default the catalogue's, or the one found in the file."""
-    base: Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")] = None
-    """Body of the file that holds the arm; joints before it are locked. By default its first."""
-    package: tuple[str, ...] = ()
-    """Folders of the ROS packages that the file names, each as NAME=FOLDER."""
     out: Annotated[Path | None, Optional] = None
     """Picture to write (.png): the arm at home, its workspace, and a target in the middle of its floor."""
     json: bool = False

@@ -9,6 +9,7 @@ import itertools
 import os
 import re
 import sys
+import warnings
 from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
@@ -17,13 +18,17 @@ from typing import Any, TextIO
 import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
-from reachlab.cli.flags import LESSON, Distil, Train
+from reachlab.cli.flags import STUDENT, Distil, Train
+from reachlab.cli.preparation import quiet
+from reachlab.cli.short_help import short
 from reachlab.cli.sweep_flags import Sweep
 from reachlab.cli.verbs import VERBS
+from reachlab.envs.presets import CHOICES, of_other_tasks, preset
+from reachlab.envs.uses import unused
 from reachlab.learn.interrupts import EXIT_BASE, asked, end_if_deaf, raise_on_termination
 from reachlab.settings.config import DistilRunConfig, RunConfig
+from reachlab.settings.extensions import import_extension, import_installed
 from reachlab.settings.json_form import flatten, to_json
-from reachlab.settings.presets import CHOICES, preset
 from reachlab.settings.validation import InputError, choose
 
 DONE, WRONG_INPUT, NOT_FINITE, INTERRUPTED = 0, 2, 3, 130
@@ -35,7 +40,8 @@ UNREAD = 141
 
 MORE: dict[type, str] = {
     Train: "\n\nNo flag is needed. The first group is enough for most runs, with --reward and --total-steps; the other"
-    " groups change the rules of the task, the physics and the training."
+    " groups change the rules of the task, the physics and the training. In brackets: defaults. Flags without effect on"
+    " the task, simulator, action and reward that are chosen are not shown.",
 }
 """Added to the docstring in the help of some commands."""
 
@@ -44,7 +50,7 @@ NUMBERS = ConstructorRegistry()
 """How flags that are whole numbers are read."""
 
 COMMAS = re.compile(r"(--\S+): Could not find valid parse for arguments: \['([^' ]+,[^' ]*)'\]")
-"""What tyro says of a list that is written with commas."""
+"""Tyro's message on a list that is written with commas."""
 
 
 @NUMBERS.primitive_rule
@@ -56,8 +62,6 @@ def _whole_numbers(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[int] | N
 
 
 def _whole_number(words: list[str]) -> int:
-    with contextlib.suppress(ValueError):
-        return int(words[0])
     with contextlib.suppress(ValueError):
         if (number := float(words[0])).is_integer():
             return int(number)
@@ -120,7 +124,7 @@ def _run(words: list[str]) -> int:
             print(f"reachlab {version('reachlab')}")
             return DONE
         verb = VERBS[choose("command", words[0], VERBS)]
-        verb.run(_parse(words[0], verb.flags, words[1:]))
+        verb.run(_parse(words[0], verb.flags, _imported(words[1:])))
     except InputError as error:
         _say(error)
         return WRONG_INPUT
@@ -144,7 +148,8 @@ def _overview() -> str:
     return (
         "usage: reachlab COMMAND [OPTIONS]\n\nTrains robot arms to reach, and proves how well they do it.\n\n"
         f"commands:\n{verbs}\n\n`reachlab COMMAND --help` shows a command's options, `reachlab --version` the version."
-        " A first run: reachlab train"
+        " A first run: reachlab train\n`--import MODULE|FILE`, of every command, imports a module of yours with tasks,"
+        " robots or other entries of the tables; runs remember it."
     )
 
 
@@ -159,30 +164,62 @@ def _parse(verb: str, flags: type, words: list[str]) -> Any:
         default = flags(run=_defaults(_chosen(words)))
     elif flags is Distil and isinstance(config := _resumed(_chosen(words)), DistilRunConfig):
         settings = flatten(to_json(config))
-        default = Distil(**{name: settings[name] for name in LESSON}, settings=config.dagger)
-    said = io.StringIO()
+        default = Distil(**{name: settings[name] for name in STUDENT}, settings=config.dagger)
+    marks = [tyro.conf.OmitArgPrefixes]
+    description, box = f"{flags.__doc__}{MORE.get(flags, '')}", io.StringIO()
+    if flags in (Train, Sweep) and {"-h", "--help"} & set(words):
+        marks.append(tyro.conf.FlagCreatePairsOff)
+        flags, default = short(default, unused(flatten(to_json(default.run))).keys() | {"imports"})
     try:
-        with contextlib.redirect_stderr(said), NUMBERS:
-            return tyro.cli(
-                flags,
-                prog=f"reachlab {verb}",
-                description=f"{flags.__doc__}{MORE.get(flags, '')}",
-                args=words,
-                default=default,
-                config=(tyro.conf.OmitArgPrefixes,),
-            )
+        with contextlib.redirect_stderr(box), NUMBERS, warnings.catch_warnings():
+            # Settings that follow from the arm are numbers, and None until they are settled on one.
+            warnings.filterwarnings("ignore", message=".*the default value `None` has type")
+            prog = f"reachlab {verb}"
+            return tyro.cli(flags, prog=prog, description=description, args=words, default=default, config=marks)
     except SystemExit as end:
         if not end.code:
             raise
-        sentence = _refusal(end) or _sentence(said.getvalue())
+        sentence = _refusal(end) or _of_other_tasks(words, default) or _sentence(box.getvalue())
         raise InputError(f"{sentence} See `reachlab {verb} --help`.") from None
 
 
+def _of_other_tasks(words: list[str], default: Any) -> str | None:
+    """A sentence on the first flag that is a setting of other tasks alone, if there is one."""
+    if not isinstance(default, Train | Sweep):
+        return None
+    names = (word.partition("=")[0].removeprefix("--").replace("-", "_") for word in words if word.startswith("--"))
+    return next(filter(None, (of_other_tasks(name.removeprefix("no_"), default.run) for name in names)), None)
+
+
+def _imported(words: list[str]) -> list[str]:
+    """The words without `--import`, the extensions of which are imported, after those of installed packages."""
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    parser.add_argument("--import", action="append", default=[], dest="names", nargs="?", const="")
+    given, others = parser.parse_known_args(words)
+    quiet()  # extensions may load JAX
+    import_installed()
+    for name in given.names:
+        import_extension(name)
+    return others
+
+
 def _defaults(chosen: argparse.Namespace) -> RunConfig:
-    """Settings that the flags of a training change: those of the run that is resumed, or a preset."""
-    if config := _resumed(chosen) or _given(chosen):
+    """Settings that the flags of a training change: those of the run that is resumed or of a file, or a preset.
+
+    Raises:
+        InputError: the file cannot be used, or a preset is named beside it.
+    """
+    if config := _resumed(chosen):
         return config
-    return preset(chosen.task or "tutorial", **{name: vars(chosen)[name] for name in CHOICES if vars(chosen)[name]})
+    if not chosen.config:
+        choices = {name: vars(chosen)[name] for name in CHOICES if vars(chosen)[name]}
+        return preset(chosen.task or "tutorial", **choices)
+    from reachlab.runs.directory import read_config
+
+    config = read_config(Path(chosen.config))
+    if chosen.task not in (None, config.task):
+        raise InputError(f"'{chosen.config}' holds settings of task {config.task!r}: leave --task out.")
+    return config
 
 
 def _resumed(chosen: argparse.Namespace) -> RunConfig | None:
@@ -192,22 +229,6 @@ def _resumed(chosen: argparse.Namespace) -> RunConfig | None:
     from reachlab.runs.directory import RunDirectory
 
     return RunDirectory(Path(chosen.resume)).read_config(check_robot=False)
-
-
-def _given(chosen: argparse.Namespace) -> RunConfig | None:
-    """Settings of the file that is named, if one is.
-
-    Raises:
-        InputError: it cannot be used, or a preset is named beside it.
-    """
-    if not chosen.config:
-        return None
-    from reachlab.runs.directory import read_config
-
-    config = read_config(Path(chosen.config))
-    if chosen.task not in (None, config.task):
-        raise InputError(f"'{chosen.config}' holds settings of task {config.task!r}: leave --task out.")
-    return config
 
 
 def _chosen(words: Sequence[str]) -> argparse.Namespace:

@@ -1,4 +1,4 @@
-"""What a verb does before it uses JAX and MuJoCo."""
+"""Preparation of a verb that uses JAX and MuJoCo."""
 
 from __future__ import annotations
 
@@ -8,13 +8,18 @@ from importlib import import_module
 from reachlab.settings.validation import InputError
 
 
+def quiet() -> None:
+    """Quiet XLA's log, which prints pages of CPU features when it reads the compilation cache."""
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+
+
 def prepare() -> None:
-    """Quiet XLA's log, which prints pages of CPU features when it reads the compilation cache, and use the cache.
+    """Quiet XLA's log and use the compilation cache.
 
     Raises:
         InputError: MuJoCo does not load, as with a `MUJOCO_GL` that it does not know or cannot load.
     """
-    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+    quiet()
     from reachlab.jax_setup import use_compilation_cache
 
     use_compilation_cache()

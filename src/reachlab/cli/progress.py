@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import math
 import time
+from collections import Counter
 from dataclasses import replace
-from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING
 
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Column
 
-from reachlab.cli.console import note, notes, print_reports, say, succeeded
+from reachlab.cli.console import note, notes, print_reports, say, task_and_success
 from reachlab.settings.config import RunConfig
 
 if TYPE_CHECKING:
@@ -30,14 +31,14 @@ SHOWN_EPISODES = 100
 EVAL_INTERVAL = 10.0
 """Time between plain progress lines of an evaluation [s]."""
 
+WHOLE_SPEED = 1e4
+"""Speed from which it is shown in thousands [steps/s]."""
+
 BAR_WIDTH = 16
 """Width of a progress bar [characters]."""
 
 MINUTE, HOUR = 60, 3600
 """Seconds."""
-
-THOUSAND, MILLION = 1e3, 1e6
-"""Steps."""
 
 
 def _duration(seconds: float) -> str:
@@ -49,46 +50,30 @@ def _duration(seconds: float) -> str:
 # --- training -------------------------------------------------------------------------------------
 
 
-class _Ended:
-    """Training episodes that have ended since their success was last shown."""
+def _in_words(ended: Counter[str], config: RunConfig) -> str:
+    """Training episodes: success, how many ended early, mean distance where a point is held, return.
 
-    def __init__(self) -> None:
-        self.episodes, self.successes, self.early, self.metres, self.steps = 0.0, 0.0, 0.0, 0.0, 0.0
-        self._rewards: list[float] = []
-
-    def add(self, row: dict[str, float]) -> None:
-        """Count those of an iteration."""
-        self.episodes += row["episodes"]
-        self.successes += row["episodes"] * row["success_rate"]
-        self.early += row["episodes"] * row.get("early_rate", 0.0)
-        self.metres += row["episodes"] * row["final_distance"]
-        self.steps += row["episodes"] * row.get("episode_length", 0.0)
-        self._rewards += [row["reward"]] if "reward" in row else []
-
-    def in_words(self, config: RunConfig) -> str:
-        """What became of them in words: success, how many ended early, mean distance where a point is held, return.
-
-        The return is the mean reward of a step times their mean length: rewards are not told by episode.
-        """
-        if not self.episodes:
-            return ""
-        text = f"success {100 * self.successes / self.episodes:.1f} % of {self.episodes:,.0f} training episodes"
-        if self.early / self.episodes > FEW_EARLY:
-            why = "ended by contact or outside" if config.rules.end_on_contact else "ended outside the workspace"
-            text += f", {100 * self.early / self.episodes:.1f} % {why}"
-        if config.rules.hold_steps:
-            text += f", {1000 * self.metres / self.episodes:.1f} mm at their end"
-        if self._rewards:
-            text += f"  return {sum(self._rewards) / len(self._rewards) * self.steps / self.episodes:.3g}"
-        return text
+    The return is the mean reward of a step times their mean length: rewards are not known by episode.
+    """
+    if not (count := ended["episodes"]):
+        return ""
+    text = f"success {100 * ended['successes'] / count:.1f} % of {count:,.0f} training episodes"
+    if ended["early"] / count > FEW_EARLY:
+        why = "ended by contact or outside" if config.rules.ends_on_contact else "ended outside the workspace"
+        text += f", {100 * ended['early'] / count:.1f} % {why}"
+    if config.rules.holds:
+        text += f", {1000 * ended['metres'] / count:.1f} mm at their end"
+    if ended["iterations"]:
+        text += f"  return {ended['rewards'] / ended['iterations'] * ended['steps'] / count:.3g}"
+    return text
 
 
-class Bar:
+class Bar(Progress):
     """A progress bar while the context is open; on a terminal only."""
 
     def __init__(self, description: str) -> None:
         """Bar whose total is not known yet."""
-        self._bar = Progress(
+        super().__init__(
             SpinnerColumn(),
             TextColumn("{task.description}"),
             BarColumn(bar_width=BAR_WIDTH),
@@ -98,18 +83,7 @@ class Bar:
             transient=True,
             disable=not notes.is_terminal,
         )
-        self._task = self._bar.add_task(description, total=None, status="")
-
-    def __enter__(self) -> Self:
-        """Begin to show."""
-        self._bar.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Take the bar away."""
-        self._bar.stop()
+        self._task = self.add_task(description, total=None, status="")
 
 
 class TrainDisplay(Bar):
@@ -120,7 +94,8 @@ class TrainDisplay(Bar):
         super().__init__("compiling")  # training may stop early, so the bar has no total
         self._config = config
         self._next_line = 0.0
-        self._ended, self._success = _Ended(), ""
+        # Training episodes that have ended since their success was last shown, and what was shown.
+        self._ended, self._success = Counter[str](), ""
         self._validated: dict[str, float] = {}
         self.first: TrainProgress | None = None
         self.last: TrainProgress | None = None
@@ -128,45 +103,45 @@ class TrainDisplay(Bar):
 
     def __call__(self, progress: TrainProgress) -> None:
         """Show the progress of training."""
+        row, config, now = progress.metrics, self._config, progress.elapsed_s
         if self.first is None:  # from here on it is known that no setting is refused
-            note(explained(self._config))
+            note(explained(config))
             self.first = progress
         self.last = progress
-        self._ended.add(progress.metrics)
+        names = {
+            "successes": "success_rate",
+            "early": "early_rate",
+            "metres": "final_distance",
+            "steps": "episode_length",
+        }
+        sums = {name: row["episodes"] * row.get(mean, 0.0) for name, mean in names.items()}
+        returned = {"rewards": row.get("reward", 0.0), "iterations": "reward" in row}
+        self._ended.update({"episodes": row["episodes"], **sums, **returned})
+        self._validated |= {name: x for name, x in row.items() if name == "validation_success"}
+        shown = replace(progress, metrics=row | self._validated)
         if notes.is_terminal:
-            self._draw(progress, self.first)
-        else:
-            self._print(progress, self.first)
-
-    def _draw(self, progress: TrainProgress, first: TrainProgress) -> None:
-        if self._ended.episodes >= SHOWN_EPISODES:
-            self._success, self._ended = self._ended.in_words(self._config), _Ended()
-        self._validated |= {name: x for name, x in progress.metrics.items() if name == "validation_success"}
-        shown = replace(progress, metrics=progress.metrics | self._validated)
-        total = None if self._config.loop.stop_early else progress.total_steps
-        status = train_line(shown, first, self._config, self._success, timed=False)
-        self._bar.update(self._task, description="training", completed=progress.steps, total=total, status=status)
-
-    def _print(self, progress: TrainProgress, first: TrainProgress) -> None:
-        now, settings = progress.elapsed_s, self._config.loop
-        self._validated |= {name: x for name, x in progress.metrics.items() if name == "validation_success"}
-        passed = progress.metrics.get("validation_success", 0.0) >= settings.stop_success
+            if self._ended["episodes"] >= SHOWN_EPISODES:
+                self._success, self._ended = _in_words(self._ended, config), Counter()
+            total = None if config.loop.stop_early else progress.total_steps
+            status = train_line(shown, self.first, config, self._success, timed=False)
+            self.update(self._task, description="training", completed=progress.steps, total=total, status=status)
+            return
+        passed = row.get("validation_success", 0.0) >= config.loop.stop_success
         if now >= self._next_line or passed or progress.steps >= progress.total_steps:
             self._next_line = now + max(LINE_INTERVAL, LINE_GROWTH * now)
-            shown = replace(progress, metrics=progress.metrics | self._validated)
-            note(train_line(shown, first, self._config, self._ended.in_words(self._config)))
-            self._ended, self._validated = _Ended(), {}
+            note(train_line(shown, self.first, config, _in_words(self._ended, config)))
+            self._ended, self._validated = Counter(), {}
 
 
 def explained(config: RunConfig) -> str:
-    """What a training does, and what the numbers in its progress lines mean."""
+    """Explanation of a training, and of what the numbers in its progress lines mean."""
     stop = config.loop
     most = f"at most {stop.total_steps:,}" if stop.stop_early else f"{stop.total_steps:,}"
     early = f", until {stop.stop_streak} validations in a row reach {100 * stop.stop_success:g} % success"
     varied = f" and vary in {' and '.join(config.randomise)}" if config.randomise else ""
     return (
         f"The {config.task} task on {config.robot} in {config.sim}: {most} steps{early if stop.stop_early else ''}.\n"
-        f"Success: {succeeded(config)}.\n"
+        f"Success: {task_and_success(config)[1]}.\n"
         f"Training episodes explore with noise{varied}; validations and the report at the end are without noise,"
         f" on other targets{', the report without what varies' if config.randomise else ''}."
     )
@@ -187,23 +162,18 @@ def train_line(
     now, seconds = progress.metrics, progress.elapsed_s
     # Only whole iterations are made.
     total = -(-progress.total_steps // config.loop.iteration_steps) * config.loop.iteration_steps
-    of = "" if config.loop.stop_early else f" of {total / MILLION:.2f}M"
-    parts = [f"{progress.steps / MILLION:.2f}M{of} steps", success]
+    of = "" if config.loop.stop_early else f" of {total / 1e6:.2f}M"
+    parts = [f"{progress.steps / 1e6:.2f}M{of} steps", success]
     if "validation_success" in now:
         parts.append(f"validation {100 * now['validation_success']:.1f} %")
-    parts.append(f"{_speed(progress.steps / seconds)} steps/s")
+    speed = progress.steps / seconds
+    parts.append(f"{speed:,.0f} steps/s" if speed < WHOLE_SPEED else f"{speed / 1e3:.0f}k steps/s")
     if timed:
         parts.append(_duration(seconds))
     if of and first.steps < progress.steps < total:  # the first iteration may have been compiled too
         took = (now["wall_s"] - first.metrics["wall_s"]) / (progress.steps - first.steps)
         parts.append(f"about {_duration(took * (total - progress.steps))} left")
     return "  ".join(part for part in parts if part)
-
-
-def _speed(steps_per_second: float) -> str:
-    if steps_per_second < 10 * THOUSAND:
-        return f"{steps_per_second:,.0f}"
-    return f"{steps_per_second / THOUSAND:.0f}k"
 
 
 def print_training(result: TrainResult, config: RunConfig, display: TrainDisplay, *, resumed: bool) -> None:
@@ -222,18 +192,13 @@ def parts_of_time(first: TrainProgress, last: TrainProgress, train_s: float) -> 
 
     A simulator outside JAX is compiled during the first iteration, so this iteration is counted apart.
     """
-    looped = last.metrics["wall_s"] - first.metrics["wall_s"]
-    busy = _busy_s(last) - _busy_s(first)
+    busy_until = [one.steps / one.metrics["steps_per_second"] for one in (first, last)]
+    looped, busy = last.metrics["wall_s"] - first.metrics["wall_s"], busy_until[1] - busy_until[0]
     return (
         f"{train_s - looped:.1f} s of compiling and the first {first.steps:,} steps,"
         f" {busy:.1f} s of training ({(last.steps - first.steps) / busy:,.0f} steps/s),"
         f" {looped - busy:.1f} s of validations and saving"
     )
-
-
-def _busy_s(progress: TrainProgress) -> float:
-    """Time of collecting and updating [s]."""
-    return progress.steps / progress.metrics["steps_per_second"]
 
 
 # --- evaluation -----------------------------------------------------------------------------------
@@ -246,23 +211,20 @@ class EvalDisplay(Bar):
         """Display of evaluations of so many episodes each; it shows nothing yet."""
         super().__init__("")
         self._episodes = episodes
-        self._what, self._start, self._last_line = "", 0.0, 0.0
-        self._complete = False
+        self._what, self._start, self._next_line = "", 0.0, 0.0
 
     def begin(self, agent: str, sim: str) -> None:
         """Show that an evaluation begins."""
         self._what, self._start = f"{agent} in {sim}", time.perf_counter()
-        self._last_line, self._complete = self._start, False
-        self._bar.reset(self._task, total=None, description=self._what, status="")
+        self._next_line = self._start + EVAL_INTERVAL
+        self.reset(self._task, total=None, description=self._what, status="")
 
     def __call__(self, ended: int) -> None:
         """Show how many of its episodes have ended."""
-        now = time.perf_counter()
+        now, complete = time.perf_counter(), ended == self._episodes
         status = f"{ended:,} of {self._episodes:,} episodes"
-        self._bar.update(self._task, completed=ended, total=self._episodes, status=status)
-        if self._complete:  # the last batch steps on until all of its environments have ended
-            return
-        self._complete = ended == self._episodes
-        if not notes.is_terminal and (self._complete or now - self._last_line >= EVAL_INTERVAL):
-            self._last_line = now
+        self.update(self._task, completed=ended, total=self._episodes, status=status)
+        # The last batch steps on until all of its environments have ended.
+        if not notes.is_terminal and (now >= self._next_line or (complete and self._next_line < math.inf)):
+            self._next_line = math.inf if complete else now + EVAL_INTERVAL
             note(f"{self._what}: {status}, {_duration(now - self._start)}")

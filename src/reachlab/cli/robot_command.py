@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 from reachlab.cli.flags import ShowRobot
 from reachlab.cli.preparation import prepare
+from reachlab.envs.presets import preset
 from reachlab.settings.config import RunConfig
 from reachlab.settings.json_form import override
-from reachlab.settings.presets import preset
 from reachlab.settings.validation import InputError, choose
 from reachlab.tasks import TASKS
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from reachlab.robots.robot import Robot
 
 LIMITS = ("position", "speed", "torque", "acceleration", "jerk")
-"""What is limited of a joint."""
+"""Limits of a joint."""
 
 MARKS = {"model file": "f", "catalogue": "c", "derived": "d", "default": "*"}
 """Where a figure of the table comes from, in a letter."""
@@ -50,13 +50,16 @@ def robot(arguments: ShowRobot) -> None:
     from reachlab.cli.console import note, say
     from reachlab.robots.loading import load_robot
 
-    kind = TASKS[arguments.task].load().tool if arguments.task else None
-    shown = load_robot(
-        arguments.robot, arguments.tool, kind=kind, base=arguments.base, packages=_absolute(arguments).package
-    )
-    facts = _facts(arguments, shown)
+    kind = TASKS[arguments.task].load().task().tool if arguments.task else None
+    arm = _arm(arguments)
+    shown = load_robot(arguments.robot, arguments.tool, kind=kind, base=arguments.base, packages=arm.package)
+    facts = _facts(arguments, arm, shown)
     if arguments.out:
-        _draw(shown, arguments.out)
+        from PIL import Image
+
+        from reachlab.render.offscreen import portrait
+
+        Image.fromarray(portrait(shown, PICTURE_WIDTH, PICTURE_HEIGHT)).save(arguments.out)
     if arguments.json:
         print(jsonlib.dumps(facts))
         return
@@ -66,7 +69,7 @@ def robot(arguments: ShowRobot) -> None:
     note(f"Next: {facts['next']}")
 
 
-def _absolute(arguments: ShowRobot) -> RunConfig:
+def _arm(arguments: ShowRobot) -> RunConfig:
     """Settings of a run with the arm that the flags name."""
     named = {name: vars(arguments)[name] for name in ("robot", "tool", "base", "package")}
     return override(preset(arguments.task or "tutorial"), **{name: value for name, value in named.items() if value})
@@ -75,17 +78,14 @@ def _absolute(arguments: ShowRobot) -> RunConfig:
 # --- facts ----------------------------------------------------------------------------------------
 
 
-def _facts(arguments: ShowRobot, robot: Robot) -> dict[str, Any]:
-    """Everything that is told, as plain data; figures that are infinite are None."""
+def _facts(arguments: ShowRobot, arm: RunConfig, robot: Robot) -> dict[str, Any]:
+    """Everything that is known, as plain data; figures that are infinite are None."""
     from reachlab.robots.catalogue import ROBOTS
-    from reachlab.robots.tool_frames import like_a_tool
+    from reachlab.robots.derive.tool import like_a_tool
 
     known = ROBOTS.get(arguments.robot or "")
     found = "named like a tool" if like_a_tool(robot.tool) else "the arm's last body"
-    boxes = {
-        name: {"low": box[0], "high": box[1], "source": robot.sources[name], "share": robot.shares.get(name)}
-        for name, box in (("workspace", robot.workspace), ("goal_box", robot.goal_box))
-    }
+    boxes = {"workspace": robot.workspace, "goal_box": robot.goal_box}
     return {
         "name": robot.name,
         "file": str(robot.model.file),
@@ -95,12 +95,16 @@ def _facts(arguments: ShowRobot, robot: Robot) -> dict[str, Any]:
         "catalogue_tools": dict(known.tools) if known else {},
         "tool_frames": _frames(robot),
         "joints": _joints(robot),
+        "gripper": _gripper(arguments, arm, robot),
         "mass": robot.mass,
         "payload": robot.payload,
-        **boxes,
         "scale": robot.scale,
-        "tasks": _tasks(arguments),
         "notices": robot.notices,
+        **{
+            name: {"low": low, "high": high, "source": robot.sources[name], "share": robot.shares.get(name)}
+            for name, (low, high) in boxes.items()
+        },
+        "tasks": _tasks(arguments, arm),
         "next": _next(arguments),
     }
 
@@ -121,52 +125,71 @@ def _joints(robot: Robot) -> list[dict[str, Any]]:
     """Each joint's limits [rad or m], servo and home."""
     import numpy as np
 
-    from reachlab.robots.isolation import own_servos
-    from reachlab.robots.servos import find_loads, largest_inertia
+    from reachlab.robots.derive.isolation import own_servos
+    from reachlab.robots.derive.servos import find_loads, largest_inertia
 
     model, chain = robot.spec(pictures=False).compile(), robot.chain
-    actuators = own_servos(model, range(chain.n))
-    sites = {model.site(site).name: int(model.site_bodyid[site]) for site in range(model.nsite)}
-    body = sites[robot.tool] if robot.tool in sites else int(model.body(robot.tool).id)
-    inertia = largest_inertia(find_loads(model, range(chain.n), body), robot.payload)
+    actuators = own_servos(model)
+    inertia = largest_inertia(find_loads(model, robot.tool), robot.payload)
+    columns = {"lower": chain.lower, "upper": chain.upper, "home": robot.home, "speed": robot.speed}
+    columns |= {"torque": robot.torque, "acceleration": robot.acceleration, "jerk": robot.jerk}
     facts = []
     for joint, name in enumerate(robot.joint_names):
-        stiffness = float(model.actuator_gainprm[actuators[joint], 0])
-        own = float(model.dof_damping[model.jnt_dofadr[joint]])
-        damping = own - float(model.actuator_biasprm[actuators[joint], 2])
-        sources = {what: robot.sources[what][joint] for what in LIMITS}
-        sources["servo"] = "derived" if robot.isolation.joints[joint] in robot.isolation.servos else "model file"
-        torque = robot.torque[joint]
+        stiffness, of_servo = model.actuator_gainprm[actuators[joint], 0], model.actuator_biasprm[actuators[joint], 2]
+        damping = float(model.dof_damping[model.jnt_dofadr[joint]] - of_servo)
+        own = robot.isolation.joints[joint] not in robot.isolation.servos
+        sources = {limit: robot.sources[limit][joint] for limit in LIMITS}
+        sources |= {"servo": "model file" if own else "derived", "home": robot.sources["home"]}
+        numbers = {what: values[joint] for what, values in columns.items()}
+        servo = {
+            "stiffness": float(stiffness),
+            "damping": damping,
+            "frequency": float(np.sqrt(stiffness / inertia[joint])),
+            "lag": damping / float(stiffness),
+        }
         facts.append(
-            {
-                "name": name,
-                "type": "slide" if chain.slides[joint] else "hinge",
-                "lower": chain.lower[joint],
-                "upper": chain.upper[joint],
-                "speed": robot.speed[joint],
-                "torque": torque if math.isfinite(torque) else None,
-                "acceleration": robot.acceleration[joint],
-                "jerk": robot.jerk[joint],
-                "stiffness": stiffness,
-                "damping": damping,
-                "frequency": float(np.sqrt(stiffness / inertia[joint])),
-                "lag": damping / stiffness,
-                "home": robot.home[joint],
-                "sources": sources | {"home": robot.sources["home"]},
-            }
+            {"name": name, "type": "slide" if chain.slides[joint] else "hinge"}
+            | {what: value if math.isfinite(value) else None for what, value in (numbers | servo).items()}
+            | {"sources": sources}
         )
     return facts
 
 
-def _tasks(arguments: ShowRobot) -> dict[str, dict[str, Any]]:
-    """What the tasks ask of the arm, and the lengths that follow from its size."""
+def _gripper(arguments: ShowRobot, arm: RunConfig, shown: Robot) -> dict[str, Any]:
+    """The gripper that tasks with an object use: joints [rad or m], opening [m], speed, force, and where it grasps."""
+    import mujoco
+
+    from reachlab.robots.loading import OWN, load_robot
+
+    robot = load_robot(
+        arguments.robot or "", arguments.tool, base=arm.base, packages=arm.package, gripper=OWN, grips=True
+    )
+    hand, model = robot.gripper, robot.spec(pictures=False).compile()
+    assert hand is not None  # noqa: S101  # grips
+    first, site = robot.chain.n, model.site(robot.tool)
+    return {
+        "mounted": robot.model.own is None,
+        "joints": [
+            {"name": model.joint(first + i).name, "type": kind, "closed": low, "open": high}
+            for i, (low, high) in enumerate(zip(hand.closed, hand.open, strict=True))
+            for kind in ["slide" if model.jnt_type[first + i] == int(mujoco.mjtJoint.mjJNT_SLIDE) else "hinge"]
+        ],
+        "widest": hand.widest,
+        "speed": hand.speed,
+        "force": hand.force,
+        "grasp": {"body": model.body(int(site.bodyid[0])).name, "position": site.pos.tolist()},
+        "notices": [notice for notice in robot.notices if notice not in shown.notices],
+    }
+
+
+def _tasks(arguments: ShowRobot, arm: RunConfig) -> dict[str, dict[str, Any]]:
+    """Requirements of the tasks, in words, and the lengths that follow from its size."""
     from reachlab.envs.setup import make_setup
 
     tasks = {}
-    arm = _absolute(arguments)
     for name in (arguments.task,) if arguments.task else TASKS:
-        given = {"robot": arm.robot, "tool": arm.rules.tool, "base": arm.base, "package": arm.package}
-        setup = make_setup(override(preset(name), **given))
+        named = {"robot": arm.robot, "tool": arm.rules.tool, "base": arm.base, "package": arm.package}
+        setup = make_setup(override(preset(name), **named))
         tasks[name] = {
             "tool": setup.robot.tool,
             "asks": setup.task.asks(setup.rules, setup.period),
@@ -178,12 +201,10 @@ def _tasks(arguments: ShowRobot) -> dict[str, dict[str, Any]]:
 
 def _next(arguments: ShowRobot) -> str:
     """The command that trains a policy for this arm."""
-    words = ["reachlab", "train", "--robot", arguments.robot or ""]
-    for flag in ("task", "tool", "base"):
-        if value := vars(arguments)[flag]:
-            words += [f"--{flag}", value]
-    words += ["--package", *arguments.package] if arguments.package else []
-    return shlex.join(words)
+    words = ["reachlab", "train"]
+    for flag in ("robot", "task", "tool", "base"):
+        words += [f"--{flag}", value] if (value := vars(arguments)[flag]) else []
+    return shlex.join([*words, *(["--package", *arguments.package] if arguments.package else [])])
 
 
 # --- the picture ----------------------------------------------------------------------------------
@@ -196,20 +217,12 @@ def _check_picture(out: Path) -> None:
         raise InputError(f"the picture cannot be written to '{out}': there is no folder '{out.parent}'.")
 
 
-def _draw(robot: Robot, out: Path) -> None:
-    from PIL import Image
-
-    from reachlab.render.offscreen import portrait
-
-    Image.fromarray(portrait(robot, PICTURE_WIDTH, PICTURE_HEIGHT)).save(out)
-
-
 # --- for a person ---------------------------------------------------------------------------------
 
 
 def _print(facts: dict[str, Any]) -> None:
     from reachlab.cli.console import note, print_table, say
-    from reachlab.robots.urdf import some
+    from reachlab.robots.files.picture_files import some
 
     say(f"{facts['name']}: {facts['kind']}, {facts['file']}")
     tools = facts["catalogue_tools"] if len(facts["catalogue_tools"]) > 1 else {}
@@ -224,6 +237,7 @@ def _print(facts: dict[str, Any]) -> None:
         " [Nm s/rad or N s/m],\nnatural frequency at the largest inertia, and lag behind a moving command. Ramp: to"
         " that speed in shaped commands."
     )
+    _print_gripper(facts["gripper"])
     say(f"Moved mass {facts['mass']:.3g} kg; payload up to {facts['payload']:.2g} kg, which is derived.")
     for name, box in (("Workspace", facts["workspace"]), ("Box of goals", facts["goal_box"])):
         share = "" if box["share"] is None else f"; {100 * box['share']:.4g} % of it can be reached"
@@ -234,6 +248,20 @@ def _print(facts: dict[str, Any]) -> None:
         if name == "tutorial":
             say(f"  An action of 1 displaces the tool by {1000 * task['tool_scale']:.3g} mm.")
     for notice in facts["notices"]:
+        note(f"Note: {notice}")
+
+
+def _print_gripper(hand: dict[str, Any]) -> None:
+    from reachlab.cli.console import note, say
+
+    kind = "mounted" if hand["mounted"] else "the file's own; --gripper parallel mounts one"
+    grasp = f"at {_point(hand['grasp']['position'])} m of {hand['grasp']['body']}"
+    force = f"{1000 * hand['speed']:.3g} mm/s, {hand['force']:.3g} N"
+    say(f"Gripper, {kind}: opens {1000 * hand['widest']:.3g} mm, {force}, grasps {grasp}.")
+    if not hand["mounted"]:
+        ways = [f"{joint['name']} {joint['closed']:.3g} to {joint['open']:.3g}" for joint in hand["joints"]]
+        say(f"  Its joints, closed to open [rad or m]: {', '.join(ways)}.")
+    for notice in hand["notices"]:
         note(f"Note: {notice}")
 
 

@@ -26,23 +26,20 @@ def sweep(arguments: Sweep) -> None:
     """Run `reachlab sweep`."""
     prepare()
     from reachlab.runs.directory import read_config
-    from reachlab.scale.sweep import SweepDirectory
+    from reachlab.scale.sweep import read_sweep
     from reachlab.scale.sweep import sweep as run_sweep
 
     if arguments.resume and (arguments.out or arguments.space):
         raise InputError("--resume names the sweep's directory, which holds its space: leave --out and the space out.")
     out = arguments.resume or arguments.out or Path("runs") / f"{time.strftime('%Y%m%d-%H%M%S')}-sweep"
-    settings = SweepDirectory(out).read() if arguments.resume else _settings(arguments)
+    settings = read_sweep(out) if arguments.resume else _settings(arguments)
     with SweepDisplay(settings.goal) as display:
         result = run_sweep(
             arguments.run,
             settings,
             out,
             display,
-            trials=arguments.trials,
-            workers=arguments.workers,
-            engine=arguments.engine,
-            address=arguments.address,
+            **{name: vars(arguments)[name] for name in ("trials", "workers", "engine", "address")},
             resume=arguments.resume is not None,
             base=read_config(arguments.config) if arguments.config else None,
         )
@@ -76,17 +73,17 @@ class SweepDisplay(Bar):
     def __init__(self, goal: str) -> None:
         """Display of a sweep for a goal; it shows nothing before its first progress."""
         super().__init__("trials")
-        self._goal, self._told = goal, set[int]()
+        self._goal, self._shown = goal, set[int]()
 
     def __call__(self, progress: SweepProgress) -> None:
         """Show where the sweep stands."""
         ended = [trial for trial in progress.trials if trial.state != "running"]
         for trial in ended:
-            if trial.number not in self._told:
-                self._told.add(trial.number)
+            if trial.number not in self._shown:
+                self._shown.add(trial.number)
                 note(self._line(trial, progress))
         running = "  ".join(f"{name} {100 * share:.0f} %" for name, share in progress.running.items())
-        self._bar.update(self._task, completed=len(ended), total=progress.total, status=running)
+        self.update(self._task, completed=len(ended), total=progress.total, status=running)
 
     def _line(self, trial: Trial, progress: SweepProgress) -> str:
         came_to = WORDS[trial.state]
@@ -113,8 +110,5 @@ WORDS = {"complete": "complete", "pruned": "pruned", "fail": "failed", "running"
 
 
 def _varied(trial: Trial) -> str:
-    return "  ".join(f"{name} {_short(value)}" for name, value in trial.settings.items())
-
-
-def _short(value: object) -> str:
-    return f"{value:.3g}" if isinstance(value, float) else str(value)
+    settings = trial.settings.items()
+    return "  ".join(f"{name} {f'{value:.3g}' if isinstance(value, float) else value}" for name, value in settings)

@@ -9,12 +9,12 @@ from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any
 
-from reachlab.cli.flags import LESSON, Distil, Train
+from reachlab.cli.flags import STUDENT, Distil, Train
 from reachlab.cli.preparation import prepare
+from reachlab.envs.presets import distillation, in_simulator
 from reachlab.scale import ENGINES
 from reachlab.settings.config import DistilRunConfig, RunConfig
 from reachlab.settings.json_form import override
-from reachlab.settings.presets import distillation, in_simulator
 from reachlab.settings.validation import InputError, choose
 
 
@@ -33,7 +33,7 @@ def _distillation(arguments: Distil) -> RunConfig:
     from reachlab.runs.directory import RunDirectory
     from reachlab.runs.shipped import find_run
 
-    changes = {name: vars(arguments)[name] for name in LESSON} | vars(arguments.settings)
+    changes = {name: vars(arguments)[name] for name in STUDENT} | vars(arguments.settings)
     if arguments.resume:
         config = RunDirectory(arguments.resume).read_config(check_robot=False)
         changes |= {"sim": arguments.sim} if arguments.sim else {}
@@ -83,7 +83,7 @@ def _learn(arguments: Train | Distil, config: RunConfig, verb: str) -> None:
 
 
 def _collector(arguments: Train | Distil, config: RunConfig) -> AbstractContextManager[Any]:
-    """What collects the experience while the context is open; None is this process."""
+    """Collector of experience while the context is open; None is this process."""
     if not isinstance(arguments, Train) or not arguments.workers:
         if isinstance(arguments, Train) and arguments.address:
             raise InputError("address is that of a cluster whose workers collect: say how many with --workers.")

@@ -41,24 +41,24 @@ def list_names(arguments: List) -> None:
     """Run `reachlab list`."""
     prepare()
     from reachlab.agents import AGENTS
-    from reachlab.cli.console import asked, print_table
+    from reachlab.cli.console import print_table, task_and_success
+    from reachlab.envs.presets import preset
     from reachlab.robots.catalogue import ROBOTS
     from reachlab.runs.shipped import shipped, told
     from reachlab.scale import ENGINES
     from reachlab.scale.goals import GOALS
-    from reachlab.settings.presets import preset
     from reachlab.sims import SIMULATORS
     from reachlab.tasks import TASKS
     from reachlab.tasks.actions import ACTIONS
     from reachlab.tasks.observations import OBSERVATIONS
     from reachlab.tasks.paths import PATHS
-    from reachlab.tasks.reach import AT_GOAL
     from reachlab.tasks.rewards import REWARDS
     from reachlab.tasks.targets import TARGETS
+    from reachlab.tasks.tutorial import AT_GOAL
 
     names: dict[str, dict[str, str]] = {
         "tasks": {
-            name: f"{asked(config)}. Unless told otherwise: simulator {config.sim}, observation"
+            name: f"{task_and_success(config)[0]}. Unless told otherwise: simulator {config.sim}, observation"
             f" {config.rules.observation}, action {config.rules.action}, reward {config.rules.reward}"
             for name, config in ((name, preset(name)) for name in TASKS)
         },

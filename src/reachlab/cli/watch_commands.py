@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import json as jsonlib
 import webbrowser
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 
 from reachlab.agents import AGENTS
 from reachlab.cli.flags import Plot, Video, View
 from reachlab.cli.preparation import prepare
+from reachlab.envs.presets import in_simulator
 from reachlab.settings.config import RunConfig
 from reachlab.settings.json_form import override
-from reachlab.settings.presets import in_simulator
 from reachlab.settings.validation import InputError, choose
 
 
@@ -35,18 +36,10 @@ def video(arguments: Video) -> None:
     agent = choose("agent", arguments.agent, AGENTS)
     run = find_run(arguments.run)
     config = _as_it_is(run.read_config(), arguments.sim)
-    env = Env(config, 1)
-    clip = write_video(
-        env,
-        agent,
-        load_policy(run, env),
-        arguments.out or (Path(f"{config.robot}-{config.task}.webp") if is_shipped(run) else run.path / "video.webp"),
-        seed=arguments.seed,
-        episodes=arguments.episodes,
-        fps=arguments.fps,
-        speed=arguments.speed,
-    )
-    env.close()
+    usual = Path(f"{config.robot}-{config.task}.webp") if is_shipped(run) else run.path / "video.webp"
+    given = {name: vars(arguments)[name] for name in ("seed", "episodes", "fps", "speed")}
+    with closing(Env(config, 1)) as env:
+        clip = write_video(env, agent, load_policy(run, env), arguments.out or usual, **given)
     if arguments.json:
         print(jsonlib.dumps(vars(clip)))
     else:
@@ -78,36 +71,32 @@ def view(arguments: View) -> None:
 
     run = find_run(arguments.runs[0])
     config = _as_it_is(run.read_config(), arguments.sim)
-    steps = run.checkpoint_steps()
-    env = Env(config, 1)
-    if arguments.save:
-        from reachlab.watch.saved_page import save_page
+    with closing(Env(config, 1)) as env:
+        if arguments.save:
+            from reachlab.watch.saved_page import save_page
 
-        save_page(env, arguments.agent, load_policy(run, env), arguments.seed, arguments.episodes, arguments.save)
-        env.close()
-        say(f"Written: {arguments.save}")
-        return
-    load = partial(load_policy, run, env)
-    with (
-        Viewer(env, steps, load, arguments.agent, arguments.host, arguments.port) as viewer,
-        Interrupts() as interrupts,
-    ):
-        say(f"Viewer: {viewer.url}   Ctrl-C ends it.")
-        if not is_local(arguments.host):
-            note(
-                f"Warning: --host {arguments.host} lets other machines in, without a password: anyone who reaches it"
-                " can watch and move the target."
-            )
-        if arguments.open:
-            webbrowser.open(viewer.url)
+            policy = load_policy(run, env)
+            save_page(env, arguments.agent, policy, arguments.seed, arguments.episodes, arguments.save)
+            say(f"Written: {arguments.save}")
+            return
+        load = partial(load_policy, run, env)
+        viewer = Viewer(env, run.checkpoint_steps(), load, arguments.agent, arguments.host, arguments.port)
+        with viewer, Interrupts() as interrupts:
+            say(f"Viewer: {viewer.url}   Ctrl-C ends it.")
+            if not is_local(arguments.host):
+                note(
+                    f"Warning: --host {arguments.host} lets other machines in, without a password: anyone who reaches"
+                    " it can watch and move the target."
+                )
+            if arguments.open:
+                webbrowser.open(viewer.url)
 
-        def ended() -> bool:
-            return interrupts.received is not None
+            def ended() -> bool:
+                return interrupts.received is not None
 
-        viewer.await_picture(ended)
-        viewer.prepare(arguments.seed)
-        viewer.run(ended)
-    env.close()
+            viewer.await_picture(ended)
+            viewer.prepare(arguments.seed)
+            viewer.run(ended)
 
 
 def _view_live(arguments: View, out: Path) -> None:

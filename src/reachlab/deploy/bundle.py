@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import ast
-import importlib.util
-from pathlib import Path
+import importlib
+import inspect
 
 from reachlab.runs.versions import versions
 
@@ -40,10 +40,7 @@ def controller_source() -> str:
 
 def _collect(name: str, sources: dict[str, str]) -> None:
     """Add the source of a module, after those of ours that it imports."""
-    spec = importlib.util.find_spec(name)
-    assert spec is not None, name  # noqa: S101
-    assert spec.origin, name  # noqa: S101
-    source = Path(spec.origin).read_text(encoding="utf-8")
+    source = inspect.getsource(importlib.import_module(name))
     for node in ast.parse(source).body:
         if isinstance(node, ast.ImportFrom) and _is_ours(node) and node.module not in sources:
             _collect(str(node.module), sources)

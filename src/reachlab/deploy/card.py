@@ -66,6 +66,8 @@ def _sections(facts: dict[str, Any]) -> list[str]:
         "| file | what it is |",
         "| --- | --- |",
         "| `controller.py` | runs the policy with NumPy alone (Python ≥ 3.9), within the limits below |",
+        "| `step.py` | its decision as straight code: observation, network, action, control; printed from training's |",
+        "| `reachlab_policy.c`, `.h`, `main.c` | the same step and limits in C99, and an example |",
         "| `policy.onnx` | the network, with normaliser and clipping inside |",
         "| `policy.safetensors` | the same weights by name |",
         "| `policy.json` | `limits`, which may be lowered; fixed: observation, action, arm, settings, hashes |",

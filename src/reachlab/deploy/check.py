@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import contextlib
-import importlib.util
 import multiprocessing
 import time
 from collections.abc import Iterator
+from importlib.machinery import SourceFileLoader
 from multiprocessing.connection import Connection
 from pathlib import Path
 from types import ModuleType
@@ -17,9 +17,9 @@ import numpy as np
 from reachlab.deploy.onboard.folder import read_folder
 from reachlab.deploy.plant import Measurement, Outcome, Plant, drive
 from reachlab.deploy.plant_faults import Faults
+from reachlab.envs.formats import from_json
 from reachlab.envs.setup import in_evaluation
 from reachlab.settings.config import RunConfig
-from reachlab.settings.json_form import from_json
 from reachlab.settings.validation import InputError
 
 READY = "ready"
@@ -38,11 +38,9 @@ def load_controller(folder: Path) -> ModuleType:
     file = folder / "controller.py"
     if not file.is_file():
         raise InputError(f"'{folder}' holds no controller.py: name a folder that `reachlab export` wrote.")
-    spec = importlib.util.spec_from_file_location("controller", file)
-    assert spec is not None, file  # noqa: S101
-    assert spec.loader, file  # noqa: S101
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    module = ModuleType("controller")
+    module.__file__ = str(file)
+    SourceFileLoader("controller", str(file)).exec_module(module)
     return module
 
 
@@ -182,6 +180,8 @@ def serve(folder: Path, pipe: Connection) -> None:
                 continue
             now = time.perf_counter()
             due = now + period
-            extras = {"velocity": told.velocity, "obstacles": told.obstacles}
+            extras: dict[str, Any] = {"velocity": told.velocity, "obstacles": told.obstacles}
+            if told.objects:  # of which controllers of earlier exports know nothing
+                extras["objects"] = told.objects
             command = controller.step(q, qd, told.goal, now, **extras)
             pipe.send((command, controller.problem))

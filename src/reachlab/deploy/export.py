@@ -6,6 +6,7 @@ import hashlib
 import json
 import shutil
 import tempfile
+from collections import defaultdict
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,14 +16,21 @@ import numpy as np
 
 from reachlab.agents.acting import make_act
 from reachlab.agents.policy import Policy
+from reachlab.control.motion_limits import MotionLimits
+from reachlab.deploy.behaviour import as_measured, behaviour, rows_of
 from reachlab.deploy.bundle import controller_source
+from reachlab.deploy.c_library import CPolicy, compiler
+from reachlab.deploy.c_source import c_sources
 from reachlab.deploy.card import model_card
-from reachlab.deploy.facts import describe, refuse_unknown
-from reachlab.deploy.onboard.folder import fingerprint, read_folder
-from reachlab.deploy.onboard.network import Network, read_weights
+from reachlab.deploy.facts import describe
+from reachlab.deploy.onboard.folder import LIMITS, fingerprint, read_folder
+from reachlab.deploy.onboard.step import load_step
 from reachlab.deploy.onnx_network import OnnxNetwork
 from reachlab.deploy.weights import named_weights, onnx_model
+from reachlab.emit.program import constants_of
+from reachlab.emit.python import to_python
 from reachlab.envs.core import Env
+from reachlab.envs.functions import EnvState
 from reachlab.envs.random_streams import REPORT_STREAM, episode_keys
 from reachlab.envs.setup import in_evaluation
 from reachlab.learn.load import load_saved
@@ -31,8 +39,6 @@ from reachlab.runs.files import read_json
 from reachlab.runs.shipped import find_run
 from reachlab.runs.versions import versions
 from reachlab.settings.validation import InputError, installing
-from reachlab.tasks.actions import bounded
-from reachlab.tasks.schema import Observed
 
 SITUATIONS, TOGETHER = 1000, 50
 """Situations in which an export is compared with its policy, and how many episodes they are taken from."""
@@ -40,8 +46,13 @@ SITUATIONS, TOGETHER = 1000, 50
 CHECK_SEED = 4000
 """Seed of the held-out goals of these episodes."""
 
-TOLERANCE = 5e-6
-"""Largest difference that is allowed between an export's and the policy's actions, in those of the action's box."""
+TOLERANCES = {
+    "ONNX Runtime": (5e-6, "of the action's box"),
+    "step.py": (1e-4, "rad or m"),
+    "reachlab_policy.c": (1e-9, "rad or m"),
+}
+"""Largest differences that are allowed, and their units: the printed step computes in double precision, and training in
+single; both printed steps in the same."""
 
 FIGURES = ("success_rate", "success_interval", "success_within", "final_error_mm", "final_angle_rad", "tracking")
 FIGURES += ("time_to_reach_s", "contact", "self_contact", "sim", "seed", "episodes", "randomised")
@@ -55,7 +66,7 @@ class Export:
     Attributes:
         folder: where.
         files: names and sizes [bytes].
-        differences: largest difference from the policy, in actions of the action's box, by what computed it.
+        differences: largest ones, by what computed something, see `compare` and `TOLERANCES`.
     """
 
     folder: Path
@@ -71,33 +82,28 @@ def export(run: RunDirectory | str | Path, out: str | Path) -> Export:
         out: the folder.
 
     Raises:
-        InputError: the folder exists and is not empty, the run cannot be read, its observation or action is one that
-            the controller does not know, the extra 'deploy' is missing, or what was written computes other actions than
-            the policy.
+        InputError: the folder exists and is not empty, the run cannot be read, its task computes what cannot be
+            printed, the extra 'deploy' is missing, or what was written computes anything else than the policy.
     """
     run, out = run if isinstance(run, RunDirectory) else find_run(run), Path(out)
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError(f"'{out}' exists and is not empty: choose another --out, or remove it.")
     trained = run.read_config()
-    refuse_unknown(trained)
     env = Env(in_evaluation(trained, trained.sim), TOGETHER)
     try:
         saved = load_saved(run, env)
-        facts = describe(env, saved.policy) | {
-            "run": saved.checkpoint,
-            "held_out": _held_out(run),
-            "versions": versions(),
-        }
+        more = {"run": saved.checkpoint, "held_out": _held_out(run), "versions": versions()}
         with tempfile.TemporaryDirectory() as place:
             folder = Path(place) / "policy"
             folder.mkdir()
-            write_files(folder, env, saved.policy, facts)
+            write_files(folder, env, saved.policy, more)
             differences = compare(folder, env, saved.policy)
             for what, difference in differences.items():
-                if not difference <= TOLERANCE:
+                allowed, unit = TOLERANCES[what]
+                if not difference <= allowed:
                     raise InputError(
-                        f"nothing is exported: {what} gives actions that differ from the policy's by"
-                        f" {difference:.1e} of their box, and {TOLERANCE:.0e} are allowed."
+                        f"nothing is exported: {what} differs from the policy by {difference:.1e} {unit}, and"
+                        f" {allowed:.0e} are allowed."
                     )
             out.mkdir(parents=True, exist_ok=True)
             for file in folder.iterdir():
@@ -115,11 +121,11 @@ def _held_out(run: RunDirectory) -> list[dict[str, Any]]:
     return [{name: one[name] for name in FIGURES if name in one} for one in reports if one.get("agent") == "trained"]
 
 
-def write_files(folder: Path, env: Env, policy: Policy, facts: dict[str, Any]) -> None:
-    """Write a policy and what `describe` says of it into an empty folder.
+def write_files(folder: Path, env: Env, policy: Policy, more: dict[str, Any]) -> None:
+    """Write a policy, its step and what `describe` says of it, and `more`, into an empty folder.
 
     Raises:
-        InputError: the extra 'deploy' is missing.
+        InputError: the extra 'deploy' is missing, or the step cannot be printed.
     """
     try:
         from safetensors.numpy import save_file
@@ -127,10 +133,15 @@ def write_files(folder: Path, env: Env, policy: Policy, facts: dict[str, Any]) -
         raise InputError(f"an export needs the extra 'deploy': {installing('deploy')}.") from None
 
     model = onnx_model(policy, env.action_bounds, clips=env.setup.rules.clip_actions)
-    weights = {name: np.ascontiguousarray(array) for name, array in named_weights(policy, env.action_bounds).items()}
+    weights = named_weights(policy, env.action_bounds)
+    step = behaviour(env, policy, weights)
+    facts, arrays = describe(env, policy, step) | more, constants_of(step.programs) | weights
     (folder / "policy.onnx").write_bytes(model.SerializeToString())
-    save_file(weights, folder / "policy.safetensors")
+    save_file({name: np.ascontiguousarray(array) for name, array in arrays.items()}, folder / "policy.safetensors")
     (folder / "controller.py").write_text(controller_source(), encoding="utf-8")
+    (folder / "step.py").write_text(to_python(step.programs, pausing={"place"}), encoding="utf-8")
+    for name, text in c_sources(facts, _limits(env, facts), step).items():
+        (folder / name).write_text(text, encoding="utf-8", errors="backslashreplace")
     facts["files"] = {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in sorted(folder.iterdir())}
     facts["sha256"] = fingerprint(facts)
     text = {"policy.json": json.dumps(facts, indent=1, ensure_ascii=False) + "\n", "README.md": model_card(facts)}
@@ -139,32 +150,52 @@ def write_files(folder: Path, env: Env, policy: Policy, facts: dict[str, Any]) -
         (folder / name).write_text(content, encoding="utf-8", errors="backslashreplace")
 
 
-def compare(folder: Path, env: Env, policy: Policy, situations: int = SITUATIONS) -> dict[str, float]:
-    """Largest differences of an export's actions from a policy's in so many held-out situations, in their box's size.
+def _limits(env: Env, facts: dict[str, Any]) -> MotionLimits:
+    rows = [joint["widest"] for joint in facts["joints"]]
+    return MotionLimits(**{name: np.array([row[name] for row in rows]) for name in LIMITS}, period=env.setup.period)
 
-    By what computes them: ONNX Runtime and NumPy.
+
+def compare(folder: Path, env: Env, policy: Policy, situations: int = SITUATIONS) -> dict[str, float]:
+    """Largest differences of an export from a policy in so many situations of held-out episodes, by what computes it.
+
+    Of ONNX Runtime's actions in the size of their box, of the commands of the printed step [rad or m], and of those of
+    the C sources from those of the shell, where a compiler is there [rad or m].
     """
-    facts = read_folder(folder)
-    network, onnx = Network(read_weights(folder / "policy.safetensors"), facts["network"]), OnnxNetwork(folder)
-    size = env.action_bounds[1] - env.action_bounds[0]
-    worst = {"ONNX Runtime": 0.0, "NumPy": 0.0}
-    act = jax.jit(lambda policy, seen: bounded(env.setup, policy.act(seen)))
-    for seen in _situations(env, policy, -(-situations // env.num_envs)):
-        expected = np.asarray(act(policy, seen))
-        picture, vector = env.schema.split(seen)
-        given = {"ONNX Runtime": onnx.act(seen), "NumPy": network.act(vector, picture)}
-        for what, actions in given.items():
-            difference = np.abs(actions - expected).max(axis=0) / size
-            worst[what] = max(worst[what], float(difference.max()))
-    return worst
+    onnx, facts, functions = OnnxNetwork(folder), read_folder(folder), as_measured(env.functions)
+    printed, limits, low = load_step(folder)["decide"], _limits(env, facts), env.action_bounds[0]
+    size, worst = env.action_bounds[1] - low, defaultdict[str, float](float)
+
+    def expected(state: EnvState, picture: Any) -> tuple[Any, Any, Any]:
+        seen = functions.observe(state, picture)
+        action, command, _ = functions.command(state, policy.act(seen), None)
+        return seen, action, command
+
+    def note(what: str, difference: Any) -> None:
+        worst[what] = max(worst[what], float(np.abs(difference).max()))
+
+    decide = jax.jit(expected)
+    with tempfile.TemporaryDirectory() as build:
+        c = CPolicy(folder, facts["inputs"], limits.n, Path(build)) if compiler() and not env.pictured else None
+        for state, picture in _situations(env, policy, -(-situations // env.num_envs)):
+            seen, actions, commands = jax.tree.map(np.asarray, decide(state, picture))
+            note("ONNX Runtime", (onnx.act(seen) - actions) / size)
+            for given, command in zip(rows_of(state, picture, facts["inputs"]), commands, strict=True):
+                wanted = np.array(printed(**given)[1])
+                note("step.py", wanted - command)
+                if c is not None:
+                    motion = limits.at_rest(np.array(given.pop("command")))
+                    c.set(c.state, **motion._asdict(), last_action=given.pop("last_action"))
+                    c.set(c.input, **given)
+                    note("reachlab_policy.c", c.step()[0] - limits.advance(motion, wanted).position)
+    return dict(worst)
 
 
 def _situations(env: Env, policy: Policy, steps: int) -> Any:
-    """Observations `[B, ...]` of so many steps of held-out episodes, in NumPy."""
+    """States and pictures `[B, ...]` of so many steps of held-out episodes."""
     state = env.compile_whole(env.init)(episode_keys(CHECK_SEED, REPORT_STREAM, 0, env.num_envs))
     act, key = make_act(env, "trained"), jax.random.key(0)
     step = env.compile_whole(act)
     for _ in range(steps):
-        seen: Observed = jax.tree.map(np.asarray, env.observe_now(state))
-        yield seen
+        picture = env.render_observation(state) if env.pictured else None
+        yield state, picture
         state, _, key = step(policy, state, key)

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from reachlab.deploy.check import read_facts
+from reachlab.envs.formats import from_json
+from reachlab.envs.presets import configure
 from reachlab.settings.config import RunConfig
-from reachlab.settings.json_form import from_json
-from reachlab.settings.presets import configure
 from reachlab.settings.reading import MOST_MODEL, MOST_TEXT, read_regular
 from reachlab.settings.validation import InputError, installing
 from reachlab.tasks.schema import Observed, Schema

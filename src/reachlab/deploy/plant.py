@@ -9,7 +9,6 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-import jax
 import numpy as np
 
 from reachlab.deploy.plant_faults import Faults
@@ -34,7 +33,8 @@ class Measurement:
     qd: np.ndarray
     goal: list[float]
     velocity: list[float] | None
-    obstacles: list[dict[str, Any]] | None
+    obstacles: list[dict[str, Any]]
+    objects: list[dict[str, Any]]
 
 
 class Link(Protocol):
@@ -99,7 +99,7 @@ class Plant:
         """Arm of a configuration, which follows every command as it comes."""
         self._env, self._seed = Env(override(config, shaping=False), 1), seed
         self.period, self.steps = config.physics.control_period, config.rules.max_steps
-        self.speed = np.array(self._env.setup.robot.speed)
+        self.speed = np.array(self._env.setup.robot.commands.speed)
         self._init, self._step = self._env.compile_whole(self._env.init), self._env.compile_whole(self._env.step)
         self._idle = np.zeros((1, len(self._env.action_bounds[0])), np.float32)
         self.begin(0)
@@ -112,8 +112,8 @@ class Plant:
 
     @property
     def q(self) -> np.ndarray:
-        """Joints `[n]`."""
-        return np.asarray(self._state.arm.q, float)[0]
+        """Joints, and the opening of a gripper `[m]`."""
+        return self._beside(self._state.arm.q, self._state.arm.opening)
 
     def step(self, command: np.ndarray) -> tuple[bool, bool]:
         """Move for a control period towards a command `[n]`; whether the episode has ended, and in success."""
@@ -124,15 +124,22 @@ class Plant:
         """What is measured and asked for now."""
         state, goal = self._state, self._state.goal
         asked = np.asarray(goal.position, float)[0].tolist()
-        if goal.quaternion is not None:
-            asked += np.asarray(goal.quaternion, float)[0].tolist()
-        velocity = None if goal.velocity is None else np.asarray(goal.velocity, float)[0].tolist()
-        around = None
-        if state.obstacles is not None:
-            present = np.flatnonzero(np.asarray(state.obstacles.present)[0])
-            rows = jax.tree.map(lambda x: np.asarray(x, float)[0], state.obstacles)
-            around = [{name: part[i].tolist() for name, part in vars(rows).items()} for i in present]
-        return Measurement(self.q, np.asarray(state.arm.qd, float)[0], asked, velocity, around)
+        asked += np.asarray(goal.quaternion, float)[0].tolist()
+        velocity = np.asarray(goal.velocity, float)[0].tolist() or None
+        setup, bodies, around = self._env.setup, state.arm.bodies, list[dict[str, Any]]()
+        if bodies.kind.size:  # what JAX computes of nothing would take a part of the control period too
+            parts = {name: getattr(bodies, name) for name in ("position", "quaternion", "half", "radius")}
+            parts["velocity"] = bodies.velocity[..., :3]
+            rows = {name: np.asarray(part, float)[0] for name, part in parts.items()}
+            present = np.flatnonzero(np.asarray(bodies.present)[0])
+            around = [{name: part[i].tolist() for name, part in rows.items()} for i in present]
+        fixed = len(around) - setup.task.scene(setup).objects
+        qd = self._beside(state.arm.qd, np.zeros(state.arm.opening.shape))
+        return Measurement(self.q, qd, asked, velocity, around[:fixed], around[fixed:])
+
+    @staticmethod
+    def _beside(joints: Any, opening: Any) -> np.ndarray:
+        return np.concatenate([np.asarray(joints, float)[0], np.asarray(opening, float)[0]])
 
     def close(self) -> None:
         """Close the simulator."""

@@ -34,8 +34,8 @@ def check_over_ros2(folder: Path, *, sim: str | None, episodes: int, seed: int, 
         InputError: ROS 2 is missing, the policy is one that topics cannot carry, or its node does not start.
     """
     config, facts = settings_of(folder, sim), read_facts(folder)
-    if facts["goal"]["moves"] or facts["capsules"]:
-        raise InputError("goals that move and obstacles have no topic: check this policy without --ros2.")
+    if facts["goal"]["moves"] or {"bodies", "object"} & config.rules.gives:
+        raise InputError("goals that move and bodies beside the arm have no topic: check this policy without --ros2.")
     topics = Topics()
     with ros2() as rclpy:
         plant = Plant(config, seed)

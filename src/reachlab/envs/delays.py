@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from reachlab.envs.random_streams import delay_keys
-from reachlab.sims import ArmState
+from reachlab.sims.simulator import SimState
 
 JITTER = 0.01
 """By how much more than a control period a measurement is old at most [s]; never by more than another period."""
@@ -21,7 +21,7 @@ LOST = 0.05
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Sensed:
-    """What is known of the joints, and what they did a control period ago, `[B, n]` each."""
+    """Joints as far as they are known, and what they did a control period ago, `[B, n]` each."""
 
     q: Array
     qd: Array
@@ -29,13 +29,8 @@ class Sensed:
     past_qd: Array
 
 
-def sensed_at_start(arm: ArmState) -> Sensed:
-    """Of arms that have rested for a while."""
-    return Sensed(arm.q, arm.qd, arm.q, arm.qd)
-
-
-def sense(before: Sensed, arm: ArmState, keys: Array, clock: Array, period: float) -> Sensed:
-    """What is known after a step `[B]` of the episodes with `keys [B]`, before which the arms were as `arm` says.
+def sense(before: Sensed, arm: SimState, keys: Array, clock: Array, period: float) -> Sensed:
+    """Joints as known after a step `[B]` of the episodes with `keys [B]`, before which the arms were as `arm` says.
 
     A measurement is a control period old, and up to `JITTER` more.
     """

@@ -1,4 +1,4 @@
-"""Gymnasium's faces with goals, for hindsight replay: rewards and ends can be computed again for any goal.
+"""Gymnasium's interfaces with goals, for hindsight replay: rewards and ends can be computed again for any goal.
 
 The methods are those of `gymnasium_robotics.core.GoalEnv`.
 """
@@ -8,19 +8,20 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import gymnasium
 import numpy as np
 
-from reachlab.envs.core import Env
 from reachlab.envs.gymnasium_shared import Episodes
 from reachlab.envs.gymnasium_single import ReachEnv
 from reachlab.envs.gymnasium_vector import ReachVectorEnv
-from reachlab.robots.kinematics import angle_between
-from reachlab.settings.rules import Rules
+from reachlab.envs.presets import configure, preset
+from reachlab.robots.kinematics.forward import angle_between
+from reachlab.settings.json_form import flatten, to_json
 from reachlab.settings.validation import InputError, choose
 from reachlab.tasks.observations import OBSERVATIONS
 from reachlab.tasks.rewards import GOAL_REWARDS
-from reachlab.tasks.schema import GOALS, Schema
-from reachlab.tasks.task import within
+from reachlab.tasks.schema import GOALS
+from reachlab.tasks.task import Errors
 
 Info = Mapping[str, Any] | Sequence[Mapping[str, Any]]
 """Infos of one step, of a batch of them, or one of each step."""
@@ -38,8 +39,9 @@ class Goals:
     def compute_reward(self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Info) -> Any:
         """Rewards `[...]`: those that a step gives which led there."""
         del info
-        rules = self._episodes.env.setup.rules
-        return GOAL_REWARDS[rules.reward](rules, *_errors(achieved_goal, desired_goal))
+        setup = self._episodes.env.setup
+        rules, errors = setup.rules, _errors(achieved_goal, desired_goal)
+        return GOAL_REWARDS[rules.reward](setup.task.near(rules, errors), setup.task.gap(rules, errors))
 
     def compute_terminated(self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Info) -> Any:
         """Whether the task ends the episode `[...]`."""
@@ -47,9 +49,9 @@ class Goals:
         setup = self._episodes.env.setup
         rules, place = setup.rules, achieved_goal[..., :3]
         low, high = np.array(setup.robot.workspace, np.float32)
-        reached = within(rules, *_errors(achieved_goal, desired_goal))
+        reached = setup.task.near(rules, _errors(achieved_goal, desired_goal))
         outside = ((place < low) | (place > high)).any(axis=-1)
-        return (outside & rules.ends_outside) | (reached & (rules.at_goal == "end"))
+        return (outside & rules.ends_outside) | (reached & rules.ends_at_goal)
 
     def compute_truncated(self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Info) -> Any:
         """Whether the clock does `[...]`; never where the infos do not tell how many steps were taken."""
@@ -70,8 +72,7 @@ class ReachGoalEnv(Goals, ReachEnv):
         Raises:
             InputError: see `ReachEnv`; or rewards or ends could not be computed again.
         """
-        super().__init__(task, render_mode, **settings)
-        _check_goals(self._episodes.env)
+        super().__init__(render_mode=render_mode, **_checked({"task": task, **settings}))
 
 
 class ReachGoalVectorEnv(Goals, ReachVectorEnv):
@@ -83,37 +84,31 @@ class ReachGoalVectorEnv(Goals, ReachVectorEnv):
         Raises:
             InputError: see `ReachGoalEnv`.
         """
-        super().__init__(num_envs, **settings)
-        _check_goals(self._episodes.env)
+        super().__init__(num_envs, **_checked({"task": "tutorial", **settings}))
 
 
-def _check_goals(env: Env) -> None:
-    """Make sure that rewards and ends of an environment follow from goals; it is closed otherwise.
+def _checked(settings: dict[str, Any]) -> dict[str, Any]:
+    """The settings without those that the id brings along and the task does not have.
 
     Raises:
-        InputError: they do not.
+        InputError: rewards and ends do not follow from goals.
     """
-    try:
-        _check_rules(env.setup.rules, env.schema)
-    except InputError:
-        env.close()
-        raise
-
-
-def _check_rules(rules: Rules, schema: Schema) -> None:
-    if not schema.has_goals:
-        names = [name for name, design in OBSERVATIONS.items() if design.terms[-1].name == GOALS[-1]]
-        choose("observation of a goal environment", rules.observation, names)
+    usual, known = gymnasium.spec("reachlab/ReachGoal-v0").kwargs, flatten(to_json(preset(settings["task"])))
+    kept = {name: value for name, value in settings.items() if name in known or usual.get(name) != value}
+    rules = configure(**{name: value for name, value in kept.items() if name in known}).rules
+    names = [name for name, design in OBSERVATIONS.items() if design.terms[-1].name == GOALS[-1]]
+    choose("observation of a goal environment", rules.observation, names)
     choose("reward of a goal environment", rules.reward, GOAL_REWARDS)
-    if rules.hold_steps and rules.at_goal == "end":
+    if rules.holds and rules.ends_at_goal:
         raise InputError(
-            f"a goal environment cannot end an episode once the goal was held for hold_steps {rules.hold_steps}, which"
-            " its last step does not tell: set at_goal to 'continue', or hold_steps to 0."
+            "a goal environment cannot end an episode once the goal was held for hold_steps, which its last step does"
+            " not tell: set at_goal to 'continue', or hold_steps to 0."
         )
+    return kept
 
 
-def _errors(achieved_goal: np.ndarray, desired_goal: np.ndarray) -> tuple[Any, Any | None]:
-    """Distances `[...]` m, and of poses angles in rad."""
+def _errors(achieved_goal: np.ndarray, desired_goal: np.ndarray) -> Errors:
+    """Errors `[...]` of goals; of positions alone the angles are zero."""
     distance = np.linalg.norm(np.asarray(achieved_goal)[..., :3] - desired_goal[..., :3], axis=-1)
     one, other = achieved_goal[..., 3:], desired_goal[..., 3:]
-    return distance, angle_between(one, other) if one.shape[-1] else None
+    return Errors(distance, angle_between(one, other) if one.shape[-1] else np.zeros_like(distance))

@@ -1,4 +1,4 @@
-"""What both Gymnasium faces share: a batch of episodes under way, spaces, and checks of what is handed in."""
+"""Shared by both interfaces of Gymnasium: a batch of episodes under way, spaces, and checks of what is handed in."""
 
 from __future__ import annotations
 
@@ -6,14 +6,13 @@ import reprlib
 from collections.abc import Sequence
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from gymnasium.spaces import Box, Dict, Space
 from gymnasium.vector import AutoresetMode
 
+from reachlab.control.situation import Goal
 from reachlab.envs.core import Env
-from reachlab.envs.episode_batch import Now, Result, make_batch
+from reachlab.envs.episode_batch import EpisodeBatch, Now, Result
 from reachlab.envs.functions import EnvState
 from reachlab.envs.placing import goal_at, make_place
 from reachlab.envs.setup import configure_env
@@ -21,7 +20,7 @@ from reachlab.jax_setup import refuse_fork
 from reachlab.settings.json_form import to_json
 from reachlab.settings.validation import LAST_SEED, InputError, choose, whole_number
 from reachlab.tasks.schema import Schema
-from reachlab.tasks.task import Bounds, Goal
+from reachlab.tasks.task import Bounds
 
 RENDER_MODES = ("rgb_array",)
 
@@ -39,11 +38,10 @@ class Episodes:
         Raises:
             InputError: a setting that does not exist, or a value that is not allowed.
         """
-        self.env = Env(configure_env(task, settings), num_envs)
-        self._batch, self._begun, self._closed = make_batch(self.env, mode, in_numpy=in_numpy), False, False
+        self.env = Env(configure_env(task, **settings), num_envs)
+        self._batch, self._begun, self._closed = EpisodeBatch(self.env, mode, in_numpy=in_numpy), False, False
         self._shape = (self.env.num_envs, len(self.env.action_bounds[0]))
         self._place = make_place(self.env.setup)
-        self._checked = checked_actions if in_numpy else _checked_in_jax
 
     @property
     def state(self) -> EnvState:
@@ -92,14 +90,14 @@ class Episodes:
         return now
 
     def step(self, actions: Any) -> Result:
-        """What actions `[B, a]` led to.
+        """Result of actions `[B, a]`.
 
         Raises:
             InputError: an action is misshapen or not finite, or no episode has begun; nothing has moved.
         """
         refuse_fork()
         self._need_episodes()
-        return self._batch.step(self._checked(actions, self._shape))
+        return self._batch.step(checked_actions(actions, self._shape))
 
     def render(self, index: int) -> np.ndarray:
         """Picture of one environment."""
@@ -111,10 +109,9 @@ class Episodes:
         self.env.close()
 
 
-def told(now: Now) -> dict[str, Any]:
+def infos(now: Now) -> dict[str, Any]:
     """Infos `[B]` by name: `is_success`, `distance` [m], `elapsed_steps`, and `angle` [rad] where one is asked for."""
-    infos = {"is_success": now.success, "distance": now.distance, "elapsed_steps": now.steps}
-    return infos if now.angle is None else {**infos, "angle": now.angle}
+    return {"is_success": now.success, **now.errors, "elapsed_steps": now.steps}
 
 
 def checked_options(options: dict[str, Any] | None, known: Sequence[str]) -> dict[str, Any]:
@@ -186,15 +183,13 @@ def box(bounds: Bounds) -> Box:
 
 def single(observation: Any, index: int) -> Any:
     """Observation of one environment of a batch."""
-    return (
-        {name: part[index] for name, part in observation.items()}
-        if isinstance(observation, dict)
-        else observation[index]
-    )
+    if isinstance(observation, dict):
+        return {name: part[index] for name, part in observation.items()}
+    return observation[index]
 
 
 def checked_actions(given: Any, shape: tuple[int, ...]) -> np.ndarray:
-    """Actions as float32.
+    """Actions as float32; arrays of JAX and PyTorch on the CPU are not copied.
 
     Raises:
         InputError: another shape, or a number that is not finite; names environment and index.
@@ -215,22 +210,3 @@ def checked_actions(given: Any, shape: tuple[int, ...]) -> np.ndarray:
         env, index = (int(i) for i in np.argwhere(~np.isfinite(actions))[0])
         raise InputError(f"action of environment {env} is {actions[env, index]} at index {index}: it must be finite.")
     return actions
-
-
-def _checked_in_jax(given: Any, shape: tuple[int, ...]) -> Any:
-    """Actions as float32; what JAX can take over stays where it is, but for the answer whether it is finite.
-
-    Raises:
-        InputError: see `checked_actions`.
-    """
-    if isinstance(given, np.ndarray) or not hasattr(given, "__dlpack__"):
-        return checked_actions(given, shape)
-    actions = given if isinstance(given, jax.Array) else jnp.from_dlpack(given)
-    if actions.shape == shape and actions.dtype == jnp.float32 and _finite(actions):
-        return actions
-    return checked_actions(actions, shape)
-
-
-@jax.jit
-def _finite(actions: jax.Array) -> jax.Array:
-    return jnp.isfinite(actions).all()

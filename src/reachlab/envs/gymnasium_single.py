@@ -1,4 +1,4 @@
-"""Gymnasium's face of a single environment."""
+"""Gymnasium's interface to a single environment."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from reachlab.envs.gymnasium_shared import (
     checked_options,
     checked_render_mode,
     checked_seed,
+    infos,
     observation_space,
     single,
-    told,
 )
 
 OPTIONS = ("target",)
@@ -67,7 +67,7 @@ class ReachEnv(gymnasium.Env[Any, np.ndarray]):
         return single(now.observation, 0), _info(now)
 
     def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """What an action led to: observation, reward, terminated, truncated, info.
+        """Result of an action: observation, reward, terminated, truncated, info.
 
         Raises:
             InputError: the action is misshapen or not finite; nothing has moved.
@@ -100,4 +100,4 @@ class ReachEnv(gymnasium.Env[Any, np.ndarray]):
 
 
 def _info(now: Now) -> dict[str, Any]:
-    return {name: value.item() for name, value in told(now).items()}
+    return {name: value.item() for name, value in infos(now).items()}

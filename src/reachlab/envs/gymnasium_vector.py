@@ -1,4 +1,4 @@
-"""Gymnasium's face of a batch of environments."""
+"""Gymnasium's interface to a batch of environments."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from reachlab.envs.gymnasium_shared import (
     checked_options,
     checked_render_mode,
     checked_seeds,
+    infos,
     observation_space,
     single,
-    told,
 )
 from reachlab.settings.validation import InputError, choose
 
@@ -26,7 +26,7 @@ ARRAYS = {
     "numpy": "NumPy arrays of the caller's own",
     "jax": "JAX arrays, left where they were computed; others take them over by DLPack without a copy",
 }
-"""What `step` and `reset` give, by name."""
+"""Arrays that `step` and `reset` give, by name."""
 
 OPTIONS = ("reset_mask",)
 """Options of `reset`."""
@@ -84,7 +84,7 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
         mask = self._checked_mask(options)
         now = self._episodes.reset(seeds, mask, self.np_random)
         self._ended = self._ended & ~mask
-        return now.observation, _batch_info(told(now), mask)
+        return now.observation, _batch_info(infos(now), mask)
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Observations, rewards, terminated, truncated and infos that the actions `[B, a]` led to.
@@ -105,11 +105,11 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
         now, reward, terminated, truncated, final = self._episodes.step(actions)
         if self._mode is AutoresetMode.DISABLED:
             self._ended = np.asarray(terminated) | np.asarray(truncated)
-        infos = _batch_info(told(now), np.ones(self.num_envs, bool))
+        info = _batch_info(infos(now), np.ones(self.num_envs, bool))
         if final is not None and (ended := np.asarray(terminated) | np.asarray(truncated)).any():
             observation = _objects(final.observation, ended) if self._numpy else final.observation
-            infos |= _batch_info({"final_obs": observation, "final_info": _batch_info(told(final), ended)}, ended)
-        return now.observation, reward.astype(np.float64) if self._numpy else reward, terminated, truncated, infos
+            info |= _batch_info({"final_obs": observation, "final_info": _batch_info(infos(final), ended)}, ended)
+        return now.observation, reward.astype(np.float64) if self._numpy else reward, terminated, truncated, info
 
     def render(self) -> tuple[np.ndarray, ...] | None:
         """A picture of each environment, in render mode `rgb_array`."""

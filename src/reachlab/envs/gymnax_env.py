@@ -1,4 +1,4 @@
-"""Gymnax's face of an environment: one episode at a time, as functions that JAX can trace."""
+"""Gymnax's interface to an environment: one episode at a time, as functions that JAX can trace."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from gymnax.environments import environment, spaces  # pyright: ignore[reportMis
 from jax import Array
 
 from reachlab.envs.core import Env
-from reachlab.envs.functions import EnvState
+from reachlab.envs.functions import EnvState, named_errors
 from reachlab.envs.setup import configure_env
 from reachlab.settings.validation import InputError
 
@@ -45,7 +45,7 @@ class GymnaxEnv(environment.Environment[GymnaxState, environment.EnvParams]):
         Raises:
             InputError: a task or setting that does not exist, a value that is not allowed, or what JAX cannot trace.
         """
-        config = configure_env(task, settings)
+        config = configure_env(task, **settings)
         self._env = Env(config, 1)
         if not self._env.traced:
             self._env.close()
@@ -75,12 +75,11 @@ class GymnaxEnv(environment.Environment[GymnaxState, environment.EnvParams]):
     def step_env(
         self, key: Array, state: GymnaxState, action: int | float | Array, params: environment.EnvParams
     ) -> tuple[Array, GymnaxState, Array, Array, dict[Any, Any]]:
-        """What an action `[a]` led to: observation `[k]`, state, reward, terminated, info; nothing in it is random."""
+        """Result of an action `[a]`: observation `[k]`, state, reward, terminated, info; nothing in it is random."""
         del key, params
         episode, done = self._env.step(_batch(state.episode), jnp.asarray(action)[None])
         episode, done = _single(episode), _single(done)
-        names = {"is_success": "success", "distance": "distance", "angle": "angle"}
-        info = {name: done.terms[term] for name, term in names.items() if term in done.terms}
+        info = {"is_success": done.terms["success"], **named_errors(self._env.setup, done.errors)}
         state = GymnaxState(episode.clock, episode, done.terminated, done.truncated)
         observation, state = self._apply_transition_gradient_policy(done.observation, state)
         return observation, state, done.reward, done.terminated, info

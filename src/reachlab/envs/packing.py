@@ -23,78 +23,86 @@ where it hands others to its threads kernel by kernel. In large batches it is th
 
 def make_packing(example: Any, num_envs: int) -> Apart | Packed:
     """The faster way to hand over pytrees that are like an example: of arrays, or of their shapes and types."""
-    packs = num_envs == 1 or MOST_SMALL < num_envs < LEAST_LARGE
-    return Packed(example) if packs else Apart(example)
+    return Packed(example) if num_envs == 1 or MOST_SMALL < num_envs < LEAST_LARGE else Apart(example)
+
+
+class AsTheyAre:
+    """Pytrees of the host, which no compiled program takes or gives."""
+
+    def in_jax(self, packed: Any) -> Any:
+        """A packed pytree as JAX's functions take it."""
+        return packed
+
+    def taken(self, packed: Any, *, in_numpy: bool) -> Any:
+        """A packed pytree of arrays: in NumPy, the caller's own, or in JAX."""
+        return jax.tree.map(np.array if in_numpy else jnp.asarray, packed)
 
 
 class Apart:
-    """A pytree handed over as it is."""
+    """A pytree handed over array by array, but for those without numbers."""
 
     def __init__(self, example: Any) -> None:
         """Pytrees that are like an example: of arrays, or of their shapes and types."""
-        self._example = example
-
-    def nothing(self) -> Any:
-        """A pytree of zeros, packed."""
-        return jax.tree.map(_zeros, self._example)
+        leaves, self._structure = jax.tree.flatten(example)
+        self._empty = [None if leaf.size else np.zeros(leaf.shape, leaf.dtype) for leaf in leaves]
+        self.zeros: Any = [_numbers(_no_bits(leaf), leaf.shape, leaf.dtype) for leaf in leaves if leaf.size]
 
     def pack(self, tree: Any) -> Any:
-        """A pytree, packed."""
-        return tree
+        """A pytree, packed, in JAX's traces."""
+        return [leaf for leaf in jax.tree.leaves(tree) if leaf.size]
 
     def unpack(self, packed: Any) -> Any:
-        """A packed pytree, in JAX."""
-        return packed
+        """A packed pytree, in JAX's traces."""
+        filled = iter(packed)
+        return jax.tree.unflatten(self._structure, [next(filled) if one is None else one for one in self._empty])
 
-    def taken(self, packed: Any, in_numpy: bool) -> Any:
-        """A packed pytree outside JAX's traces: as NumPy arrays of its own, or as JAX arrays."""
-        return jax.tree.map(np.array, packed) if in_numpy else packed
+    def in_jax(self, packed: Any) -> Any:
+        """See `AsTheyAre`."""
+        return self.unpack(packed)
+
+    def taken(self, packed: Any, *, in_numpy: bool) -> Any:
+        """See `AsTheyAre`."""
+        return self.unpack(map(np.array, packed) if in_numpy else packed)
 
 
 class Packed:
     """A pytree of arrays with a batch in front as one array `[B, columns]` uint32, the bits of its numbers."""
 
     def __init__(self, example: Any) -> None:
-        """See `Apart`."""
+        """Pytrees that are like an example: of arrays, or of their shapes and types."""
         leaves, self._structure = jax.tree.flatten(example)
-        shapes = [jax.eval_shape(_bits, leaf).shape for leaf in leaves]
-        widths = [math.prod(shape[1:]) for shape in shapes]
-        starts = np.cumsum([0, *widths]).tolist()
-        self._shape = (shapes[0][0], starts[-1])
+        shapes = [_no_bits(leaf).shape for leaf in leaves]
+        ends = np.cumsum([math.prod(shape[1:]) for shape in shapes]).tolist()
         self._leaves = [
-            (slice(start, start + width) if len(shape) > 1 else start, leaf.shape, leaf.dtype)
-            for start, width, shape, leaf in zip(starts, widths, shapes, leaves, strict=False)
+            (slice(start, end) if len(shape) > 1 else start, leaf.shape, leaf.dtype)
+            for start, end, shape, leaf in zip([0, *ends], ends, shapes, leaves, strict=False)
         ]
+        self.zeros: Any = np.zeros((shapes[0][0], ends[-1]), np.uint32)
         self._in_jax = jit(self.unpack)
 
-    def nothing(self) -> np.ndarray:
-        """See `Apart.nothing`."""
-        return np.zeros(self._shape, np.uint32)
-
     def pack(self, tree: Any) -> Array:
-        """See `Apart.pack`."""
-        leaves = [_bits(leaf) for leaf in jax.tree.leaves(tree)]
-        return jnp.concatenate([leaf.reshape(len(leaf), -1) for leaf in leaves], axis=1)
+        """A pytree, packed, in JAX's traces."""
+        return jnp.concatenate([_bits(leaf).reshape(len(leaf), -1) for leaf in jax.tree.leaves(tree)], axis=1)
 
     def unpack(self, packed: Array) -> Any:
-        """See `Apart.unpack`."""
+        """A packed pytree, in JAX's traces."""
         leaves = [_numbers(packed[:, columns], shape, dtype) for columns, shape, dtype in self._leaves]
         return jax.tree.unflatten(self._structure, leaves)
 
-    def taken(self, packed: Any, in_numpy: bool) -> Any:
-        """See `Apart.taken`."""
+    def in_jax(self, packed: Any) -> Any:
+        """See `AsTheyAre`."""
+        return self._in_jax(packed)
+
+    def taken(self, packed: Any, *, in_numpy: bool) -> Any:
+        """See `AsTheyAre`; numbers are of 32 bits, or truths."""
         if not in_numpy:
             return self._in_jax(packed)
-        numbers = np.asarray(packed)
-        leaves = [_taken(numbers, columns, dtype) for columns, _, dtype in self._leaves]
+        bits = np.asarray(packed)
+        leaves = [
+            bits[:, columns] != 0 if dtype.kind == "b" else bits.view(dtype)[:, columns].copy()
+            for columns, _, dtype in self._leaves
+        ]
         return jax.tree.unflatten(self._structure, leaves)
-
-
-def _zeros(leaf: Any) -> Any:
-    """Zeros of the leaf's shape and type; of keys such that nothing is made of them."""
-    if jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key):
-        return jax.random.wrap_key_data(jnp.zeros(jax.eval_shape(_bits, leaf).shape, jnp.uint32))
-    return np.zeros(leaf.shape, leaf.dtype)
 
 
 def _bits(leaf: Array) -> Array:
@@ -104,16 +112,14 @@ def _bits(leaf: Array) -> Array:
     return leaf.astype(jnp.uint32) if leaf.dtype.kind == "b" else jax.lax.bitcast_convert_type(leaf, jnp.uint32)
 
 
-def _numbers(columns: Array, shape: tuple[int, ...], dtype: Any) -> Array:
+def _no_bits(leaf: Any) -> np.ndarray:
+    """Zeros like the bits of a leaf, which may be its shape and type alone."""
+    return np.zeros(jax.eval_shape(_bits, leaf).shape, np.uint32)
+
+
+def _numbers(columns: Any, shape: tuple[int, ...], dtype: Any) -> Array:
     """The reverse of `_bits`."""
     if jnp.issubdtype(dtype, jax.dtypes.prng_key):
         return jax.random.wrap_key_data(columns)
     columns = columns.reshape(shape)
     return columns != 0 if dtype.kind == "b" else jax.lax.bitcast_convert_type(columns, dtype)
-
-
-def _taken(packed: np.ndarray, columns: slice | int, dtype: np.dtype) -> np.ndarray:
-    """The same in NumPy, of numbers of 32 bits and truths."""
-    if dtype.kind == "b":
-        return packed[:, columns] != 0
-    return packed.view(dtype)[:, columns].copy()

@@ -17,9 +17,12 @@ TRAINING_STREAM, REPORT_STREAM, VALIDATION_STREAM, LEARNER_STREAM, GYMNASIUM_STR
 PARTS = 4
 """Keys that an episode's key is split into: the next episode's, its target's, its start's and its arm's."""
 
-VIEW_STREAM, NOISE_STREAM, AGENT_STREAM, CHAIN_STREAM, SCENE_STREAM, DELAY_STREAM = (2**32 - 1 - i for i in range(6))
+VIEW_STREAM, NOISE_STREAM, AGENT_STREAM, CHAIN_STREAM, SCENE_STREAM, DELAY_STREAM, OBJECT_STREAM, PLACE_STREAM = (
+    2**32 - 1 - i for i in range(8)
+)
 """Streams of an episode's key beside these parts: its view, the noise of its measurements, what its agent samples,
-where the next episode begins, its obstacles, and how late its measurements are."""
+where the next episode begins, its bodies, how late its measurements are, which objects it has and where they are
+measured."""
 
 
 def stream_key(seed: int | Array, stream: int) -> Array:

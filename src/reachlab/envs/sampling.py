@@ -10,11 +10,11 @@ import jax
 import numpy as np
 from jax import Array
 
+from reachlab.control.situation import Goal
 from reachlab.jax_setup import jit
-from reachlab.tasks.task import Goal
 
 if TYPE_CHECKING:
-    from reachlab.envs.functions import Begin
+    from reachlab.sims.simulator import Begin
 
 TOGETHER = 8
 """Episodes that are sampled by one call: few, since all of them wait for the one that takes most draws; and always as

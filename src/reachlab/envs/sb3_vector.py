@@ -1,4 +1,4 @@
-"""Stable-Baselines3's face of a batch of environments."""
+"""Stable-Baselines3's interface to a batch of environments."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ class ReachVecEnv(VecEnv):
     def env_method(
         self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any
     ) -> list[Any]:
-        """What a method of the batch returns, as often as environments are asked for.
+        """Answer of a method of the batch, as often as environments are asked for.
 
         Raises:
             InputError: no method that is the same for every environment.

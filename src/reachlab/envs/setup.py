@@ -3,42 +3,22 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import logging
-from collections.abc import Mapping
 from typing import Any
 
-from reachlab.robots.chain import significant
+from reachlab.envs.consistency import check, check_names
+from reachlab.envs.presets import configure, in_simulator, of_other_tasks, preset
+from reachlab.robots.kinematics.chain import significant
 from reachlab.robots.loading import load_robot
 from reachlab.robots.robot import Robot
 from reachlab.settings.config import RunConfig
-from reachlab.settings.consistency import check_consistency
-from reachlab.settings.json_form import flatten, override, to_json
-from reachlab.settings.needs import Facts
-from reachlab.settings.presets import configure, in_simulator, preset
-from reachlab.settings.rules import Rules, TaskConfig
-from reachlab.settings.validation import InputError, choose
+from reachlab.settings.json_form import override
+from reachlab.settings.rules import TaskSettings
+from reachlab.settings.validation import BY_ARM, InProportion, InputError, choose, hints
 from reachlab.sims import SIMULATORS
-from reachlab.tasks import TASKS
-from reachlab.tasks.actions import ACTIONS
-from reachlab.tasks.observations import OBSERVATIONS
-from reachlab.tasks.paths import PATHS
-from reachlab.tasks.reach import AT_GOAL
 from reachlab.tasks.reachability import SAMPLES, survey
-from reachlab.tasks.rewards import REWARDS
-from reachlab.tasks.targets import TARGETS
 from reachlab.tasks.task import Task, TaskSetup
-
-NAMES: dict[str, tuple[str, Mapping[str, object]]] = {
-    "task": ("task", TASKS),
-    "sim": ("simulator", SIMULATORS),
-    "observation": ("observation", OBSERVATIONS),
-    "action": ("action", ACTIONS),
-    "reward": ("reward", REWARDS),
-    "targets": ("targets", TARGETS),
-    "at_goal": ("at_goal", AT_GOAL),
-    "goal_paths": ("goal path", PATHS),
-}
-"""Settings that are names of tables, or lists of them, and what they are called."""
 
 MOST_OUT_OF_REACH = 0.05
 """Share of goals out of reach from which it is said that those fail whatever is learnt."""
@@ -46,49 +26,7 @@ MOST_OUT_OF_REACH = 0.05
 log = logging.getLogger(__name__)
 
 
-def check_names(config: RunConfig) -> None:
-    """Make sure that what a configuration names is there.
-
-    Raises:
-        InputError: it is not; the sentence lists the names and the nearest one.
-    """
-    settings = flatten(to_json(config))
-    for setting, (kind, table) in NAMES.items():
-        chosen = settings[setting]
-        for name in (chosen,) if isinstance(chosen, str) else chosen:
-            choose(kind, name, table)
-
-
-def check(config: RunConfig, base: RunConfig | None = None) -> None:
-    """Make sure that settings make sense together, and say what follows from those changed from `base`.
-
-    Args:
-        config: the settings.
-        base: what they are changed from; without it their preset.
-
-    Raises:
-        InputError: a name that does not exist, settings that contradict each other, or one without effect.
-    """
-    check_names(config)
-    observation, action = OBSERVATIONS[config.rules.observation], ACTIONS[config.rules.action]
-    task: Task = TASKS[config.task].load()
-    facts = Facts(
-        pictures=observation.pictured,
-        dynamics=SIMULATORS[config.sim].dynamics,
-        scale=action.scale,
-        turns=action.turns,
-        asks_orientation=config.rules.asks_orientation,
-        needs_pose=observation.needs_pose,
-        needs_velocity=observation.needs_velocity,
-        needs_obstacles=observation.needs_obstacles,
-        moves=task.move is not None,
-        obstructed=task.sample_obstacles is not None,
-        contacts=SIMULATORS[config.sim].obstacles,
-    )
-    check_consistency(config, facts, base)
-
-
-def configure_env(task: str, settings: Mapping[str, Any]) -> RunConfig:
+def configure_env(task: str, **settings: Any) -> RunConfig:
     """Configuration of an environment for other learners: a preset with the settings changed.
 
     What varies in the training that a preset describes does not vary in it, unless it is asked for.
@@ -108,34 +46,40 @@ def make_setup(config: RunConfig) -> TaskSetup:
         InputError: a name that does not exist, or a rule that does not fit the arm.
     """
     check_names(config)
-    task: Task = TASKS[config.task].load()
-    robot = load_robot(config.robot, config.rules.tool, kind=task.tool, base=config.base, packages=config.package)
-    setup = TaskSetup(task, _on_arm(config.rules, robot), robot, config.physics.control_period, (0.0,) * robot.chain.n)
+    task = _task(type(config.rules))
+    robot = load_robot(
+        config.robot,
+        config.rules.tool,
+        kind=task.tool,
+        base=config.base,
+        packages=config.package,
+        gripper=config.rules.mounts,
+        grips=config.rules.grips,
+    )
+    lag = (0.0,) * robot.chain.n
+    setup = TaskSetup(robot, config.physics.control_period, lag, task, on_arm(config.rules, robot))
     task.check(setup)
     return setup
 
 
+@functools.cache
+def _task(kind: type[TaskSettings]) -> Task:
+    return kind.task()
+
+
 def settled(config: RunConfig, setup: TaskSetup) -> RunConfig:
     """The configuration with the lengths that its rules take from the arm."""
-    rules = {entry.name: getattr(setup.rules, entry.name) for entry in dataclasses.fields(TaskConfig)}
-    return dataclasses.replace(config, rules=TaskConfig(**rules))
+    return dataclasses.replace(config, rules=setup.rules)
 
 
-def _on_arm(rules: TaskConfig, robot: Robot) -> Rules:
+def on_arm(rules: TaskSettings, robot: Robot) -> TaskSettings:
     """The rules with lengths in proportion to the arm's workspace where none are given, to six significant digits."""
-    usual, scale = Rules(), robot.scale
-    lengths: dict[str, Any] = {
-        "tool_scale": usual.tool_scale * scale,
-        "success_distance": usual.success_distance * scale,
-        "approach_weight": usual.approach_weight / scale,
-        "goal_jump": usual.goal_jump * scale,
-        "target_height": float(robot.workspace[0][2]) + usual.target_height * scale,
-    }
-    lengths = {name: significant(value) for name, value in lengths.items()}
-    given: dict[str, Any] = {
-        name: value for name, value in vars(rules).items() if value is not None or name not in lengths
-    }
-    return Rules(**(lengths | given))
+    floor, lengths = float(robot.workspace[0][2]), {}
+    for name, hint in hints(type(rules)).items():
+        for limit in getattr(hint, "__metadata__", ()):
+            if isinstance(limit, InProportion) and getattr(rules, name) is BY_ARM:
+                lengths[name] = significant(limit.on_arm(robot.scale, floor))
+    return dataclasses.replace(rules, **lengths)
 
 
 def in_evaluation(trained: RunConfig, sim: str, **changed: Any) -> RunConfig:
@@ -146,6 +90,9 @@ def in_evaluation(trained: RunConfig, sim: str, **changed: Any) -> RunConfig:
     """
     config = in_simulator(trained, choose("simulator", sim, [*SIMULATORS, "all"]))
     plain = override(config, gui=False, slow=False, randomise=())
+    for name in changed:
+        if sentence := of_other_tasks(name, plain):
+            raise InputError(sentence)
     config = override(plain, **changed)
     check(config, plain)
     return config
@@ -185,19 +132,11 @@ def check_reach(config: RunConfig) -> None:
 
 def _places(config: RunConfig) -> tuple[Any, ...]:
     """All that decides what can be reached."""
-    rules = config.rules
-    box = (rules.target_low, rules.target_high) if rules.targets == "box" else rules.target_height
-    starts = rules.start_noise if rules.ends_outside else 0.0
-    return (
-        config.robot,
-        config.base,
-        rules.tool,
-        rules.targets,
-        box,
-        rules.success_distance,
-        rules.ends_outside,
-        starts,
-    )
+    rules = vars(config.rules)
+    named = ("tool", "targets", "target_low", "target_high", "target_height", "success_distance")
+    bounded = config.rules.ends_outside
+    starts = config.rules.start_noise if bounded else 0.0
+    return (config.robot, config.base, *(rules.get(name) for name in named), bounded, starts)
 
 
 def _point(corner: Any) -> str:

@@ -15,19 +15,19 @@ from jax import Array
 from reachlab.agents.acting import Function, make_act
 from reachlab.agents.policy import Policy
 from reachlab.envs.core import Env
-from reachlab.envs.functions import EnvState, Transition
+from reachlab.envs.functions import EnvFunctions, EnvState, Transition
 from reachlab.envs.random_streams import AGENT_STREAM, episode_keys
 from reachlab.jax_setup import jit
-from reachlab.robots.clearance import capsules_at, self_distance
-from reachlab.robots.self_contact import meeting
-from reachlab.settings.rules import Rules
+from reachlab.robots.shapes.clearance import capsules_at, self_distance
+from reachlab.robots.shapes.self_contact import meeting
 from reachlab.sims import SIMULATORS
+from reachlab.tasks.task import TaskSetup
 
 Watch = Callable[[int], None]
 """Called with the number of episodes that have ended."""
 
 Meets = Callable[[Array, np.ndarray], np.ndarray]
-"""Whether links of the arm meet `[B]` at joints `[B, n]`, of the episodes `[B]` that are asked about."""
+"""Whether links of the arm meet `[B]` at joints `[B, n]`, of the episodes `[B]` that are named."""
 
 BATCH = 1000
 """Episodes evaluated together where everything is traced; one size, so one compiled program."""
@@ -48,15 +48,15 @@ class Track(NamedTuple):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Episodes:
-    """What became of `B` episodes.
+    """Outcome of `B` episodes.
 
     Attributes:
         goal: where the tool was asked to be, `[B, 3]` [m].
         done: the episode has ended `[B]`; nothing of it changes any more.
         success: it ended in success `[B]`.
         terminated: the task ended it, rather than the clock `[B]`.
-        distance: the error that counts at its end `[B]` [m], see `Progress.error`.
-        angle: that of the orientation `[B]` [rad]; None where any will do.
+        distance: the error that counts at its end `[B]` [m], see `Task.counted`.
+        angle: that of the orientation `[B]` [rad]; zero where any will do.
         steps: its length `[B]`.
         arrival: step from which on the tool stays within the distance of success `[B]`.
         returns: sum of its rewards `[B]`.
@@ -66,7 +66,7 @@ class Episodes:
         touched: links of the arm met in it `[B]`, by their exact shapes, see `self_contact.meeting`; None where joints
             are set, rather than moved by dynamics, or where no links could meet.
         track: where goal and tool were after each of its steps; None where the goal does not move.
-        contact: the arm touched anything in it `[B]`, judged by the engine; None where there are no obstacles.
+        contact: the arm touched anything in it `[B]`, where the engine judges contacts.
     """
 
     goal: Array
@@ -74,15 +74,15 @@ class Episodes:
     success: Array
     terminated: Array
     distance: Array
-    angle: Array | None
+    angle: Array
     steps: Array
     arrival: Array
     returns: Array
     max_speed: Array
     squared_jerk: Array
     motion: tuple[Array, Array, Array]
+    contact: Array
     touched: Array | None = None
-    contact: Array | None = None
     track: Track | None = None
 
 
@@ -100,18 +100,17 @@ class Runner:
 
 def make_runner(env: Env, agent: str | Function) -> Runner:
     """Runner for an agent of `agents.AGENTS`, or for a function."""
-    moves = env.setup.task.move is not None
+    moves = env.setup.rules.moves
     traced = env.traced and isinstance(agent, str) and not moves
     init = env.init if traced else env.compile_whole(env.init)
-    period, rules = env.config.physics.control_period, env.setup.rules
     meets = None if traced else _make_meets(env)
 
     def begin(keys: Array) -> tuple[EnvState, Episodes, Array]:
         state = init(keys)
-        return state, _unplayed(state, rules, judged=meets is not None), jax.random.fold_in(keys[0], AGENT_STREAM)
+        return state, _unplayed(state, env.setup, judged=meets is not None), jax.random.fold_in(keys[0], AGENT_STREAM)
 
     act = make_act(env, agent)
-    count_step = functools.partial(_count, period=period, rules=rules)
+    count_step = functools.partial(_count, setup=env.setup)
 
     def advance(policy: Policy | None, carry: tuple[EnvState, Episodes, Array]) -> tuple[EnvState, Episodes, Array]:
         state, episodes, key = carry
@@ -136,8 +135,11 @@ def make_runner(env: Env, agent: str | Function) -> Runner:
         while (ended := int(np.asarray(carry[1].done).sum())) < len(keys):
             watch(ended)
             before, carry = carry[1], advance(policy, carry)
-            if meets:
-                carry = (carry[0], _judge(before, carry[1], meets), carry[2])
+            if meets:  # which episodes have ended or met before is known
+                state, now, key = carry
+                touched = np.asarray(now.touched)
+                touched = touched | meets(now.motion[0], ~(np.asarray(before.done) | touched))
+                carry = state, replace(now, touched=touched), key
             if moves:
                 goal = carry[0].goal
                 tracks.append((goal.position, goal.velocity, carry[0].arm.tool_position))
@@ -146,7 +148,7 @@ def make_runner(env: Env, agent: str | Function) -> Runner:
     return Runner(run_on_host, env.num_envs, on_host=True)
 
 
-def _unplayed(state: EnvState, rules: Rules, *, judged: bool) -> Episodes:
+def _unplayed(state: EnvState, setup: TaskSetup, *, judged: bool) -> Episodes:
     """Episodes before their first step; whether links meet in them may be `judged`."""
     count, still = len(state.clock), jnp.zeros_like(state.arm.q)
     return Episodes(
@@ -155,9 +157,9 @@ def _unplayed(state: EnvState, rules: Rules, *, judged: bool) -> Episodes:
         success=jnp.zeros(count, bool),
         terminated=jnp.zeros(count, bool),
         distance=state.distance,
-        angle=state.progress.angle_error,
+        angle=setup.task.counted(state.errors, state.progress).angle,
         steps=jnp.zeros(count, jnp.int32),
-        arrival=(~state.progress.near(rules)).astype(jnp.int32),
+        arrival=(~setup.task.near(setup.rules, state.errors)).astype(jnp.int32),
         returns=jnp.zeros(count),
         max_speed=still,
         squared_jerk=jnp.zeros(count),
@@ -173,68 +175,45 @@ def _make_meets(env: Env) -> Meets | None:
     Exact shapes are looked at only where capsules, which contain them, overlap.
     """
     robot = env.setup.robot
-    if not SIMULATORS[env.config.sim].dynamics or not (capsules := robot.capsules).pairs:
+    if "dynamics" not in SIMULATORS[env.config.sim].gives or not (capsules := robot.capsules).pairs:
         return None
     near = jit(lambda q: self_distance(capsules, capsules_at(robot.chain, capsules, q)) < 0)
     exactly = functools.cache(lambda: meeting(robot))
 
-    def meets(q: Array, asked: np.ndarray) -> np.ndarray:
-        found = np.asarray(near(q)) & asked
+    def meets(q: Array, rows: np.ndarray) -> np.ndarray:
+        found = np.asarray(near(q)) & rows
         found[found] = [exactly()(one) for one in np.asarray(q)[found]]
         return found
 
     return meets
 
 
-def _judge(before: Episodes, now: Episodes, meets: Meets) -> Episodes:
-    """Episodes after a step, with those that links met in; which have ended or met before is known."""
-    touched = np.asarray(now.touched)
-    return replace(now, touched=touched | meets(now.motion[0], ~(np.asarray(before.done) | touched)))
-
-
-def _count(
-    episodes: Episodes,
-    state: EnvState,
-    transition: Transition,
-    period: float,
-    rules: Rules,
-) -> Episodes:
-    (q, moved, change), before = episodes.motion, episodes.contact
+def _count(episodes: Episodes, state: EnvState, transition: Transition, setup: TaskSetup) -> Episodes:
+    """Episodes after a step; those that have ended stay as they are."""
+    q, moved, change = episodes.motion
     moved_now = state.arm.q - q
     change_now = moved_now - moved
-    jerk = jnp.square((change_now - change) / period**3).mean(-1)
-    new = Episodes(
-        goal=episodes.goal,
+    jerk = jnp.square((change_now - change) / setup.period**3).mean(-1)
+    new = replace(
+        episodes,
         done=transition.done,
         success=transition.terms["success"],
         terminated=transition.terminated,
-        distance=transition.terms["error"],
-        angle=transition.terms.get("angle_error"),
+        distance=transition.counted.distance,
+        angle=transition.counted.angle,
         steps=episodes.steps + 1,
-        arrival=jnp.where(state.progress.near(rules), episodes.arrival, episodes.steps + 2),
+        arrival=jnp.where(setup.task.near(setup.rules, state.errors), episodes.arrival, episodes.steps + 2),
         returns=episodes.returns + transition.reward,
         max_speed=jnp.maximum(episodes.max_speed, jnp.abs(state.arm.qd)),
         squared_jerk=episodes.squared_jerk + jerk,
         motion=(state.arm.q, moved_now, change_now),
-        touched=episodes.touched,
-        contact=None if before is None or state.arm.contact is None else before | state.arm.contact,
+        contact=episodes.contact | state.arm.contact,
     )
-
-    def keep(old: Array, now: Array) -> Array:
-        ended = episodes.done.reshape(episodes.done.shape + (1,) * (old.ndim - 1))
-        return jnp.where(ended, old, now)
-
-    return jax.tree.map(keep, episodes, new)
+    return EnvFunctions.merge(episodes.done, episodes, new)
 
 
 def run_episodes(
-    runner: Runner,
-    policy: Policy | None,
-    seed: int,
-    stream: int,
-    episodes: int,
-    first: int = 0,
-    watch: Watch = ignore,
+    runner: Runner, policy: Policy | None, seed: int, stream: int, episodes: int, first: int = 0, watch: Watch = ignore
 ) -> Episodes:
     """Exactly `episodes` episodes of a seed's stream from number `first` on, as NumPy arrays."""
     parts = []

@@ -1,4 +1,4 @@
-"""Intervals of 95 %: of a rate over episodes, and of a mean over trainings."""
+"""Quantiles, and intervals of 95 %: of a rate over episodes, and of a mean over trainings."""
 
 from __future__ import annotations
 
@@ -13,6 +13,12 @@ NORMAL_95 = 1.959963984540054
 
 QUANTILE = 0.975
 """Of Student's distribution, for intervals of 95 %."""
+
+
+def quantiles(values: Any, shares: Mapping[str, float]) -> dict[str, float | None]:
+    """Quantiles by name, None for one that is infinite, which JSON has no word for."""
+    found = {name: float(np.quantile(values, share, method="inverted_cdf")) for name, share in shares.items()}
+    return {name: value if math.isfinite(value) else None for name, value in found.items()}
 
 
 def wilson_interval(successes: int, trials: int) -> tuple[float, float]:

@@ -13,12 +13,12 @@ from reachlab.agents import AGENTS
 from reachlab.agents.acting import Function, name_of
 from reachlab.agents.policy import Policy
 from reachlab.envs.core import Env
+from reachlab.envs.presets import preset_of
 from reachlab.envs.random_streams import REPORT_STREAM
-from reachlab.evaluation.episodes import Episodes, Runner, Track, Watch, ignore, make_runner, run_episodes
-from reachlab.evaluation.intervals import wilson_interval
+from reachlab.evaluation.episodes import Episodes, Runner, Watch, ignore, make_runner, run_episodes
+from reachlab.evaluation.intervals import quantiles, wilson_interval
 from reachlab.evaluation.tracking import followed
 from reachlab.runs.versions import versions
-from reachlab.settings.presets import preset_of
 from reachlab.settings.validation import LAST_SEED, whole_number
 
 QUANTILES = {"median": 0.5, "p95": 0.95, "p99": 0.99, "max": 1.0}
@@ -53,7 +53,7 @@ class Report:
         success_within: share within so many millimetres at the end; None where success ends the episode.
         success_within_pairs: of goals with an orientation, share within both of so many millimetres and radians, each
             pair named "10 mm, 0.05 rad"; None for others, or where success ends the episode.
-        final_error_mm: the error that counts at the end, see `Progress.error`: median, p95, p99, max; None if it is
+        final_error_mm: the error that counts at the end, see `Task.counted`: median, p95, p99, max; None if it is
             infinite.
         final_angle_rad: the same of the orientation; None where any will do.
         tracking: how well a goal that moves was followed, see `tracking.followed`; None of one that stays.
@@ -173,20 +173,18 @@ def examine(
 
 
 def summarise(
-    env: Env,
-    agent: str | Function,
-    result: Episodes,
-    seed: int,
-    wall_s: float,
-    checkpoint: dict[str, Any] | None = None,
+    env: Env, agent: str | Function, result: Episodes, seed: int, wall_s: float, checkpoint: Any = None
 ) -> Report:
     """Report of finished episodes."""
+    rules, judged = env.setup.rules, env.setup.task.scene(env.setup).contacts
     count, successes = len(result.done), int(result.success.sum())
     error = np.asarray(result.distance, np.float64) * 1000
-    if result.contact is not None:
-        error = np.where(result.contact, np.inf, error)
-    angle = None if result.angle is None else np.asarray(result.angle, np.float64)
-    period, ends = env.config.physics.control_period, env.config.rules.at_goal == "end"
+    angle, turned = np.asarray(result.angle, np.float64), rules.asks_orientation
+    contact = np.any(np.asarray(result.contact, bool).reshape(count, -1), axis=1)  # never where it is not judged
+    error = np.where(contact, np.inf, error)
+    period, ends, pairs = env.config.physics.control_period, rules.ends_at_goal, None
+    if turned and not ends:
+        pairs = {f"{mm} mm, {rad} rad": float(((error <= mm) & (angle <= rad)).mean()) for mm, rad in WITHIN_PAIRS}
     reached = result.arrival[np.asarray(result.success)]
     return Report(
         task=env.config.task,
@@ -199,51 +197,28 @@ def summarise(
         randomised=list(env.config.randomise),
         success_rate=successes / count,
         success_interval=wilson_interval(successes, count),
-        ends=_ends(result),
-        success_within=None if ends else _shares_within(error),
-        success_within_pairs=None if ends or angle is None else _shares_within_pairs(error, angle),
-        final_error_mm=_quantiles(error),
-        final_angle_rad=None if angle is None else _quantiles(angle),
-        tracking=None if result.track is None else _tracking(env, result.track),
+        ends=_ends(result, contact),
+        success_within=None if ends else {str(limit): float((error <= limit).mean()) for limit in WITHIN},
+        success_within_pairs=pairs,
+        final_error_mm=quantiles(error, QUANTILES),
+        final_angle_rad=quantiles(angle, QUANTILES) if turned else None,
+        tracking=result.track and followed(result.track, env.setup.period, rules.settle_steps, rules.goal_speed[1]),
         control_period=period,
         return_mean=float(result.returns.mean()),
         steps_mean=float(result.steps.mean()),
         time_to_reach_s=float(reached.mean() * period) if successes else None,
         max_joint_speed=[float(speed) for speed in result.max_speed.max(axis=0)],
         jerk=float((result.squared_jerk / result.steps).mean()),
-        contact=None if result.contact is None else float(np.mean(result.contact)),
+        contact=float(np.mean(contact)) if judged else None,
         self_contact=None if result.touched is None else float(result.touched.mean()),
         wall_s=wall_s,
         versions=versions(),
     )
 
 
-def _ends(result: Episodes) -> dict[str, float]:
+def _ends(result: Episodes, contact: np.ndarray) -> dict[str, float]:
     """Shares of the episodes that ended in each way; contact outside the workspace is contact."""
     success, early = np.asarray(result.success, bool), np.asarray(result.terminated, bool)
-    contact = np.zeros_like(success) if result.contact is None else np.asarray(result.contact, bool)
     failed = {"contact": contact & ~success, "outside": early & ~contact & ~success}
     shares = {"success": success, **failed, "time": ~(success | failed["contact"] | failed["outside"])}
     return {name: float(shares[name].mean()) for name in ("success", "outside", "contact", "time")}
-
-
-def _tracking(env: Env, track: Track) -> dict[str, Any]:
-    rules = env.setup.rules
-    return followed(track, env.setup.period, rules.settle_steps, rules.goal_speed[1])
-
-
-def _shares_within(error: np.ndarray) -> dict[str, float]:
-    return {str(limit): float((error <= limit).mean()) for limit in WITHIN}
-
-
-def _shares_within_pairs(error: np.ndarray, angle: np.ndarray) -> dict[str, float]:
-    return {f"{mm} mm, {rad} rad": float(((error <= mm) & (angle <= rad)).mean()) for mm, rad in WITHIN_PAIRS}
-
-
-def _quantiles(error: np.ndarray) -> dict[str, float | None]:
-    return {name: _finite(np.quantile(error, share, method="inverted_cdf")) for name, share in QUANTILES.items()}
-
-
-def _finite(value: np.floating[Any]) -> float | None:
-    """The number, None for infinity, which JSON has no word for."""
-    return float(value) if np.isfinite(value) else None

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from reachlab.evaluation.episodes import Track
+from reachlab.evaluation.intervals import quantiles
 
 BANDS = 4
 """Bands of speed, equally wide, that errors are told of."""
@@ -76,14 +77,6 @@ def _recovery(track: Track, distance: np.ndarray, period: float, settle: int) ->
     return {
         "breaks": len(taken[AGAIN[0]]),
         "again_within": {
-            str(limit): {name: _time(times, share) for name, share in {"median": 0.5, "p99": 0.99}.items()}
-            for limit, times in taken.items()
-            if times
+            str(limit): quantiles(times, {"median": 0.5, "p99": 0.99}) for limit, times in taken.items() if times
         },
     }
-
-
-def _time(times: list[float], share: float) -> float | None:
-    """Quantile of times, None if it is infinite, which JSON has no word for."""
-    value = np.quantile(times, share, method="inverted_cdf")
-    return float(value) if np.isfinite(value) else None

@@ -142,11 +142,9 @@ class _Lessons:
         done = np.asarray(transition.done)
         if not done.any():
             return episodes
-        ended = {name: np.asarray(transition.terms[name])[done] for name in ("success", "distance")}
-        tally.update(episodes=int(done.sum()), successes=int(ended["success"].sum()))
-        tally.update(
-            steps=int(np.asarray(episodes.clock)[done].sum()), millimetres=round(1000 * ended["distance"].sum())
-        )
+        successes, distances = np.asarray(transition.terms["success"]), np.asarray(transition.errors.distance)
+        tally.update(episodes=int(done.sum()), successes=int(successes[done].sum()))
+        tally.update(steps=int(np.asarray(episodes.clock)[done].sum()), millimetres=round(1000 * distances[done].sum()))
         return self._env.reset(episodes, done)
 
     def _decision(

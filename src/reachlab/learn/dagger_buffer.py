@@ -9,10 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from reachlab.control.situation import Goal
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState
 from reachlab.tasks.schema import SIZE
-from reachlab.tasks.task import Goal
 
 DRAWN_AT_ONCE = 1024
 """Pictures drawn in one call."""
@@ -91,7 +91,7 @@ class Pictures:
         for first in range(0, min(count, len(self._pictures)), DRAWN_AT_ONCE):
             rows = slice(first, min(first + DRAWN_AT_ONCE, count, len(self._pictures)))
             self._pictures[rows] = self._env.render_situations(
-                buffer.q[rows], Goal(buffer.goal[rows]), buffer.key[rows]
+                buffer.q[rows], Goal.at(buffer.goal[rows]), buffer.key[rows]
             )
         self._count = count
 

@@ -14,8 +14,8 @@ from jax import Array
 from jax.stages import Wrapped
 
 from reachlab.agents.policy import Policy, distribution
-from reachlab.envs.core import Env, merge
-from reachlab.envs.functions import EnvState, Transition
+from reachlab.envs.core import Env
+from reachlab.envs.functions import EnvFunctions, EnvState, Transition
 from reachlab.jax_setup import jit
 from reachlab.settings.config import LoopConfig
 from reachlab.tasks.schema import Observed
@@ -78,10 +78,10 @@ def collect(env: Env, policy: Policy, state: EnvState, key: Array, config: LoopC
     return jax.lax.scan(step, state, jax.random.split(key, config.rollout_steps))
 
 
-def host_collector(part: Part | None = None) -> Collect:
+def host_collector(first: int = 0, of: int | None = None) -> Collect:
     """As `collect`, for a simulator that JAX cannot trace: compiled parts around its steps.
 
-    Of a `part` of the environments it gives the rows that all of them together would have, by default of all.
+    For environments from the `first` on, `of` so many in all, it gives the rows that all of them together would have.
     """
     choose = jit(sample_action)
 
@@ -91,8 +91,7 @@ def host_collector(part: Part | None = None) -> Collect:
 
     def collect(env: Env, policy: Policy, state: EnvState, key: Array, config: LoopConfig) -> tuple[EnvState, Rollout]:
         rows, observation = [], env.observe_now(state)
-        first, of = part or Part(0, env.num_envs)
-        noise = np.asarray(draw(of, *policy.half.shape)(jax.random.split(key, config.rollout_steps)))
+        noise = np.asarray(draw(of or env.num_envs, *policy.half.shape)(jax.random.split(key, config.rollout_steps)))
         for now in noise[:, first : first + env.num_envs]:
             choice = choose(policy, observation, now)
             try:
@@ -103,7 +102,7 @@ def host_collector(part: Part | None = None) -> Collect:
             rows.append(_row(choice, state, transition, observation))
             if (done := np.asarray(transition.done)).any():
                 state = env.reset(state, done, config.chained_starts or None)
-                observation = merge(done, env.observe_now(state, done), observation)
+                observation = EnvFunctions.merge(done, env.observe_now(state, done), observation, np)
         return state, _stacked(rows)
 
     return collect
@@ -111,13 +110,6 @@ def host_collector(part: Part | None = None) -> Collect:
 
 def _stacked(rows: Sequence[Rollout]) -> Rollout:
     return jax.tree.map(lambda *x: np.stack(x), *rows)
-
-
-class Part(NamedTuple):
-    """Some environments of a batch: those from the `first` on, of so many in all."""
-
-    first: int
-    of: int
 
 
 class Choice(NamedTuple):
@@ -146,7 +138,7 @@ def _row(choice: Choice, state: EnvState, transition: Transition, after: Observe
         terminated=transition.terminated,
         truncated=transition.truncated,
         success=transition.terms["success"],
-        distance=transition.terms["distance"],
+        distance=transition.errors.distance,
         clock=state.clock,
     )
 

@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from reachlab.agents.policy import Policy
+from reachlab.envs.consistency import check
 from reachlab.envs.core import Env
-from reachlab.envs.setup import check, check_reach, make_setup, settled
+from reachlab.envs.setup import check_reach, make_setup, settled
 from reachlab.evaluation.report import Report, evaluate
 from reachlab.jax_setup import set_threads
 from reachlab.learn import METHODS
@@ -104,7 +105,7 @@ def train(
     _choose_threads(run, config, threads)
     method: Method = METHODS[config.method].load()
     given = method.load(config, resume)
-    if not resume:
+    if not resume and "object" not in asked.rules.gives:  # which need not be where the tool can be
         check_reach(asked)
     env = Env(config, config.loop.num_envs, threads=threads or 0)
     try:

@@ -1,4 +1,4 @@
-"""What pictures show beside an arm: target, obstacles, how near is near enough, orientations, and where both were."""
+"""What pictures show beside an arm: target, bodies, how near is near enough, orientations, and where both were."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ BALL_OPACITY = 0.16
 PATH_RADIUS, TRAIL_RADIUS, TRAIL_OPACITY = 0.002, 0.006, 0.35
 """Of drawn paths and trails [m]: a tool that stays with its target is seen inside the trail."""
 
-OBSTACLE, TOUCHED = (0.48, 0.61, 0.66), (0.85, 0.12, 0.15)
-"""Colours of obstacles, and of those that the arm touches."""
+OBSTACLE, OBJECT, TOUCHED = (0.48, 0.61, 0.66), (0.93, 0.58, 0.16), (0.85, 0.12, 0.15)
+"""Colours of bodies, of those that are to be moved, and of those that the arm touches."""
 
 NO_PATH = np.empty((0, 3))
 """Path of what has not moved."""
@@ -55,7 +55,7 @@ class Axes:
 
 @dataclass(frozen=True)
 class Block:
-    """An obstacle: a box, a capsule or a ball.
+    """A body: a box, a capsule or a ball.
 
     Attributes:
         position: its middle `[3]` [m].
@@ -63,7 +63,8 @@ class Block:
         half: half sizes of a box `[3]` [m]; of a capsule that of its axis in z alone, of a ball none.
         radius: of a capsule or a ball [m].
         present: it is there; a scene has room for more.
-        touched: the arm touches it.
+        touched: the arm touches it, and must not.
+        is_object: it is to be moved.
     """
 
     position: np.ndarray
@@ -72,6 +73,7 @@ class Block:
     radius: float
     present: bool = True
     touched: bool = False
+    is_object: bool = False
 
     @property
     def is_box(self) -> bool:
@@ -80,8 +82,8 @@ class Block:
 
     @property
     def colour(self) -> Colour:
-        """Of the obstacle."""
-        return TOUCHED if self.touched else OBSTACLE
+        """Of the body."""
+        return TOUCHED if self.touched else OBJECT if self.is_object else OBSTACLE
 
 
 @dataclass(frozen=True)
@@ -94,7 +96,7 @@ class Marks:
         path: points `[k, 3]` [m] through which the tool came.
         trail: points `[k, 3]` [m] at which the target has been, if it moves.
         axes: orientations.
-        blocks: obstacles.
+        blocks: bodies.
     """
 
     success_distance: float = TARGET_RADIUS

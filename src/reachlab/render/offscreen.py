@@ -60,7 +60,7 @@ class Camera:
         spec.visual.global_.offwidth, spec.visual.global_.offheight = width, height
         self._model = spec.compile()
         self._data = mujoco.MjData(self._model)
-        self._joints, self._scale = self._model.jnt_qposadr[: robot.chain.n], robot.scale
+        self._joints, self._scale = self._model.jnt_qposadr, robot.scale
         self._target, self._near = (self._model.geom(name).id for name in ("target", "near"))
         self._scene = mujoco.MjvScene(self._model, maxgeom=MAX_GEOMS)
         self._draw = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_150)
@@ -76,10 +76,10 @@ class Camera:
         self._view.distance = max(DISTANCE * robot.scale, seen)
 
     def picture(self, q: np.ndarray, target: np.ndarray, marks: Marks | None = None) -> np.ndarray:
-        """Picture `[height, width, 3]` uint8 of joints `q [n]` and a target `[3]`."""
+        """Picture `[height, width, 3]` uint8 of joints, `Robot.posture` or the arm's alone, and a target `[3]`."""
         marks = marks or Marks(TARGET_RADIUS * self._scale)
         self._show_target(marks)
-        self._data.qpos[self._joints] = q
+        self._data.qpos[self._joints[: len(q)]] = q
         self._data.mocap_pos[0] = target
         mujoco.mj_forward(self._model, self._data)
         self._context.make_current()
@@ -152,27 +152,6 @@ class Camera:
         self._context.free()
 
 
-class LazyCamera:
-    """A camera that is opened for the first picture."""
-
-    def __init__(self, robot: Robot) -> None:
-        """Camera on a robot, not opened yet."""
-        self._robot = robot
-        self._camera: Camera | None = None
-
-    def picture(self, q: np.ndarray, target: np.ndarray, marks: Marks | None = None) -> np.ndarray:
-        """See `Camera.picture`."""
-        if self._camera is None:
-            self._camera = Camera(self._robot)
-        return self._camera.picture(q, target, marks)
-
-    def close(self) -> None:
-        """Close the camera if it was opened; it opens again when needed."""
-        if self._camera is not None:
-            self._camera.close()
-            self._camera = None
-
-
 def portrait(robot: Robot, width: int, height: int) -> np.ndarray:
     """Picture `[height, width, 3]` uint8 of a robot at home above its workspace, with its tool frame.
 
@@ -193,25 +172,14 @@ def portrait(robot: Robot, width: int, height: int) -> np.ndarray:
 
 def gl_context(width: int, height: int) -> Any:
     """Off-screen OpenGL context: EGL on Linux unless `MUJOCO_GL` says otherwise."""
-    chosen = os.environ.get("MUJOCO_GL", "").lower()
-    backend = (
-        chosen
-        if chosen in ("egl", "osmesa", "glfw")
-        else {"Linux": "egl", "Darwin": "cgl"}.get(platform.system(), "glfw")
-    )
+    backend = os.environ.get("MUJOCO_GL", "").lower()
+    if backend not in ("egl", "osmesa", "glfw"):
+        backend = {"Linux": "egl", "Darwin": "cgl"}.get(platform.system(), "glfw")
     try:
         if "torch" in sys.modules:  # which imports Triton when it needs it, and dies where Mesa's LLVM came first
             with contextlib.suppress(ImportError):
                 importlib.import_module("triton")
-        if backend == "egl":
-            from mujoco.egl import GLContext
-        elif backend == "osmesa":
-            from mujoco.osmesa import GLContext
-        elif backend == "cgl":
-            from mujoco.cgl import GLContext
-        else:
-            from mujoco.glfw import GLContext
-        context = GLContext(width, height)
+        context = importlib.import_module(f"mujoco.{backend}").GLContext(width, height)
         context.make_current()
         # A context that does not work is noticed only by drawing in it.
         mujoco.MjrContext(mujoco.MjSpec().compile(), mujoco.mjtFontScale.mjFONTSCALE_50).free()

@@ -10,7 +10,7 @@ import numpy as np
 
 from reachlab.render.marks import BALL_OPACITY, TARGET_RADIUS, WAITING
 from reachlab.robots.robot import TUTORIAL_WORKSPACE, Robot
-from reachlab.robots.shapes import SHOWN_GROUPS
+from reachlab.robots.shapes.solids import SHOWN_GROUPS
 
 WIDTH, HEIGHT = 640, 480
 """Size of a picture [pixels]."""
@@ -132,11 +132,6 @@ def drawn_spec(robot: Robot) -> mujoco.MjSpec:
             size = [ROD_RADIUS * robot.scale, 0, 0]
             above.add_geom(**rod, size=size, rgba=ROD_COLOUR, contype=0, conaffinity=0, mass=0.0)
     return spec
-
-
-def table_top(robot: Robot) -> float:
-    """Height of the table's top [m]."""
-    return float(in_front(robot, TABLE_CENTRE)[2] + robot.scale * TABLE_SIZE[2])
 
 
 def add_table(spec: mujoco.MjSpec, robot: Robot, *, solid: bool = False) -> mujoco.MjsGeom:

@@ -6,12 +6,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from reachlab.robots.model_file import ModelFile, read_model_file
+from reachlab.robots.files.model_file import ModelFile, read_model_file
 from reachlab.robots.robot import TUTORIAL_WORKSPACE, Box, PybulletModel
 from reachlab.settings.config import is_robot_file
 from reachlab.settings.validation import InputError, choose
 
 ASSETS = Path(__file__).parent / "assets"
+"""Model files, each beside a `SOURCES.md` that says where the figures are from."""
 
 
 @dataclass(frozen=True)
@@ -21,7 +22,6 @@ class KnownRobot:
     Attributes:
         file: MJCF or URDF file.
         title: maker and type.
-        sources: where the figures are from, a file below `ASSETS`.
         tools: tool frames, sites or bodies, by what they are; the first one unless a task asks for another.
         home: joints `[n]` in which episodes start [rad or m].
         speed: joint speed limits `[n]` [rad/s or m/s].
@@ -32,11 +32,11 @@ class KnownRobot:
         goal_box: box of goals that are not on the table [m].
         held_quaternion: orientation in which the tool is held, wxyz.
         pybullet: the same robot in PyBullet's data.
+        gripper: name of the one that it is given where a task needs one and nothing else is asked for.
     """
 
     file: Path
     title: str
-    sources: str
     tools: Mapping[str, str]
     home: tuple[float, ...] | None = None
     speed: tuple[float, ...] | None = None
@@ -47,13 +47,13 @@ class KnownRobot:
     goal_box: Box | None = None
     held_quaternion: tuple[float, ...] | None = None
     pybullet: PybulletModel | None = None
+    gripper: str = "parallel"
 
 
 ROBOTS: dict[str, KnownRobot] = {
     "iiwa14": KnownRobot(
         file=ASSETS / "iiwa14" / "iiwa14.xml",
         title="KUKA LBR iiwa 14 R820",
-        sources="iiwa14/SOURCES.md",
         tools={"wrist": "link_7", "flange": "flange"},
         workspace=TUTORIAL_WORKSPACE,
         goal_box=((0.3, -0.4, 0.1), (0.7, 0.4, 0.6)),
@@ -64,7 +64,6 @@ ROBOTS: dict[str, KnownRobot] = {
     "panda": KnownRobot(
         file=ASSETS / "panda" / "panda.xml",
         title="Franka Emika Panda",
-        sources="panda/SOURCES.md",
         tools={"flange": "flange"},
         acceleration=(15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0),
         jerk=(7500.0, 3750.0, 5000.0, 6250.0, 7500.0, 10000.0, 10000.0),
@@ -74,7 +73,6 @@ ROBOTS: dict[str, KnownRobot] = {
     "ur5e": KnownRobot(
         file=ASSETS / "ur5e" / "ur5e.xml",
         title="Universal Robots UR5e",
-        sources="ur5e/SOURCES.md",
         tools={"flange": "flange"},
         workspace=((0.18, -0.3, 0.0), (0.68, 0.3, 0.55)),
         goal_box=((0.25, -0.4, 0.1), (0.65, 0.4, 0.6)),
@@ -82,7 +80,6 @@ ROBOTS: dict[str, KnownRobot] = {
     "xarm7": KnownRobot(
         file=ASSETS / "xarm7" / "xarm7.xml",
         title="UFACTORY xArm 7",
-        sources="xarm7/SOURCES.md",
         tools={"flange": "flange"},
         workspace=((0.17, -0.29, 0.0), (0.59, 0.29, 0.5)),
         goal_box=((0.15, -0.3, 0.05), (0.55, 0.3, 0.5)),
@@ -90,7 +87,6 @@ ROBOTS: dict[str, KnownRobot] = {
     "gen3": KnownRobot(
         file=ASSETS / "gen3" / "gen3.xml",
         title="Kinova Gen3 with seven joints",
-        sources="gen3/SOURCES.md",
         tools={"flange": "end_effector"},
         acceleration=(5.2, 5.2, 5.2, 5.2, 10.0, 10.0, 10.0),
         workspace=((0.22, -0.29, 0.0), (0.64, 0.29, 0.42)),
@@ -99,8 +95,8 @@ ROBOTS: dict[str, KnownRobot] = {
     "so101": KnownRobot(
         file=ASSETS / "so101" / "so101.xml",
         title="SO-101 of The Robot Studio, with five joints",
-        sources="so101/SOURCES.md",
         tools={"flange": "gripper_frame"},
+        gripper="own",
         workspace=((0.16, -0.08, 0.0), (0.35, 0.08, 0.15)),
         goal_box=((0.15, -0.16, 0.05), (0.32, 0.16, 0.25)),
     ),

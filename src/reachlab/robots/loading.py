@@ -3,32 +3,49 @@
 from __future__ import annotations
 
 import functools
+import logging
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from reachlab.robots.arm import Arm, find_arm
 from reachlab.robots.catalogue import ROBOTS, KnownRobot, find_model_file
-from reachlab.robots.derivation import derived
-from reachlab.robots.isolation import own_servos
-from reachlab.robots.joint_limits import is_limited, speed_limits, torque_limits
-from reachlab.robots.model_file import JointFacts, ModelFile
-from reachlab.robots.robot import CATALOGUE, DEFAULT, DERIVED, FILE, Robot
-from reachlab.robots.servos import LAG, Loads, default_torques, find_loads, payload, servos, too_heavy, too_weak
-from reachlab.robots.workspace import Derived, orientation
+from reachlab.robots.derive.arm import Arm, find_arm
+from reachlab.robots.derive.gripper import GRIPPED, UnrecognisedError, driven, mounted_gripper, own_gripper
+from reachlab.robots.derive.isolation import own_servos
+from reachlab.robots.derive.servos import LAG, Loads, default_torques, find_loads, payload, servos, too_heavy, too_weak
+from reachlab.robots.derive.workspace import Derived, derive, orientation
+from reachlab.robots.files.gripper import GRASP, SLIDES
+from reachlab.robots.files.model_file import ModelFile, with_gripper, with_own_gripper
+from reachlab.robots.files.urdf import JointFacts
+from reachlab.robots.kinematics.limits import is_limited, speed_limits, torque_limits
+from reachlab.robots.robot import CATALOGUE, DEFAULT, DERIVED, FILE, JERK_RATE, RAMP_RATE, Robot
+from reachlab.robots.shapes.self_contact import untouching
+from reachlab.settings.cache import kept
 from reachlab.settings.validation import InputError
 
 DEFAULT_SPEED = 1.5
 """Joint speed limit where none is known [rad/s or m/s]; slow for an industrial arm."""
 
-RAMP_RATE, JERK_RATE = 10.0, 20.0
-"""Limits of acceleration and jerk where none are known: full speed in a tenth of a second, and full acceleration in a
-twentieth [1/s]."""
+OWN = "own"
+"""The gripper in the file; for most arms of the catalogue it is one that is mounted."""
 
-UNKNOWN = JointFacts(None, None, None)
-"""What a file says of a joint that it says nothing of."""
+SHORTAGES = {
+    too_weak: f"Joints follow fast commands later than {LAG:g} s where the torque limit is less than what gravity,"
+    " friction and damping take at full speed",
+    too_heavy: f"Joints overshoot where the torque limit is less than what stops them from full speed within {LAG:g} s",
+}
+"""What becomes of joints whose torque limit is less than what they need, by what finds them."""
+
+logger = logging.getLogger(__name__)
+
+PARALLEL = "parallel"
+"""The gripper that is mounted where a file has none."""
+
+VERSION = 8
+"""Of the derivation of home and boxes: what an older one left in the cache is derived again."""
 
 
 def load_robot(
@@ -38,6 +55,8 @@ def load_robot(
     kind: str | None = None,
     base: str | None = None,
     packages: Sequence[str] = (),
+    gripper: str = "",
+    grips: bool = False,
 ) -> Robot:
     """Robot of the catalogue, or of an MJCF (.xml) or URDF (.urdf) file, with a tool frame.
 
@@ -51,47 +70,58 @@ def load_robot(
         kind: which of the catalogue's tool frames it is by default, see `KnownRobot.tools`; the first one without.
         base: body that holds the arm; the joints before it are locked.
         packages: where ROS packages are that the file names, each as `NAME=FOLDER`.
+        gripper: name of one that is mounted at the tool frame, in place of which comes the point between its fingers;
+            `own` is the catalogue's for this arm, else the file's own, else `parallel`.
+        grips: its fingers are driven, rather than locked where they meet.
 
     Raises:
-        InputError: unknown name or tool, missing or broken file, or an arm without hinge and slide joints.
+        InputError: unknown name, tool or gripper, missing or broken file, or an arm without hinge and slide joints.
     """
     file = find_model_file(name, packages)
     known = ROBOTS.get(name)
     if known and not tool:
         tool = known.tools.get(kind or "") or next(iter(known.tools.values()))
-    return _load(file, name if known else str(Path(name).absolute()), tool, base)
+    if gripper == OWN and known:
+        gripper = known.gripper
+    return _load(file, name if known else str(Path(name).absolute()), tool, base, gripper, grips)
 
 
 @functools.cache
-def _load(file: ModelFile, name: str, tool: str | None, base: str | None) -> Robot:
-    known = ROBOTS.get(name)
+def _load(file: ModelFile, name: str, tool: str | None, base: str | None, gripper: str, grips: bool) -> Robot:
+    known, why = ROBOTS.get(name), ""
     try:
+        if gripper == OWN:
+            try:
+                own = own_gripper(file, find_arm(file, tool, base), parallel=GRIPPED if grips else 0.0)
+                file, tool = with_own_gripper(file, own), GRASP
+            except UnrecognisedError as reason:
+                gripper, why = PARALLEL, f"a parallel gripper is mounted, as none of its own was recognised: {reason}."
+        if gripper and gripper != OWN:
+            file, tool = with_gripper(file, gripper, tool or find_arm(file, None, base).tool), GRASP
         arm = find_arm(file, tool, base)
     except ValueError as error:
         found = f"; `reachlab robot {name}` shows the frame that is found by itself" if tool else ""
         raise InputError(f"robot {name!r}: {' '.join(str(error).split()).rstrip('.')}{found}.") from None
-    listed = known or KnownRobot(file.file, "", "", {})
-    loads = find_loads(arm.model, range(arm.chain.n), arm.tool_body)
-    speed, torque, sources = _limits(file, arm, listed, loads)
-    usable = np.where(np.isinf(torque), default_torques(loads, np.array(speed)), torque)
+    listed = known or KnownRobot(file.file, "", {})
+    loads, servoed = find_loads(arm.model, arm.tool), own_servos(arm.model)
+    limits, sources = _limits(file, arm, listed, loads)
+    usable = np.where(np.isinf(limits.torque), default_torques(loads, np.array(limits.speed)), limits.torque)
     mass = float(arm.model.body_subtreemass[arm.model.jnt_bodyid[0]])
     load = payload(loads, usable, mass)
-    gains, servoed = servos(loads, usable, load), own_servos(arm.model, range(arm.chain.n))
-    acceleration, jerk = _shaping(listed, speed, sources)
-    added = {own: gains[i] for i, own in enumerate(arm.isolation.joints) if i not in servoed}
-    weak, heavy = (
-        {i: needed for i, needed in short(loads, usable, np.array(speed)).items() if i not in servoed}
-        for short in (too_weak, too_heavy)
-    )
-    places, notices = _places(file, arm, listed, speed), [*file.notices, *arm.notices]
-    notices += _shortage(
-        arm,
-        weak,
-        torque,
-        f"follow fast commands later than {LAG:g} s",
-        "gravity, friction and damping take at full speed",
-    )
-    notices += _shortage(arm, heavy, torque, "overshoot", f"stops them from full speed within {LAG:g} s")
+    gains = zip(arm.isolation.joints, servos(loads, usable, load), strict=True)
+    isolation = replace(arm.isolation, servos={own: gain for i, (own, gain) in enumerate(gains) if i not in servoed})
+    hand = None
+    if gripper and grips:
+        hand = file.own.drive if file.own else mounted_gripper(gripper)
+        fingers = file.own.joints if file.own else [int(arm.whole.joint(slide).id) for slide in SLIDES]
+        isolation = driven(isolation, arm.whole, fingers, hand)
+    places = _places(file, arm, listed, limits.speed)
+    notices = [*file.notices, *arm.notices, *[why] * bool(why)]
+    for short, what in SHORTAGES.items():
+        needed = {i: most for i, most in short(loads, usable, np.array(limits.speed)).items() if i not in servoed}
+        units = ["N" if slides else "Nm" for slides in arm.chain.slides]
+        joints = [f"{arm.names[i]} has {limits.torque[i]:.3g} of {most:.3g} {units[i]}" for i, most in needed.items()]
+        notices += [f"{what}: {', '.join(joints)}."] * bool(joints)
     sources["home"] = CATALOGUE if listed.home else FILE if places.home == arm.home else DERIVED
     if arm.home and sources["home"] == DERIVED:
         notices.append("the file's home is not used: from there little can be reached on straight ways.")
@@ -103,69 +133,53 @@ def _load(file: ModelFile, name: str, tool: str | None, base: str | None) -> Rob
         tool=arm.tool,
         joint_names=arm.names,
         chain=arm.chain,
-        home=places.home,
-        speed=speed,
-        torque=torque,
-        acceleration=acceleration,
-        jerk=jerk,
-        workspace=places.workspace,
-        goal_box=places.goal_box,
-        held_quaternion=places.held_quaternion,
+        **limits._asdict(),
+        **places._asdict(),
         mass=mass,
         payload=load,
-        isolation=replace(arm.isolation, servos=added),
+        isolation=isolation,
         sources=sources,
-        shares=places.shares,
         notices=tuple(notices),
         pybullet=listed.pybullet,
+        gripper=hand,
     )
+
+
+class _Limits(NamedTuple):
+    """Limits of each joint `[n]`, see `Robot`."""
+
+    speed: tuple[float, ...]
+    torque: tuple[float, ...]
+    acceleration: tuple[float, ...]
+    jerk: tuple[float, ...]
 
 
 def _limits(
     file: ModelFile, arm: Arm, listed: KnownRobot, loads: Loads
-) -> tuple[tuple[float, ...], tuple[float, ...], dict[str, str | tuple[str, ...]]]:
-    """Speed and torque limits `[n]`, and where these and the position limits come from."""
+) -> tuple[_Limits, dict[str, str | tuple[str, ...]]]:
+    """Limits that the catalogue lists, else those of the file, else defaults; and which it was, joint by joint."""
     n = arm.chain.n
-    facts = [file.joints.get(joint, UNKNOWN) for joint in arm.names]
-    stated = speed_limits(arm.whole, n)
-    speeds = [fact.speed or own for fact, own in zip(facts, stated, strict=True)]
-    torques = torque_limits(arm.whole, arm.isolation.joints)
-    torques = [own or fact.torque for own, fact in zip(torques, facts, strict=True)]
-    servoed = own_servos(arm.model, range(n))
-    speed, speed_sources = _filled(listed.speed, speeds, [DEFAULT_SPEED] * n)
-    defaults = default_torques(loads, np.array(speed))
-    unlimited = [float("inf") if joint in servoed else float(defaults[joint]) for joint in range(n)]
-    torque, torque_sources = _filled(listed.torque, torques, unlimited)
-    position = tuple(FILE if is_limited(arm.model, joint) else DEFAULT for joint in range(n))
-    return speed, torque, {"position": position, "speed": speed_sources, "torque": torque_sources}
+    sources: dict[str, str | tuple[str, ...]] = {
+        "position": tuple(FILE if is_limited(arm.model, joint) else DEFAULT for joint in range(n))
+    }
 
+    def filled(what: str, stated: Sequence[float | None], defaults: Sequence[float]) -> tuple[float, ...]:
+        if (known := getattr(listed, what)) is not None:
+            sources[what] = (CATALOGUE,) * n
+            return known
+        sources[what] = tuple(DEFAULT if own is None else FILE for own in stated)
+        return tuple(default if own is None else own for own, default in zip(stated, defaults, strict=True))
 
-def _shortage(arm: Arm, needed: dict[int, float], torque: tuple[float, ...], then: str, what: str) -> list[str]:
-    """A sentence on the joints whose torque limit is less than what they need, by number; none without such joints."""
-    units = ["N" if slides else "Nm" for slides in arm.chain.slides]
-    joints = [f"{arm.names[i]} has {torque[i]:.3g} of {most:.3g} {units[i]}" for i, most in needed.items()]
-    return [f"Joints {then} where the torque limit is less than what {what}: {', '.join(joints)}."] if joints else []
-
-
-def _shaping(
-    listed: KnownRobot, speed: tuple[float, ...], sources: dict[str, str | tuple[str, ...]]
-) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Limits of acceleration and jerk `[n]`, which no model file states; where they come from is noted."""
-    nothing: list[float | None] = [None] * len(speed)
-    usual = [RAMP_RATE * limit for limit in speed]
-    acceleration, sources["acceleration"] = _filled(listed.acceleration, nothing, usual)
-    jerk, sources["jerk"] = _filled(listed.jerk, nothing, [JERK_RATE * limit for limit in acceleration])
-    return acceleration, jerk
-
-
-def _filled(
-    listed: tuple[float, ...] | None, stated: Sequence[float | None], defaults: Sequence[float]
-) -> tuple[tuple[float, ...], tuple[str, ...]]:
-    """What the catalogue lists, else what the file states, else the default; and which it was, joint by joint."""
-    if listed is not None:
-        return listed, (CATALOGUE,) * len(listed)
-    figures = tuple(default if own is None else own for own, default in zip(stated, defaults, strict=True))
-    return figures, tuple(DEFAULT if own is None else FILE for own in stated)
+    facts = [file.joints.get(joint, JointFacts()) for joint in arm.names]
+    speeds = [fact.speed or own for fact, own in zip(facts, speed_limits(arm.whole, n), strict=True)]
+    speed = filled("speed", speeds, [DEFAULT_SPEED] * n)
+    held = default_torques(loads, np.array(speed)).tolist()
+    for joint in own_servos(arm.model):
+        held[joint] = float("inf")
+    torque = filled("torque", torque_limits(arm.whole, arm.isolation.joints), held)
+    acceleration = filled("acceleration", [None] * n, [RAMP_RATE * limit for limit in speed])
+    jerk = filled("jerk", [None] * n, [JERK_RATE * limit for limit in acceleration])
+    return _Limits(speed, torque, acceleration, jerk), sources
 
 
 def _places(file: ModelFile, arm: Arm, listed: KnownRobot, speed: tuple[float, ...]) -> Derived:
@@ -174,7 +188,18 @@ def _places(file: ModelFile, arm: Arm, listed: KnownRobot, speed: tuple[float, .
     if home and listed.workspace and listed.goal_box:
         held = listed.held_quaternion or orientation(arm.chain, home)
         return Derived(home, held, listed.workspace, listed.goal_box, {})
-    found = derived(file, replace(arm, home=home), speed)
+    found = _derived(file, replace(arm, home=home), speed)
     stated = {name: value for name in Derived._fields if (value := getattr(listed, name, None)) is not None}
     shares = {name: share for name, share in found.shares.items() if name not in stated}
     return found._replace(**stated, shares=shares)
+
+
+def _derived(file: ModelFile, arm: Arm, speed: tuple[float, ...]) -> Derived:
+    """Home and boxes of an arm; from the cache if they were derived before."""
+    asked = (VERSION, file.digest, arm.tool, arm.isolation.joints, arm.chain, arm.home, speed)
+
+    def find() -> Derived:
+        logger.warning("reachlab: finding home and workspace of %s: a few seconds, once.", file.file.name)
+        return derive(arm.chain, np.array(speed), arm.base, arm.home, untouching(file, arm))
+
+    return kept("robots", asked, find, Derived, Derived._asdict)

@@ -5,18 +5,19 @@ from __future__ import annotations
 import functools
 import itertools
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, NamedTuple
 
 import mujoco
 import numpy as np
 
-from reachlab.robots.chain import Chain, significant
-from reachlab.robots.isolation import Isolation, apply
-from reachlab.robots.model_file import ModelFile
+from reachlab.robots.derive.isolation import Isolation, apply
+from reachlab.robots.files.gripper import Gripper
+from reachlab.robots.files.model_file import ModelFile
+from reachlab.robots.kinematics.chain import Chain, significant
 
 if TYPE_CHECKING:
-    from reachlab.robots.capsules import Capsules
+    from reachlab.robots.shapes.clearance import Capsules
 
 Box = tuple[tuple[float, ...], tuple[float, ...]]
 """Lower and upper corner of a box [m]."""
@@ -26,6 +27,16 @@ FILE, CATALOGUE, DERIVED, DEFAULT = "model file", "catalogue", "derived", "defau
 
 TUTORIAL_WORKSPACE: Box = ((0.2, -0.3, 0.0), (0.7, 0.3, 0.55))
 """The box in which the tutorial's arm works [m]; lengths of its task are meant in proportion to it."""
+
+
+GRIPPER = "gripper"
+"""Name of the gripper among what can be commanded."""
+
+UP = 1e-6
+"""Angle to the vertical below which a direction is straight up [rad], about."""
+
+TABLE_TOP = -0.03
+"""Height of the tutorial's table [m]: there its object, 2 cm thick, comes to rest."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +52,21 @@ class PybulletModel:
     file: str
     link: int
     tools: Mapping[str, float]
+
+
+class CommandLimits(NamedTuple):
+    """Limits of commands `[m]`: of their position [rad or m], and of its changes per s, s² and s³."""
+
+    lower: tuple[float, ...]
+    upper: tuple[float, ...]
+    speed: tuple[float, ...]
+    acceleration: tuple[float, ...]
+    jerk: tuple[float, ...]
+
+
+RAMP_RATE, JERK_RATE = 10.0, 20.0
+"""Limits of acceleration and jerk where none are known: full speed in a tenth of a second, and full acceleration in a
+twentieth [1/s]."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +95,7 @@ class Robot:
         shares: of the boxes that are derived, which share of their points can be reached.
         notices: what was guessed, changed or left out, a sentence each.
         pybullet: the same robot in PyBullet's data; without it, one is written for PyBullet from the robot's own model.
+        gripper: what is driven beside the arm; None where its fingers are locked, or it has none.
     """
 
     name: str
@@ -91,9 +118,12 @@ class Robot:
     shares: Mapping[str, float] = field(default_factory=dict)
     notices: tuple[str, ...] = ()
     pybullet: PybulletModel | None = None
+    gripper: Gripper | None = None
 
     def spec(self, *, pictures: bool = True) -> mujoco.MjSpec:
-        """A new spec of the arm, whose only joints are the chain's, in its order, each with a position servo.
+        """A new spec of the arm, whose only joints are the chain's, in its order, and then the gripper's.
+
+        Each has a position servo.
 
         Without `pictures` it has no meshes, but those that inertias follow from.
         """
@@ -101,22 +131,64 @@ class Robot:
         apply(spec, self.isolation)
         return spec
 
+    @property
+    def actuators(self) -> tuple[str, ...]:
+        """Names of what can be commanded, in the order of a command `[m]`: the chain's joints, then the gripper."""
+        return (*self.joint_names, *[GRIPPER] * bool(self.gripper))
+
+    @property
+    def locked(self) -> Robot:
+        """The same arm, its fingers locked."""
+        return replace(self, isolation=replace(self.isolation, fingers=()), gripper=None)
+
+    @property
+    def commands(self) -> CommandLimits:
+        """Limits of what can be commanded: of the joints, and then of the opening of the gripper."""
+        arm = CommandLimits(self.chain.lower, self.chain.upper, self.speed, self.acceleration, self.jerk)
+        if not self.gripper:
+            return arm
+        speed = self.gripper.speed
+        opening = (0.0, self.gripper.widest, speed, RAMP_RATE * speed, JERK_RATE * RAMP_RATE * speed)
+        return CommandLimits(*((*limits, own) for limits, own in zip(arm, opening, strict=True)))
+
+    @property
+    def at_home(self) -> tuple[float, ...]:
+        """Where what can be commanded begins `[m]`: the joints at home, the gripper open."""
+        return (*self.home, self.gripper.widest) if self.gripper else self.home
+
+    def posture(self, actuated: np.ndarray) -> np.ndarray:
+        """Positions of all joints of its spec, of those of what can be commanded `[m]`."""
+        if not self.gripper:
+            return actuated
+        return np.concatenate([actuated[:-1], self.gripper.fingers(actuated[-1:])])
+
     @functools.cached_property
     def capsules(self) -> Capsules:
         """Capsules that contain its links, found when they are first asked for, once, in a second or two."""
-        from reachlab.robots.capsules import find_capsules
+        from reachlab.robots.shapes.capsules import find_capsules
 
-        return find_capsules(self)
+        floor = self.workspace[0][2]
+        return find_capsules(self.model, self.locked.isolation, self.chain, self.tool, self.home, floor)
 
     @functools.cached_property
-    def floors(self) -> tuple[float, ...]:
-        """Height above which each capsule that its joints move has to stay [m]; minus infinity if it may be anywhere.
+    def down(self) -> tuple[float, ...]:
+        """Orientation, wxyz, in which a hand works over a table: the tool's at home.
 
-        The latter is so of those that are in the table at home already.
+        Of an arm with fewer than six joints, which may be tilted there, it is the nearest that points straight down.
         """
-        from reachlab.robots.capsules import find_floors
+        if self.chain.poses:
+            return self.held_quaternion
+        turn, out = np.zeros(4), np.zeros(3)
+        mujoco.mju_rotVecQuat(out, np.array(self.chain.approach), np.array(self.held_quaternion))
+        half = np.array([1 - out[2], -out[1], out[0], 0.0])  # from there to straight down, the shortest way
+        half = half / length if (length := np.linalg.norm(half)) > UP else np.array([0.0, 1.0, 0.0, 0.0])
+        mujoco.mju_mulQuat(turn, half, np.array(self.held_quaternion))
+        return tuple(turn.tolist())
 
-        return find_floors(self)
+    @property
+    def table_top(self) -> float:
+        """Height of the table on which it works [m]."""
+        return float(self.placed((0.0, 0.0, TABLE_TOP))[2])
 
     @property
     def scale(self) -> float:

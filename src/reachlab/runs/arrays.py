@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import os
 from pathlib import Path
 from typing import Any, TypeVar
@@ -13,6 +14,7 @@ import safetensors.numpy
 from safetensors import safe_open
 
 from reachlab.runs.files import open_plain
+from reachlab.runs.formats import FORMAT, upgraded
 from reachlab.settings.validation import InputError
 
 SIZE_LIMIT = 2**30
@@ -57,8 +59,10 @@ def digest(file: Path, size: int) -> str:
         return hashlib.file_digest(opened, "sha256").hexdigest()
 
 
-def load(file: Path, template: Tree) -> Tree:
-    """The arrays that `template` names, in its shape; other arrays of the file are not loaded.
+def load(file: Path, template: Tree, written: int = FORMAT) -> Tree:
+    """The arrays that `template` names, in its shape; other arrays of a file of this format are not loaded.
+
+    Arrays without numbers need not be in it.
 
     Raises:
         InputError: an array is missing, of another shape or type, or not finite; the sentence's end says which.
@@ -67,16 +71,24 @@ def load(file: Path, template: Tree) -> Tree:
     leaves = []
     with safe_open(file, framework="numpy") as opened:
         names = set(opened.keys())
+        older = None
+        if written != FORMAT:
+            older = upgraded({name: opened.get_tensor(name) for name in names}, written)
+            names = older.keys()
         for name, like in _named_leaves(template):
             wanted = jax.eval_shape(jax.random.key_data, like) if _is_key(like) else like
-            if name not in names or tuple(opened.get_slice(name).get_shape()) != wanted.shape:
+            if name not in names and not math.prod(wanted.shape):
+                array = np.zeros(wanted.shape, wanted.dtype)
+            elif name not in names:
                 raise InputError(f"it does not fit the run's configuration at {name!r}")
-            leaves.append(_leaf(name, opened.get_tensor(name), wanted, key=_is_key(like)))
+            else:
+                array = opened.get_tensor(name) if older is None else older[name]
+            leaves.append(_leaf(name, array, wanted, key=_is_key(like)))
     return jax.tree.unflatten(jax.tree.structure(template), leaves)
 
 
 def _leaf(name: str, array: np.ndarray, wanted: Any, *, key: bool) -> jax.Array:
-    if array.dtype != wanted.dtype:
+    if array.dtype != wanted.dtype or array.shape != wanted.shape:
         raise InputError(f"it does not fit the run's configuration at {name!r}")
     if array.dtype.kind == "f" and not np.isfinite(array).all():
         raise InputError(f"it holds numbers at {name!r} that are not finite")

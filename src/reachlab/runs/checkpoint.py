@@ -14,13 +14,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
+from reachlab.envs.formats import from_json
 from reachlab.runs.files import UNREADABLE, read_json, remove, sync, write_json, write_synced
+from reachlab.runs.formats import FORMAT
 from reachlab.settings.config import RunConfig
-from reachlab.settings.json_form import difference, from_json
+from reachlab.settings.json_form import difference
 from reachlab.settings.validation import Checked, Count, Fraction, InputError, NonNegative, NonNegativeInt
-
-FORMAT = 1
-"""Version of the checkpoint format."""
 
 ARRAYS, MANIFEST = "state.safetensors", "manifest.json"
 """Files of a checkpoint: the training state, and what is known of it."""
@@ -181,7 +180,7 @@ def load(folder: Path, config: RunConfig, template: Tree) -> tuple[Manifest, Tre
 
     manifest = verify(folder, config)
     with _damage_told(folder):
-        return manifest, arrays.load(folder / ARRAYS, template)
+        return manifest, arrays.load(folder / ARRAYS, template, manifest.format)
 
 
 def verify(folder: Path, config: RunConfig) -> Manifest:
@@ -220,8 +219,8 @@ def read_manifest(folder: Path) -> Manifest:
             raise InputError("its manifest was changed")
         del data["seal"]
         manifest = Manifest(**(data | {"counters": Counters(**data["counters"])}))
-    if manifest.format != FORMAT:
-        raise InputError(f"checkpoint '{folder}' has format {manifest.format}, this version reads {FORMAT}.")
+    if not 1 <= manifest.format <= FORMAT:
+        raise InputError(f"checkpoint '{folder}' has format {manifest.format}, this version reads 1 to {FORMAT}.")
     if folder != folder_of(folder.parent, manifest.counters.steps):
         raise InputError(f"checkpoint '{folder}' is damaged: it is that of step {manifest.counters.steps:,}.")
     return manifest

@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from reachlab.envs.formats import from_json
 from reachlab.runs import checkpoint
 from reachlab.runs.checkpoint import Counters, Manifest
 from reachlab.runs.files import read_json, remove, sync, write_json
@@ -17,7 +18,7 @@ from reachlab.runs.lock import refuse_if_held
 from reachlab.runs.metrics import read_metrics
 from reachlab.runs.saved_reports import read_reports, write_report
 from reachlab.settings.config import RunConfig
-from reachlab.settings.json_form import difference, from_json, to_json
+from reachlab.settings.json_form import difference, to_json
 from reachlab.settings.validation import InputError
 
 if TYPE_CHECKING:
@@ -41,7 +42,7 @@ def read_config(file: Path) -> RunConfig:
     try:
         return from_json(data)
     except InputError as error:
-        raise InputError(f"'{file}' is not usable: {error} A run of another version has to be trained again.") from None
+        raise InputError(f"'{file}' is not usable: {error}") from None
 
 
 class RunDirectory:

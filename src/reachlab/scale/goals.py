@@ -47,31 +47,27 @@ class Goal:
 TRAINING = ("steps", "train_wall_s")
 """Figures of the training, not of its report."""
 
-HELD = ("a task that does not end at the target: set --at-goal continue", lambda config: config.rules.at_goal != "end")
+HELD = ("a task that does not end at the target: set --at-goal continue", lambda config: not config.rules.ends_at_goal)
 TURNED = ("a goal with an orientation, as of task pose", lambda config: config.rules.asks_orientation)
 MOVES = ("a goal that moves, as of task track", lambda config: config.task == "track")
 STOPS = ("a training that ends once its validations suffice: set --stop-early", lambda config: config.loop.stop_early)
 
 
-def _goals() -> dict[str, Goal]:
-    goals = {
-        "success_rate": Goal(("success_rate",), maximise=True),
-        "return_mean": Goal(("return_mean",), maximise=True),
-        "time_to_reach_s": Goal(("time_to_reach_s",)),
-        "jerk": Goal(("jerk",)),
-    }
-    goals |= {name: Goal((name,), needs=STOPS) for name in TRAINING}
-    goals |= {f"success_within.{mm}": Goal(("success_within", str(mm)), maximise=True, needs=HELD) for mm in WITHIN}
-    for mm, rad in WITHIN_PAIRS:
-        pair = f"{mm} mm, {rad} rad"
-        goals[f"success_within_pairs.{mm}"] = Goal(("success_within_pairs", pair), maximise=True, needs=TURNED)
-    goals |= {f"final_error_mm.{name}": Goal(("final_error_mm", name)) for name in QUANTILES}
-    goals |= {f"final_angle_rad.{name}": Goal(("final_angle_rad", name), needs=TURNED) for name in QUANTILES}
-    goals |= {f"tracking.{name}": Goal(("tracking", name), needs=MOVES) for name in ("rms_mm", "median_mm", "p95_mm")}
-    return goals
-
-
-GOALS = _goals()
+GOALS = {
+    "success_rate": Goal(("success_rate",), maximise=True),
+    "return_mean": Goal(("return_mean",), maximise=True),
+    "time_to_reach_s": Goal(("time_to_reach_s",)),
+    "jerk": Goal(("jerk",)),
+    **{name: Goal((name,), needs=STOPS) for name in TRAINING},
+    **{f"success_within.{mm}": Goal(("success_within", str(mm)), maximise=True, needs=HELD) for mm in WITHIN},
+    **{
+        f"success_within_pairs.{mm}": Goal(("success_within_pairs", f"{mm} mm, {rad} rad"), maximise=True, needs=TURNED)
+        for mm, rad in WITHIN_PAIRS
+    },
+    **{f"final_error_mm.{name}": Goal(("final_error_mm", name)) for name in QUANTILES},
+    **{f"final_angle_rad.{name}": Goal(("final_angle_rad", name), needs=TURNED) for name in QUANTILES},
+    **{f"tracking.{name}": Goal(("tracking", name), needs=MOVES) for name in ("rms_mm", "median_mm", "p95_mm")},
+}
 """Goals by name."""
 
 

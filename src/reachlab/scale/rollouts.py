@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from types import TracebackType
 from typing import Any, NamedTuple, Self, TypeVar
 
@@ -17,7 +17,7 @@ from reachlab.agents.policy import Policy
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState
 from reachlab.jax_setup import set_threads, use_compilation_cache
-from reachlab.learn.rollout import EngineError, Part, Rollout, host_collector
+from reachlab.learn.rollout import EngineError, Rollout, host_collector
 from reachlab.scale.cluster import Cluster
 from reachlab.settings.config import LoopConfig, RunConfig
 from reachlab.settings.validation import InputError
@@ -32,15 +32,8 @@ LOSSES = 20
 Tree = TypeVar("Tree")
 
 
-class Share(NamedTuple):
-    """Environments of a worker: those from the `first` to before the `end`."""
-
-    first: int
-    end: int
-
-
-def divide(num_envs: int, workers: int) -> list[Share]:
-    """Shares of the workers, as equal as blocks of `ALIGNED` environments allow.
+def divide(num_envs: int, workers: int) -> list[range]:
+    """Environments of each worker, as equally many as blocks of `ALIGNED` allow.
 
     Raises:
         InputError: there are more workers than blocks.
@@ -51,11 +44,10 @@ def divide(num_envs: int, workers: int) -> list[Share]:
             f"workers must be at least 1 and at most {blocks}, one for {ALIGNED} of num_envs {num_envs}, got {workers}."
         )
     ends = [min(ALIGNED * (blocks * (i + 1) // workers), num_envs) for i in range(workers)]
-    return [Share(first, end) for first, end in itertools.pairwise([0, *ends])]
+    return [range(first, end) for first, end in itertools.pairwise([0, *ends])]
 
 
-@dataclass
-class Gathered:
+class Gathered(NamedTuple):
     """What a worker has collected: the state of its environments, their rows, and how long it took [s].
 
     Where its engine failed, `failure` says why, and there may be no rows.
@@ -70,12 +62,12 @@ class Gathered:
 class Worker:
     """Some of the environments in a process of their own; what they are comes with every call."""
 
-    def __init__(self, config: RunConfig, share: Share) -> None:
+    def __init__(self, config: RunConfig, share: range) -> None:
         """Worker of a share of the environments, which computes on one thread."""
         set_threads(1)
         use_compilation_cache()
-        self._env = Env(config, share.end - share.first, threads=1)
-        self._gather = host_collector(Part(share.first, config.loop.num_envs))
+        self._env = Env(config, len(share), threads=1)
+        self._gather = host_collector(share.start, config.loop.num_envs)
 
     def collect(self, policy: Policy, state: EnvState, key: Array, config: LoopConfig) -> Gathered:
         """What its environments, in a state, collect with a policy; keys are given and returned as their data."""
@@ -88,21 +80,6 @@ class Worker:
         return Gathered(_sent(after), _on_host(rollout), time.perf_counter() - begun)
 
 
-@dataclass
-class Effort:
-    """Where the time of the rollouts went: calls, their time and that of the workers [s], and bytes sent and received.
-
-    `busy_s` is the time of the worker that took longest, added up over the calls.
-    """
-
-    calls: int = 0
-    wall_s: float = 0.0
-    busy_s: float = 0.0
-    sent_bytes: int = 0
-    received_bytes: int = 0
-    lost: int = 0
-
-
 class RayRollouts:
     """Collects by Ray actors; a `rollout.Collect`.
 
@@ -110,7 +87,8 @@ class RayRollouts:
     replaced by another, which collects the same rows.
 
     Attributes:
-        effort: where the time went so far.
+        busy_s: time of the worker that took longest, added up over all calls [s].
+        lost: workers that were replaced.
     """
 
     def __init__(self, config: RunConfig, workers: int, address: str | None = None) -> None:
@@ -123,9 +101,9 @@ class RayRollouts:
         self._cluster = Cluster(address, workers)
         self._ray = self._cluster.ray
         self._workers = [self._start(share, cpus=1) for share in self._shares]
-        self.effort = Effort()
+        self.busy_s, self.lost = 0.0, 0
 
-    def _start(self, share: Share, cpus: int) -> Any:
+    def _start(self, share: range, cpus: int) -> Any:
         actor = self._ray.remote(num_cpus=cpus, scheduling_strategy="SPREAD")(Worker)
         return actor.remote(self._config, share)
 
@@ -139,12 +117,11 @@ class RayRollouts:
             InputError: workers are lost again and again.
         """
         del env
-        begun = time.perf_counter()
-        state, given = _sent(state), _on_host(policy)
-        shared, key_data = self._ray.put(given), np.asarray(jax.random.key_data(key))
-        parts = [jax.tree.map(lambda x, s=share: x[s.first : s.end], state) for share in self._shares]
+        state = _sent(state)
+        shared, key_data = self._ray.put(_on_host(policy)), np.asarray(jax.random.key_data(key))
+        parts = [jax.tree.map(lambda x, s=share: x[s.start : s.stop], state) for share in self._shares]
         gathered = self._gather(lambda worker, i: worker.collect.remote(shared, parts[i], key_data, config))
-        self._count(begun, gathered, _size(given) * len(parts) + _size(state))
+        self.busy_s += max(one.busy_s for one in gathered)
         if failure := next((one.failure for one in gathered if one.failure), ""):
             rows = [one.rollout for one in gathered if one.failure and one.rollout is not None]
             raise EngineError(failure, rows[0] if rows else None)
@@ -168,7 +145,7 @@ class RayRollouts:
             except self._ray.exceptions.RayTaskError:
                 raise
             except self._ray.exceptions.RayError as error:
-                losses, self.effort.lost = losses + 1, self.effort.lost + 1
+                losses, self.lost = losses + 1, self.lost + 1
                 if losses >= LOSSES:
                     reason = str(error).partition("\n")[0]
                     raise InputError(f"{losses} workers died one after the other ({reason}).") from None
@@ -176,14 +153,6 @@ class RayRollouts:
                 self._workers[index] = self._start(self._shares[index], cpus=0)
                 pending[submit(self._workers[index], index)] = index
         return [results[index] for index in range(len(self._workers))]
-
-    def _count(self, begun: float, gathered: Sequence[Gathered], sent: int) -> None:
-        effort = self.effort
-        effort.calls += 1
-        effort.wall_s += time.perf_counter() - begun
-        effort.busy_s += max(one.busy_s for one in gathered)
-        effort.sent_bytes += sent
-        effort.received_bytes += sum(_size((one.state, one.rollout)) for one in gathered)
 
     def __enter__(self) -> Self:
         """Itself."""
@@ -209,8 +178,3 @@ def _on_host(tree: Tree) -> Tree:
 
 def _joined(trees: Sequence[Any], axis: int) -> Any:
     return jax.tree.map(lambda *parts: np.concatenate(parts, axis=axis), *trees)
-
-
-def _size(tree: object) -> int:
-    """Bytes of a tree's arrays."""
-    return sum(leaf.nbytes for leaf in jax.tree.leaves(tree))

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from reachlab.envs.setup import check_names
+from reachlab.envs.consistency import check_names
 from reachlab.robots.loading import load_robot
 from reachlab.settings.config import RunConfig
 from reachlab.settings.json_form import flatten, override, to_json
@@ -71,7 +71,10 @@ def _dimension(name: str, entry: Any, config: RunConfig) -> Dimension:
         if len(set(choices)) < 2:
             raise InputError(f"space has fewer than two choices for {name}: leave it out, and set it by its flag.")
         for choice in choices:
-            _check_choice(override(config, **{name: choice}), name)
+            # What it names has to be there; what it contradicts alone may fit other choices.
+            check_names(chosen := override(config, **{name: choice}))
+            if name == "robot":
+                load_robot(chosen.robot)
         return Dimension(name, choices=choices)
     if not isinstance(entry, dict) or not {"low", "high"} <= set(entry) <= {"low", "high", "log"}:
         raise InputError(f"space must give {name} limits or a list of choices, as {EXAMPLE}")
@@ -89,17 +92,6 @@ def _dimension(name: str, entry: Any, config: RunConfig) -> Dimension:
     now = flatten(to_json(config)).get(name)
     whole = isinstance(now, int) and isinstance(low, int) and isinstance(high, int)
     return Dimension(name, low, high, log, whole)
-
-
-def _check_choice(config: RunConfig, name: str) -> None:
-    """Make sure that what a choice names is there; what it contradicts alone may fit other choices.
-
-    Raises:
-        InputError: it is not there.
-    """
-    check_names(config)
-    if name == "robot":
-        load_robot(config.robot)
 
 
 def label(choice: Any) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -83,11 +84,10 @@ class Study:
             )
         except (OSError, ValueError, KeyError) as error:
             raise InputError(f"study '{journal}' cannot be used ({error}): begin a new sweep.") from None
-        self._asked: dict[int, Any] = {}
         if new and (own := self._within(config)):
             self._study.enqueue_trial(own)
 
-    def _suggest(self, trial: Any) -> tuple[int, dict[str, Any]]:
+    def _suggest(self, trial: Any) -> Any:
         for one in self._space:
             if one.choices:
                 trial.suggest_categorical(one.name, [label(choice) for choice in one.choices])
@@ -95,8 +95,7 @@ class Study:
                 trial.suggest_int(one.name, int(one.low), int(one.high), log=one.log)
             else:
                 trial.suggest_float(one.name, float(one.low), float(one.high), log=one.log)
-        self._asked[trial.number] = trial
-        return trial.number, settings_of(trial.params, self._space)
+        return trial
 
     def _within(self, config: RunConfig) -> dict[str, Any] | None:
         """The configuration's own settings as the study writes them down; None if one is not in the space."""
@@ -113,16 +112,16 @@ class Study:
 
     # --- trials -----------------------------------------------------------------------------------
 
-    def ask(self) -> tuple[int, dict[str, Any]]:
-        """Number and settings of a new trial.
+    def ask(self) -> Any:
+        """A new trial, as Optuna has it.
 
         What is suggested depends on the sweep's seed, the number, and what is known of the trials before.
         """
         self._seed_sampler(len(self._study.get_trials(deepcopy=False)))
         return self._suggest(self._study.ask())
 
-    def begun(self) -> list[tuple[int, dict[str, Any]]]:
-        """Number and settings of the trials that an earlier process began and did not end."""
+    def begun(self) -> list[Any]:
+        """The trials that an earlier process began and did not end."""
         running = self._optuna.trial.TrialState.RUNNING
         found = []
         for frozen in self._study.get_trials(deepcopy=False, states=(running,)):
@@ -134,26 +133,25 @@ class Study:
     def _seed_sampler(self, number: int) -> None:
         self._study.sampler = self._optuna.samplers.TPESampler(seed=self._seed * 1_000_003 + number)
 
-    def report(self, number: int, steps: int, value: float) -> bool:
-        """Write down a validation; whether the trial is worse than half of the others were then."""
-        trial = self._asked[number]
-        if steps not in self._study.get_trials(deepcopy=False)[number].intermediate_values:
-            trial.report(value, steps)
-        return bool(trial.should_prune())
+    def settings(self, trial: Any) -> dict[str, Any]:
+        """Settings of a trial that vary."""
+        return settings_of(trial.params, self._space)
 
-    def complete(self, number: int, value: float) -> None:
-        """End a trial with its value."""
-        self._study.tell(self._asked.pop(number), value)
+    def is_poor(self, trial: Any, validations: Mapping[int, float]) -> bool:
+        """Whether a new validation of a trial, by its steps, is poorer than half of the others; all are noted."""
+        known = self._study.get_trials(deepcopy=False)[trial.number].intermediate_values
+        for steps in sorted(validations.keys() - known.keys()):
+            trial.report(validations[steps], steps)
+            if trial.should_prune():
+                return True
+        return False
 
-    def prune(self, number: int) -> None:
-        """End a trial that is not worth more time."""
-        self._study.tell(self._asked.pop(number), state=self._optuna.trial.TrialState.PRUNED)
-
-    def fail(self, number: int, why: str) -> None:
-        """End a trial that has no value."""
-        trial = self._asked.pop(number)
-        trial.set_user_attr(WHY, why)
-        self._study.tell(trial, state=self._optuna.trial.TrialState.FAIL)
+    def end(self, trial: Any, value: float | None = None, why: str = "") -> None:
+        """End a trial with its value; one without is not worth more time, or has failed for a reason."""
+        states = self._optuna.trial.TrialState
+        if why:
+            trial.set_user_attr(WHY, why)
+        self._study.tell(trial, value, None if value is not None else states.FAIL if why else states.PRUNED)
 
     # --- what came of it --------------------------------------------------------------------------
 
@@ -164,7 +162,7 @@ class Study:
         return [
             Trial(
                 number=one.number,
-                settings=settings_of(one.params, self._space),
+                settings=self.settings(one),
                 state=one.state.name.lower(),
                 value=one.value if one.state.name == "COMPLETE" and math.isfinite(one.value) else None,
                 why=one.user_attrs.get(WHY, ""),
@@ -177,8 +175,7 @@ class Study:
     def ranked(self) -> list[Trial]:
         """The trials that came to a value, the best one first; of those that are equal, the first."""
         sign = -1 if self._study.direction.name == "MAXIMIZE" else 1
-        complete = [(sign * one.value, one.number, one) for one in self.trials if one.value is not None]
-        return [one for *_, one in sorted(complete, key=lambda one: one[:2])]
+        return sorted((one for one in self.trials if one.value is not None), key=lambda one: sign * (one.value or 0.0))
 
     def draw(self, folder: Path, goal: str) -> list[Path]:
         """Draw Optuna's pictures of the study; those that it has too few trials for are left out."""

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from reachlab.envs.setup import check
+from reachlab.envs.consistency import check
 from reachlab.learn.interrupts import Interrupted, Interrupts
 from reachlab.runs.directory import RunDirectory
 from reachlab.runs.files import read_json, write_json
 from reachlab.runs.lock import locked
 from reachlab.scale import ENGINES
-from reachlab.scale.engine import Engine
+from reachlab.scale.engines import Engine
 from reachlab.scale.goals import check_goal
 from reachlab.scale.space import dimensions
 from reachlab.scale.study import Study, Trial, load_optuna
@@ -23,8 +25,11 @@ from reachlab.settings.config import RunConfig
 from reachlab.settings.json_form import override, to_json
 from reachlab.settings.validation import InputError, choose
 
-LOOK = 0.5
+LOOK = 0.25
 """Time between two looks at the trainings [s]."""
+
+SETTINGS = "sweep.json"
+"""File that holds what decides a sweep; the settings of its trainings are in `config.json`, as those of a run."""
 
 
 @dataclass(frozen=True)
@@ -62,28 +67,19 @@ class SweepResult:
         }
 
 
-class SweepDirectory:
-    """Paths of a sweep; that its settings are in `config.json`, as those of a run."""
+def read_sweep(path: Path) -> SweepConfig:
+    """What decides the sweep in a directory.
 
-    def __init__(self, path: Path) -> None:
-        """Sweep at `path`, which need not exist."""
-        self.path = path
-        self.sweep_file, self.journal = path / "sweep.json", path / "study.journal"
-        self.trials = path / "trials"
-        self.table_file, self.best_file = path / "trials.csv", path / "best.json"
-
-    def read(self) -> SweepConfig:
-        """What decides the sweep.
-
-        Raises:
-            InputError: there is none here.
-        """
-        if not self.sweep_file.is_file():
-            raise InputError(f"'{self.path}' is no sweep: begin one with `reachlab sweep SPACE --out {self.path}`.")
-        try:
-            return SweepConfig(**read_json(self.sweep_file))
-        except TypeError:
-            raise InputError(f"'{self.sweep_file}' is not usable: it is of another version.") from None
+    Raises:
+        InputError: there is none here.
+    """
+    file = path / SETTINGS
+    if not file.is_file():
+        raise InputError(f"'{path}' is no sweep: begin one with `reachlab sweep SPACE --out {path}`.")
+    try:
+        return SweepConfig(**read_json(file))
+    except TypeError:
+        raise InputError(f"'{file}' is not usable: it is of another version.") from None
 
 
 def sweep(
@@ -125,52 +121,49 @@ def sweep(
     kind = ENGINES[choose("engine", engine, ENGINES)]
     if address and engine != "ray":
         raise InputError(f"address is that of a Ray cluster: leave it out with engine {engine!r}, or use --engine ray.")
-    folder, run = SweepDirectory(Path(out)), RunDirectory(Path(out))
-    _check_folder(folder, run, config, resume=resume)
+    run = _directory(Path(out), config, resume=resume)
     carrier: Engine = kind.load()(workers, address)
-    with Interrupts() as interrupts:
-        try:
-            if not resume:
-                run.create(config)
-                write_json(folder.sweep_file, vars(settings))
-            folder.trials.mkdir(exist_ok=True)
-            with locked(folder.path):
-                study = Study(folder.journal, space, goal, config)
-                under_way = Trials(settings, config, folder.trials, study, carrier)
-                while under_way.fill(trials, workers):
-                    under_way.look(LOOK)
-                    best = next(iter(study.ranked), None)
-                    watch(SweepProgress(study.trials, trials, under_way.shares(), best))
-                    if interrupts.received is not None:
-                        raise _interrupted(interrupts.received, folder)
-                return _result(config, folder, study, settings)
-        finally:
-            carrier.close()
+    with Interrupts() as interrupts, contextlib.closing(carrier):
+        if not resume:
+            run.create(config)
+            write_json(run.path / SETTINGS, vars(settings))
+        folder = run.path / "trials"
+        folder.mkdir(exist_ok=True)
+        with locked(run.path):
+            study = Study(run.path / "study.journal", space, goal, config)
+            under_way = Trials(settings, config, folder, study, carrier)
+            left = True
+            while left:
+                left = under_way.advance(trials, workers)
+                watch(SweepProgress(study.trials, trials, under_way.shares, next(iter(study.ranked), None)))
+                if interrupts.received is not None:
+                    how = f"`reachlab sweep --resume {run.path}` continues from there"
+                    raise Interrupted(interrupts.received, f"interrupted; every trial is saved: {how}.")
+                time.sleep(LOOK)
+            return _result(config, run.path, study, settings)
 
 
-def _check_folder(folder: SweepDirectory, run: RunDirectory, config: RunConfig, *, resume: bool) -> None:
+def _directory(path: Path, config: RunConfig, *, resume: bool) -> RunDirectory:
+    """The directory of a sweep, which is there if it is to be resumed, and not otherwise."""
+    run = RunDirectory(path)
     if resume:
-        folder.read()
+        read_sweep(run.path)
         run.read_unfinished(config)
         run.check_robot(config)
     else:
         run.refuse_existing()
+    return run
 
 
-def _interrupted(signal: int, folder: SweepDirectory) -> Interrupted:
-    how = f"`reachlab sweep --resume {folder.path}` continues from there"
-    return Interrupted(signal, f"interrupted; every trial is saved: {how}.")
-
-
-def _result(config: RunConfig, folder: SweepDirectory, study: Study, settings: SweepConfig) -> SweepResult:
+def _result(config: RunConfig, folder: Path, study: Study, settings: SweepConfig) -> SweepResult:
     """What a sweep came to, also written to its folder."""
     ranked, trials, varied = study.ranked, study.trials, list(settings.space)
     chosen = override(config, **ranked[0].settings) if ranked else None
     if chosen:
-        write_json(folder.best_file, to_json(chosen))
-    with folder.table_file.open("w", newline="") as file:
+        write_json(folder / "best.json", to_json(chosen))
+    with (folder / "trials.csv").open("w", newline="") as file:
         table = csv.writer(file)
         table.writerow(["trial", "state", settings.goal, *varied, "why"])
         for one in trials:
             table.writerow([one.number, one.state, one.value, *(one.settings.get(name) for name in varied), one.why])
-    return SweepResult(ranked, chosen, trials, study.draw(folder.path, settings.goal))
+    return SweepResult(ranked, chosen, trials, study.draw(folder, settings.goal))

@@ -1,1 +1,1 @@
-"""What can be set: configurations, presets, and input that is refused."""
+"""Settings: configurations, presets, and input that is refused."""

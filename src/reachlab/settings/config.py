@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, ClassVar
 
-from reachlab.settings.rules import TaskConfig
+from reachlab.settings.rules import TaskSettings
 from reachlab.settings.validation import (
     Checked,
     Count,
@@ -139,13 +139,14 @@ class RunConfig(Checked):
     """How its policy is learnt; see `reachlab.learn.METHODS`."""
 
     task: str = "tutorial"
-    """Task preset, which sets the other defaults: clutter, pose, precise, track or tutorial."""
+    """Task preset, which sets the other defaults: clutter, lift, place, pose, precise, push, slide, track or
+    tutorial."""
     robot: str = "iiwa14"
     """Robot: gen3, iiwa14, panda, so101, ur5e, xarm7, or the path of an MJCF or URDF file; see `reachlab robot`."""
     base: str | None = None
     """Body of the robot's file that holds the arm; joints before it are locked. By default its first."""
     package: Annotated[tuple[str, ...], Length(64)] = ()
-    """Folders of the ROS packages that the robot's file names, each as NAME=FOLDER."""
+    """Folders of ROS packages that the robot's file names, each as NAME=FOLDER."""
     sim: str = "kinematic"
     """Simulator: kinematic, mujoco or pybullet."""
     seed: Seed = 0
@@ -154,8 +155,12 @@ class RunConfig(Checked):
     """What varies from episode to episode in training; the report is without it. `dynamics`: in MuJoCo servo gains
     within 15 %, joint damping within 30 % and a payload of 0 to 2 kg at the tool, and everywhere joints measured with
     noise of 0.5 mrad and 0.01 rad/s. `delay`: measurements are a control period old and up to 10 ms more, and 5 % of
-    them do not come. `view`: light, colours and the camera's pose within 2 cm and 2 degrees."""
-    rules: TaskConfig = field(default_factory=TaskConfig)
+    them do not come. `view`: light, colours and the camera's pose within 2 cm and 2 degrees. `objects`: their mass from
+    0.3 to 3 times, friction from 0.3 to 1, size within 25 %; all an episode they are measured up to 5 mm and 5 degrees
+    off."""
+    imports: Annotated[tuple[str, ...], Length(64)] = ()
+    """Extensions that the run needs, modules or files; see `extensions.import_extension`."""
+    rules: TaskSettings = field(default_factory=TaskSettings)
     physics: SimConfig = field(default_factory=SimConfig)
     loop: LoopConfig = field(default_factory=LoopConfig)
     learner: LearnerConfig = field(default_factory=LearnerConfig)

@@ -7,7 +7,7 @@ import typing
 from collections.abc import Mapping
 from typing import Any, TypeVar
 
-from reachlab.settings.config import DistilRunConfig, RunConfig
+from reachlab.settings.config import RunConfig
 from reachlab.settings.validation import InputError, choose, hints
 
 Config = TypeVar("Config", bound=RunConfig)
@@ -42,21 +42,19 @@ def _sections(config: RunConfig) -> dict[str, str | None]:
     return sections
 
 
-def difference(one: object, other: object) -> tuple[str, Any, Any] | None:
+def difference(one: RunConfig, other: RunConfig) -> tuple[str, Any, Any] | None:
     """Name of the first setting in which two configurations differ, and both values; None if they are the same."""
-    for entry in dataclasses.fields(typing.cast("Any", one)):
-        a, b = getattr(one, entry.name), getattr(other, entry.name, None)
-        if dataclasses.is_dataclass(a):
-            if found := difference(a, b):
-                return found
-        elif a != b:
-            return entry.name, a, b
-    return None
+    here, there = flatten(to_json(one)), flatten(to_json(other))
+    return next(((name, here[name], there.get(name)) for name in here if here[name] != there.get(name)), None)
+
+
+FORMAT = 2
+"""Version of the plain form."""
 
 
 def to_json(config: RunConfig) -> dict[str, Any]:
     """Plain form of the config, for `json.dump`."""
-    return dataclasses.asdict(config)
+    return {"format": FORMAT, **dataclasses.asdict(config)}
 
 
 def flatten(plain: Mapping[str, Any]) -> dict[str, Any]:
@@ -64,31 +62,26 @@ def flatten(plain: Mapping[str, Any]) -> dict[str, Any]:
     flat: dict[str, Any] = {}
     for name, value in plain.items():
         flat |= value if isinstance(value, dict) else {name: value}
+    flat.pop("format", None)
     return flat
 
 
-def from_json(data: Any) -> RunConfig:
-    """Config from its plain form; every field must be there, and no other.
+def build(cls: type, data: Any, where: str, **known: Any) -> Any:
+    """A dataclass of its plain form; what is missing has its default. Fields that are `known` are taken as they are.
 
     Raises:
-        InputError: a field is missing, unknown, of the wrong type or out of range.
+        InputError: a field is unknown, of the wrong type or out of range.
     """
-    kind = DistilRunConfig if isinstance(data, Mapping) and "dagger" in data else RunConfig
-    return _build(kind, data, "the configuration")
-
-
-def _build(cls: type, data: Any, where: str) -> Any:
     if not isinstance(data, Mapping):
         raise InputError(f"{where} must be an object of settings, got {type(data).__name__}.")
     fields = hints(cls)
     if unknown := sorted(set(data) - set(fields)):
         raise InputError(f"{where} holds an unknown setting {unknown[0]!r}.")
-    if missing := sorted(set(fields) - set(data)):
-        raise InputError(f"{where} has no setting {missing[0]!r}.")
-    values = {}
-    for name, value in data.items():
+    values = dict(known)
+    for name in data.keys() - known.keys():
+        value = data[name]
         if dataclasses.is_dataclass(fields[name]):
-            values[name] = _build(typing.cast("type", fields[name]), value, f"{where}, {name},")
+            values[name] = build(typing.cast("type", fields[name]), value, f"{where}, {name},")
         else:
             values[name] = tuple(value) if isinstance(value, list) else value
     return cls(**values)

@@ -1,4 +1,4 @@
-"""Reading of files that a user names: none can turn it into a hang or a flood."""
+"""Reading of files that a user names: none can turn it into a hang or a flood. And the user's own folder."""
 
 from __future__ import annotations
 
@@ -11,6 +11,11 @@ MOST_TEXT = 2**20
 
 MOST_MODEL = 2**30
 """Largest file of a policy that is read [bytes]."""
+
+
+def cache_folder() -> Path:
+    """The user's folder for what can be computed again."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "reachlab"
 
 
 def read_regular(file: Path, most: int, head: int | None = None) -> tuple[bytes, int]:

@@ -105,6 +105,28 @@ class Length:
         return f"a list of at most {self.most}"
 
 
+@dataclass(frozen=True)
+class InProportion:
+    """A number that follows from an arm's workspace where it is left out.
+
+    Attributes:
+        usual: its value on the tutorial's arm, whose workspace has the size 1.
+        inverse: it is the smaller the larger the workspace.
+        from_floor: it is a height above the workspace's floor.
+    """
+
+    usual: float
+    inverse: bool = False
+    from_floor: bool = False
+
+    def on_arm(self, scale: float, floor: float) -> float:
+        """Its value on an arm whose workspace has a size and a floor [m]."""
+        return self.usual / scale if self.inverse else floor * self.from_floor + self.usual * scale
+
+
+BY_ARM: Any = None
+"""Default of settings in proportion to the arm's workspace, until they are settled on an arm."""
+
 UNIONS = (typing.Union, types.UnionType)
 """Origins of annotations with several kinds of values."""
 
@@ -146,18 +168,24 @@ def _check(name: str, value: Any, hint: Any) -> None:
             if value is not None:
                 _check(name, value, kinds[0])
             return
-    try:
-        if isinstance(value, bool) and base is not bool:
-            raise TypeCheckError("a truth value is no number")
-        check_type(value, base)
-    except TypeCheckError:
-        raise InputError(f"{name} must be {_type_name(base)}, got {reprlib.repr(value)}.") from None
+    if value is BY_ARM and any(isinstance(limit, InProportion) for limit in limits):
+        return
+    _check_type(name, value, base)
     for limit in limits:
         if isinstance(limit, Range | Length) and value not in limit:
             raise InputError(f"{name} must be {_passed(limit, value)}, got {reprlib.repr(value)}.")
     if isinstance(value, tuple):
         for item in value:
             _check(f"each entry of {name}", item, typing.get_args(base)[0])
+
+
+def _check_type(name: str, value: Any, base: Any) -> None:
+    try:
+        if isinstance(value, bool) and base is not bool:
+            raise TypeCheckError("a truth value is no number")
+        check_type(value, base)
+    except TypeCheckError:
+        raise InputError(f"{name} must be {_type_name(base)}, got {reprlib.repr(value)}.") from None
 
 
 def _passed(limit: Range | Length, value: Any) -> Range | Length:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import jax.numpy as jnp
 
-from reachlab.robots.kinematics import forward_kinematics
+from reachlab.robots.kinematics.forward import forward_kinematics
 from reachlab.robots.robot import Robot
 from reachlab.settings.config import SimConfig
-from reachlab.sims import ArmState, BatchArray, Kind, Moved
 from reachlab.sims.rendering import Drawn
-from reachlab.tasks.obstacles import Obstacles
-from reachlab.tasks.task import Goal
+from reachlab.sims.simulator import BatchArray, Begin, Kind, Moved, SimState, chosen
+from reachlab.tasks.task import EMPTY, Scene
 
 
 class KinematicSimulator(Drawn):
@@ -26,34 +25,26 @@ class KinematicSimulator(Drawn):
         *,
         threads: int = 0,
         randomise_dynamics: bool = False,
-        obstacles: int = 0,
+        scene: Scene = EMPTY,
     ) -> None:
         """Simulator of `num_envs` arms; its functions take any batch."""
         super().__init__(robot, config, num_envs)
-        del threads, randomise_dynamics, obstacles
+        del threads, randomise_dynamics, scene
         self._robot = robot
         self._period = config.control_period
         self.lag = (0.0,) * robot.chain.n
 
-    def reset(
-        self,
-        state: ArmState | None,
-        q: BatchArray,
-        goal: Goal,
-        mask: BatchArray | None,
-        dynamics: BatchArray | None = None,
-        obstacles: Obstacles | None = None,
-    ) -> ArmState:
+    def reset(self, state: SimState | None, begin: Begin, mask: BatchArray | None) -> SimState:
         """See `Simulator.reset`."""
-        del goal, dynamics, obstacles
-        if state is not None and mask is not None:
-            q = jnp.where(mask[:, None], q, state.q)
-            qd = jnp.where(mask[:, None], 0.0, state.qd)
-        else:
-            qd = jnp.zeros_like(q)
-        q, qd = jnp.asarray(q), jnp.asarray(qd)
-        return ArmState(q, qd, *forward_kinematics(self._robot.chain, q))
+        q, qd = jnp.asarray(begin.q), jnp.zeros_like(begin.q)
+        if state is not None:
+            q, qd = chosen(mask, (q, qd), (state.q, state.qd))
+        bodies = begin.bodies if state is None else chosen(mask, begin.bodies, state.bodies)
+        return SimState(
+            q, qd, *forward_kinematics(self._robot.chain, q), bodies, jnp.zeros((len(q), 0), bool), q[:, :0]
+        )
 
-    def step(self, state: ArmState | Moved, target_q: BatchArray) -> Moved:
+    def step(self, state: SimState | Moved, command: BatchArray) -> Moved:
         """See `Simulator.step`."""
-        return Moved(jnp.asarray(target_q), jnp.asarray((target_q - state.q) / self._period))
+        q = jnp.asarray(command)[:, : self._robot.chain.n]
+        return Moved(q, jnp.asarray((q - state.q) / self._period), state.bodies, state.contact, state.opening)

@@ -2,25 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import cast
 
+import jax
 import mujoco
 import numpy as np
 from jax import Array
 from mujoco.batch import Batch
 
+from reachlab.control.bodies import Bodies
 from reachlab.jax_setup import jit
-from reachlab.robots.isolation import own_servos
-from reachlab.robots.kinematics import forward_kinematics
+from reachlab.robots.derive.isolation import own_servos
+from reachlab.robots.kinematics.forward import forward_kinematics
 from reachlab.robots.robot import Robot
 from reachlab.settings.config import SimConfig
-from reachlab.sims import ArmState, BatchArray, Kind, Moved
-from reachlab.sims.mujoco_contacts import Scenes
+from reachlab.sims.mujoco_contacts import FixedBodies
 from reachlab.sims.mujoco_model import PAYLOAD, physics_model, servo_lag
+from reachlab.sims.mujoco_objects import FreeBodies
 from reachlab.sims.rendering import Drawn
-from reachlab.tasks.obstacles import Obstacles
-from reachlab.tasks.task import Goal
+from reachlab.sims.simulator import BatchArray, Begin, Kind, Moved, SimState, chosen
+from reachlab.tasks.task import EMPTY, Scene
 
 GAIN_SPREAD, DAMPING_SPREAD = 0.15, 0.3
 """Where dynamics vary: relative spread of each joint's servo gains and of its damping."""
@@ -30,10 +31,10 @@ class MujocoSimulator(Drawn):
     """Arms under full dynamics, stepped together on all cores.
 
     A control period is `physics_steps` steps of the engine, with the joints' targets held. The engine's state, float64
-    rows, travels in `ArmState.engine` as its bits, so that any state can be continued from exactly; so do which arms
-    they are, where dynamics vary, and where their obstacles are.
+    rows, travels in `SimState.engine` as its bits, so that any state can be continued from exactly; so do which arms
+    they are, where dynamics vary.
 
-    Contact is told where there are obstacles: of the arm with them, with the table and with itself, see `add_contacts`,
+    Contacts are judged where the scene says so: of the arm with bodies, the table and itself, see `add_contacts`,
     at the start of each of the engine's steps. What is touched in the last of them is told after the next period.
     """
 
@@ -47,77 +48,82 @@ class MujocoSimulator(Drawn):
         threads: int = 0,
         *,
         randomise_dynamics: bool = False,
-        obstacles: int = 0,
+        scene: Scene = EMPTY,
     ) -> None:
         """Simulator of `num_envs` arms on `threads` threads, 0 for one a core; results do not depend on them."""
-        super().__init__(robot, config, num_envs, threads, randomise_dynamics=randomise_dynamics, obstacles=obstacles)
-        self._model = physics_model(robot, config, payload=randomise_dynamics, obstacles=obstacles)
+        super().__init__(robot, config, num_envs, threads, randomise_dynamics=randomise_dynamics, scene=scene)
+        self._model = physics_model(robot, config, scene, payload=randomise_dynamics)
         self._substeps = config.physics_steps
         self._batch = Batch(self._model, nsim=num_envs, nthread=threads)
         self._qpos, self._qvel, self._ctrl = (self._batch.bind(name) for name in ("qpos", "qvel", "ctrl"))
         n = robot.chain.n
         self._positions, self._speeds = self._model.jnt_qposadr[:n], self._model.jnt_dofadr[:n]
-        servos = own_servos(self._model, range(n))
+        servos = own_servos(self._model)
         self._servos = np.array([servos[joint] for joint in range(n)])
         self.lag = servo_lag(self._model, self._servos, self._speeds)
+        self._gripper, fingers = robot.gripper, list(range(n, n + len(robot.gripper.open) if robot.gripper else n))
+        self._fingers, self._finger_servos = (
+            self._model.jnt_qposadr[fingers],
+            np.array([servos[joint] for joint in fingers], int),
+        )
         self._arms = _Arms(self._batch, self._servos, self._speeds) if randomise_dynamics else None
-        self._scenes = Scenes(self._batch) if obstacles else None
-        self._contacts = self._batch.bind("ncon") if obstacles else None
+        self._fixed = FixedBodies(self._batch)
+        self._free = FreeBodies(self._batch, scene)
+        self._numbers = np.zeros((num_envs, 0))
+        self._contacts = self._batch.bind("ncon") if scene.contacts else None
+        self._untouched = np.zeros((num_envs, 0), bool)
         self._begin = self._batch.state[0].copy()
-        self._given: Array | None = None  # what `engine` the arms have now, as long as they are as they were given
+        # What `engine` and `bodies` the arms have now, as long as they are as they were given.
+        self._given: tuple[Array, Bodies] | None = None
         self._pose = jit(lambda q: forward_kinematics(robot.chain, q))
 
-    def reset(
-        self,
-        state: ArmState | None,
-        q: BatchArray,
-        goal: Goal,
-        mask: BatchArray | None,
-        dynamics: BatchArray | None = None,
-        obstacles: Obstacles | None = None,
-    ) -> ArmState:
+    def reset(self, state: SimState | None, begin: Begin, mask: BatchArray | None) -> SimState:
         """See `Simulator.reset`."""
-        del goal
-        chosen = np.ones(len(q), bool) if state is None or mask is None else np.asarray(mask)
+        rows = np.ones(len(begin.q), bool) if state is None or mask is None else np.asarray(mask)
         self._restore(state)
-        self._batch.state[chosen] = self._begin
-        for rows, columns in ((self._qpos, self._positions), (self._ctrl, self._servos)):
-            rows[np.ix_(chosen, columns)] = np.asarray(q)[chosen]
-        if self._arms and dynamics is not None:
-            self._arms.become(np.where(chosen[:, None], np.asarray(dynamics, np.float64), self._arms.numbers))
-        if self._scenes and obstacles is not None:
-            self._scenes.become(np.where(chosen[:, None], Scenes.numbers_of(obstacles), self._scenes.numbers))
-        moved = self._moved(self._touching(chosen, state))
+        self._batch.state[rows] = self._begin
+        for values, columns in ((self._qpos, self._positions), (self._ctrl, self._servos)):
+            values[np.ix_(rows, columns)] = np.asarray(begin.q)[rows]
+        if self._gripper:
+            self._qpos[np.ix_(rows, self._fingers)] = self._ctrl[np.ix_(rows, self._finger_servos)] = self._gripper.open
+        numbers = np.array(begin.dynamics, np.float64)
+        if state is not None:
+            numbers[~rows] = self._numbers[~rows]
+        bodies = jax.tree.map(np.asarray, begin.bodies)
+        if state is not None:
+            bodies = chosen(rows, bodies, jax.tree.map(np.asarray, state.bodies))
+        self._fixed.become(bodies)
+        self._free.put(bodies, rows)
+        self._become(numbers, bodies)
+        moved = self._moved(bodies, self._touching(rows, state))
         pose = self._pose(moved.q)
-        return ArmState(moved.q, moved.qd, pose.position, pose.quaternion, moved.engine, moved.contact)
+        return SimState(
+            moved.q, moved.qd, pose.position, pose.quaternion, bodies, moved.contact, moved.opening, moved.engine
+        )
 
-    def rearrange(self, state: ArmState, obstacles: Obstacles) -> ArmState:
-        """See `Simulator.rearrange`."""
-        rows = np.array(state.engine).view(np.float64)
-        numbers = Scenes.numbers_of(obstacles)
-        rows[:, -numbers.shape[1] :] = numbers  # the scenes are the last of `_varied`
-        return replace(state, engine=cast("Array", rows.view(np.uint32)))
-
-    def _touching(self, chosen: np.ndarray, state: ArmState | None) -> np.ndarray | None:
-        """Which arms touch something `[B]`: those `chosen` now, the others as it was told in the state."""
+    def _touching(self, rows: np.ndarray, state: SimState | None) -> np.ndarray:
+        """Which arms touch something `[B]`: those of `rows [B]` now, the others as the state says."""
         if self._contacts is None:
-            return None
-        self._batch.forward(chosen, mujoco.mjtStage.mjSTAGE_POS.value)
+            return self._untouched
+        self._batch.forward(rows, mujoco.mjtStage.mjSTAGE_POS.value)
         now = np.array(self._contacts, bool)
         if state is not None:
-            now[~chosen] = np.asarray(state.contact)[~chosen]
+            now[~rows] = np.asarray(state.contact)[~rows]
         return now
 
-    def step(self, state: ArmState | Moved, target_q: BatchArray) -> Moved:
+    def step(self, state: SimState | Moved, command: BatchArray) -> Moved:
         """See `Simulator.step`.
 
         Raises:
             FloatingPointError: the engine warned, e.g. of a state that is not finite or of a full contact buffer.
         """
         self._restore(state)
-        self._ctrl[:, self._servos] = np.asarray(target_q)
-        contact = None
-        if self._scenes:
+        command, n = np.asarray(command), len(self._servos)
+        self._ctrl[:, self._servos] = command[:, :n]
+        if self._gripper:
+            self._ctrl[:, self._finger_servos] = self._gripper.fingers(command[:, n:])
+        contact = self._untouched
+        if self._contacts is not None:
             counts = self._batch.rollout(self._substeps, record=("ncon",))["ncon"]  # [B, steps]
             contact = np.asarray(counts.any(axis=1))
         else:
@@ -127,34 +133,44 @@ class MujocoSimulator(Drawn):
             index, kind = np.argwhere(warnings)[0]
             warnings[:] = 0
             raise FloatingPointError(f"MuJoCo warned of {mujoco.mjtWarning(kind).name[7:]} in environment {index}")
-        return self._moved(contact)
+        return self._moved(state.bodies, contact)
 
-    def _restore(self, state: ArmState | Moved | None) -> None:
-        """Make the arms, which are about to move, those of a state; mostly they are."""
+    def _restore(self, state: SimState | Moved | None) -> None:
+        """Continue from a state: from where the arms were left, or from where they were at any time."""
         given, self._given = self._given, None
-        if state is None or given is state.engine:
+        if state is None or state.engine is None:
             return
-        rows, columns = np.asarray(state.engine).view(np.float64), self._batch.state.shape[1]
-        self._batch.state[:] = rows[:, :columns]
-        for varied in self._varied:
-            end = columns + varied.numbers.shape[1]
-            varied.become(rows[:, columns:end])
-            columns = end
+        if given is None or given[0] is not state.engine:
+            rows, columns = np.asarray(state.engine).view(np.float64), self._batch.state.shape[1]
+            self._batch.state[:] = rows[:, :columns]
+            self._become(rows[:, columns:], jax.tree.map(np.asarray, state.bodies))
+        if given is None or given[1] is not state.bodies:
+            bodies = jax.tree.map(np.asarray, state.bodies)
+            self._fixed.become(bodies)
+            self._free.put(bodies)
+            self._become(self._numbers, bodies)
 
-    @property
-    def _varied(self) -> list[_Arms | Scenes]:
-        return [varied for varied in (self._arms, self._scenes) if varied]
+    def _become(self, numbers: np.ndarray, bodies: Bodies) -> None:
+        """Make arms and objects those of `numbers`, see `Begin.dynamics`, and objects of the size that bodies have."""
+        self._numbers, arm = numbers, 2 * len(self._servos) + 1 if self._arms else 0
+        if self._arms:
+            self._arms.become(numbers[:, :arm])
+        self._free.become(bodies, numbers[:, arm:])
 
-    def _moved(self, contact: np.ndarray | None) -> Moved:
+    def _moved(self, bodies: Bodies, contact: np.ndarray) -> Moved:
         """State of NumPy rows: what is compiled takes them in faster than JAX would convert them here."""
+        bodies = self._free.now(bodies)
         q = self._qpos[:, self._positions].astype(np.float32)
         qd = self._qvel[:, self._speeds].astype(np.float32)
-        rows = [self._batch.state, *(varied.numbers for varied in self._varied)]
-        engine = np.concatenate(rows, axis=1).view(np.uint32)
+        engine = np.concatenate([self._batch.state, self._numbers], axis=1).view(np.uint32)
         engine.flags.writeable = False  # who holds it holds what the arms are, see `_restore`
-        self._given = cast("Array", engine)
+        self._given = cast("Array", engine), bodies
+        opening = np.zeros((len(q), 0), np.float32)
+        if self._gripper:
+            opening = self._gripper.opening(self._qpos[:, self._fingers]).astype(np.float32)
+        parts = (cast("Array", q), cast("Array", qd), bodies, cast("Array", contact), cast("Array", opening))
         # No tool: the engine's own site positions are one physics step old after a step.
-        return Moved(cast("Array", q), cast("Array", qd), engine=self._given, contact=cast("Array | None", contact))
+        return Moved(*parts, engine=self._given[0])
 
 
 class _Arms:

@@ -1,4 +1,4 @@
-"""What an arm among obstacles can touch in MuJoCo: itself, the table and obstacles that differ between simulations."""
+"""What an arm can touch in MuJoCo: itself, the table and bodies that differ between simulations."""
 
 from __future__ import annotations
 
@@ -8,19 +8,12 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
-from reachlab.render.scene import table_top
-from reachlab.robots.pictures import without_shapes
+from reachlab.control.bodies import FAR, Bodies, Shape
+from reachlab.robots.files.pictures import without_shapes
 from reachlab.robots.robot import Robot
-from reachlab.tasks.obstacles import FAR, Obstacles
 
-CAPSULE, OBSTACLE, TABLE = "reachlab_capsule_", "reachlab_obstacle_", "reachlab_table"
+CAPSULE, BODY, TABLE = "reachlab_capsule_", "reachlab_body_", "reachlab_table"
 """Names of the geoms that are added, the first two before a number."""
-
-NUMBERS = 11
-"""Numbers of an obstacle: position, orientation, half sizes, radius."""
-
-ABSENT = (*FAR, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-"""Those of one that is not there."""
 
 LEAST_BOUND = 1e-6
 """Radius of the sphere around a ball without size [m]: of 0 MuJoCo takes it for a plane."""
@@ -29,11 +22,11 @@ _Bit, _Geom = mujoco.mjtDisableBit, mujoco.mjtGeom
 
 
 def add_contacts(spec: mujoco.MjSpec, robot: Robot, count: int) -> None:
-    """Add the arm's capsules, the table and `count` obstacles, and what of them may not meet.
+    """Add the arm's capsules, the table and `count` bodies that do not move, and what of them may not meet.
 
-    These are capsules of moving links and obstacles, those capsules and the table, and `Capsules.pairs`. Nothing else
+    These are capsules of moving links and bodies, those capsules and the table, and `Capsules.pairs`. Nothing else
     collides: the file's own shapes are taken out where no inertia follows from them. The table is the plane of its top,
-    without an edge. What `Robot.floors` allows to be anywhere does not touch it.
+    without an edge. What `Capsules.floors` allows to be anywhere does not touch it.
 
     Contacts have no friction, and the Jacobian is dense: 4.0.0 solves sparse ones wrongly.
     """
@@ -43,10 +36,10 @@ def add_contacts(spec: mujoco.MjSpec, robot: Robot, count: int) -> None:
         spec.delete(pair)
     without_shapes(spec)
     _add_capsules(spec, robot)
-    top = [0.0, 0.0, table_top(robot)]
+    top = [0.0, 0.0, robot.table_top]
     spec.worldbody.add_geom(name=TABLE, type=_Geom.mjGEOM_PLANE, size=[0, 0, 1], pos=top)
     for number in range(count):
-        spec.worldbody.add_geom(name=f"{OBSTACLE}{number}", type=_Geom.mjGEOM_SPHERE, size=[LEAST_BOUND] * 3, pos=FAR)
+        spec.worldbody.add_geom(name=f"{BODY}{number}", type=_Geom.mjGEOM_SPHERE, size=[LEAST_BOUND] * 3, pos=FAR)
     for geom in spec.geoms:
         geom.contype = geom.conaffinity = 0  # only pairs collide
     for one, other in _pairs(robot, count):
@@ -75,46 +68,40 @@ def _add_capsules(spec: mujoco.MjSpec, robot: Robot) -> None:
 def _pairs(robot: Robot, count: int) -> Iterator[tuple[str, str]]:
     """Names of the geoms, two by two, that may not meet."""
     capsules = robot.capsules
-    for number, floor in zip(np.flatnonzero(capsules.links), robot.floors, strict=True):
-        yield from ((f"{CAPSULE}{number}", f"{OBSTACLE}{other}") for other in range(count))
+    for number, floor in zip(np.flatnonzero(capsules.links), robot.capsules.floors, strict=True):
+        yield from ((f"{CAPSULE}{number}", f"{BODY}{other}") for other in range(count))
         if np.isfinite(floor):
             yield f"{CAPSULE}{number}", TABLE
     yield from ((f"{CAPSULE}{one}", f"{CAPSULE}{other}") for one, other in capsules.pairs)
 
 
-class Scenes:
-    """Obstacles that differ between simulations: `numbers [B, K NUMBERS]`."""
+class FixedBodies:
+    """Bodies that differ between simulations, and do not move in them."""
 
     def __init__(self, batch: Batch) -> None:
         """None of them is there yet."""
         model = batch.model
-        self._geoms = [geom for geom in range(model.ngeom) if model.geom(geom).name.startswith(OBSTACLE)]
+        self._geoms = [geom for geom in range(model.ngeom) if model.geom(geom).name.startswith(BODY)]
         names = ("geom_type", "geom_pos", "geom_quat", "geom_sameframe", "geom_size", "geom_rbound")
-        self._type, self._position, self._quaternion, self._frame, self._size, self._bound = map(batch.expand, names)
-        self.numbers = np.tile(ABSENT, (batch.nsim, len(self._geoms)))
+        self._type, self._position, self._quaternion, self._frame, self._size, self._bound = (
+            map(batch.expand, names) if self._geoms else [np.zeros(0)] * len(names)
+        )
+        self._numbers = np.zeros(0)
 
-    @staticmethod
-    def numbers_of(obstacles: Obstacles) -> np.ndarray:
-        """Obstacles `[B, K, ...]` as numbers `[B, K NUMBERS]`."""
-        radius = np.asarray(obstacles.radius)[..., None]
-        parts = (obstacles.position, obstacles.quaternion, obstacles.half, radius)
-        return np.concatenate(parts, axis=-1, dtype=np.float64).reshape(len(radius), -1)
-
-    def become(self, numbers: np.ndarray) -> None:
-        """Put obstacles where `numbers` has them."""
-        if np.array_equal(numbers, self.numbers):
+    def become(self, bodies: Bodies) -> None:
+        """Put the first of bodies `[B, K]`, in NumPy, where they are."""
+        parts = (bodies.position, bodies.quaternion, bodies.size, bodies.kind[..., None])
+        numbers = np.concatenate([part[:, : len(self._geoms)] for part in parts], axis=-1)
+        if not self._geoms or np.array_equal(numbers, self._numbers):
             return
-        self.numbers = np.array(numbers)
-        parts = np.split(self.numbers.reshape(len(numbers), -1, NUMBERS), (3, 7, 10), axis=2)
-        position, quaternion, half, radius = parts
-        box, long = half[..., :1] > 0, half[..., 2:] > 0
-        kind = np.where(box, _Geom.mjGEOM_BOX, np.where(long, _Geom.mjGEOM_CAPSULE, _Geom.mjGEOM_SPHERE))
-        rounded = np.concatenate([radius, half[..., 2:], np.zeros_like(radius)], axis=2)
-        bound = np.linalg.norm(half, axis=2) + radius[..., 0]
+        self._numbers = numbers
+        position, quaternion, size, _ = np.split(numbers.astype(np.float64), (3, 7, 10), axis=2)
+        kind = numbers[..., 10:].astype(int)
+        along = np.where(kind == Shape.BOX, np.linalg.norm(size, axis=2, keepdims=True), size[..., :1] + size[..., 1:2])
         self._type[:, self._geoms] = kind[..., 0]
         self._position[:, self._geoms] = position
         self._quaternion[:, self._geoms] = quaternion
         # `Batch.set_const` notes here which of them lie as the world does, whose pose they are then given.
         self._frame[:, self._geoms] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
-        self._size[:, self._geoms] = np.where(box, half, rounded)
-        self._bound[:, self._geoms] = np.maximum(bound, LEAST_BOUND)
+        self._size[:, self._geoms] = size
+        self._bound[:, self._geoms] = np.maximum(along[..., 0], LEAST_BOUND)

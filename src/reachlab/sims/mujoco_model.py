@@ -6,11 +6,14 @@ import mujoco
 import numpy as np
 
 from reachlab.render.scene import add_table
-from reachlab.robots.pictures import without_shapes
+from reachlab.robots.files.gripper import TIPS
+from reachlab.robots.files.pictures import without_shapes
 from reachlab.robots.robot import Robot
 from reachlab.settings.config import SimConfig
 from reachlab.settings.validation import InputError
 from reachlab.sims.mujoco_contacts import add_contacts
+from reachlab.sims.mujoco_objects import add_objects
+from reachlab.tasks.task import EMPTY, Scene
 
 PAYLOAD = "payload"
 """Name of the body that the payload is."""
@@ -26,24 +29,25 @@ def _add_payload(spec: mujoco.MjSpec, tool: str, mass: float) -> None:
     body.add_body(name=PAYLOAD, pos=place, mass=mass, inertia=inertia, ipos=[0, 0, 0], explicitinertial=True)
 
 
-def physics_model(robot: Robot, config: SimConfig, *, payload: bool = False, obstacles: int = 0) -> mujoco.MjModel:
+def physics_model(robot: Robot, config: SimConfig, scene: Scene = EMPTY, *, payload: bool = False) -> mujoco.MjModel:
     """Compiled model of a robot with the options of a configuration.
 
-    It has a `payload` at the tool if asked for, and with `obstacles` so many of them and all contacts, see
-    `add_contacts`.
+    It has the bodies and contacts of a scene, see `add_contacts`, and a `payload` at the tool if asked for.
 
     Raises:
         InputError: the robot file does not compile with these options.
     """
-    if obstacles and not any(robot.capsules.links):
+    if scene.contacts and not any(robot.capsules.links):
         raise InputError(f"robot {robot.name!r} has no shapes in its file: what it touches cannot be told.")
-    spec = robot.spec(pictures=config.collisions and not obstacles)
+    spec = robot.spec(pictures=config.collisions and not scene.contacts)
     spec.option.timestep = config.control_period / config.physics_steps
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     # A state that is not finite must be noticed, not silently set back.
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-    if obstacles:
-        add_contacts(spec, robot, obstacles)
+    if scene.contacts:
+        add_contacts(spec, robot, scene.bodies)
+    elif scene.objects:
+        without_shapes(spec, TIPS)
     elif config.collisions:
         add_table(spec, robot, solid=True)
     else:
@@ -54,6 +58,8 @@ def physics_model(robot: Robot, config: SimConfig, *, payload: bool = False, obs
             body.gravcomp = 1.0
     if payload:
         _add_payload(spec, robot.tool, robot.payload)
+    if scene.objects:
+        add_objects(spec, robot, scene)
     try:
         return spec.compile()
     except ValueError as error:

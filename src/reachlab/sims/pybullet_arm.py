@@ -9,7 +9,9 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
+from reachlab.robots.files.gripper import TIPS
 from reachlab.robots.robot import PybulletModel, Robot
+from reachlab.robots.shapes.solids import links_of_bodies
 
 UNPAINTED = np.array([0.5, 0.5, 0.5, 1.0], np.float32)
 """MuJoCo's colour of a geom that has none of its own; its material then shows."""
@@ -27,44 +29,49 @@ INERTIA = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1
 def write_arm(robot: Robot, folder: Path) -> PybulletModel:
     """The arm as a URDF file in a folder, beside the meshes that it names.
 
-    Link `i + 1` is all that joint `i` moves and the next joint does not; the last link is the tool. With all joints at
-    zero every link's frame is turned as the world is, so that the model's numbers are written as they are, in full.
-    What MuJoCo draws by default is drawn. Nothing can be touched: PyBullet only sets the joints.
+    Link `i + 1` is all that joint `i` moves and no later joint does, the gripper's joints after the arm's; the last
+    link is the tool. With all joints at zero every link's frame is turned as the world is, so that the model's numbers
+    are written as they are, in full. What MuJoCo draws by default is drawn. Nothing can be touched but finger tips.
     """
     data, n = mujoco.MjData(robot.spec().compile()), robot.chain.n
-    data.qpos[:n] = 0.0
-    mujoco.mj_kinematics(data.model, data)
-    origins = np.concatenate([np.zeros((1, 3)), data.xanchor[:n]])
-    moved_with = _links(data.model, n)
+    model, joints = data.model, data.model.njnt
+    data.qpos[:] = 0.0
+    mujoco.mj_kinematics(model, data)
+    origins = np.concatenate([np.zeros((1, 3)), data.xanchor])
+    moved_with = links_of_bodies(model)
     urdf = Element("robot", name="arm")
     for number, origin in enumerate(origins):
         link = SubElement(urdf, "link", name=str(number))
         _add_inertial(link, data, np.flatnonzero(moved_with == number), origin)
-        for geom in np.flatnonzero((moved_with[data.model.geom_bodyid] == number) & _drawn(data.model)):
-            _add_visual(link, data, int(geom), origin, folder)
-    chain = robot.chain
-    for i in range(n):
-        kind = "prismatic" if chain.slides[i] else "revolute" if np.isfinite(chain.lower[i]) else "continuous"
-        joint = _add_joint(urdf, i, kind, origins[i + 1] - origins[i], np.eye(3))
+        for geom in np.flatnonzero(moved_with[model.geom_bodyid] == number):
+            if _drawn(model)[geom]:
+                _add_visual(link, data, int(geom), origin, folder)
+            if model.geom(geom).name in TIPS:
+                _add_geometry(SubElement(link, "collision"), data, int(geom), origin, folder)
+    limits, slides = _limits(robot), model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE
+    for i in range(joints):
+        kind = "prismatic" if slides[i] else "revolute" if np.isfinite(limits["lower"][i]) else "continuous"
+        body = model.jnt_bodyid[i]
+        parent = i if i > model.body_jntadr[body] else int(moved_with[model.body_parentid[body]])
+        joint = _add_joint(urdf, i, kind, parent, origins[i + 1] - origins[parent], np.eye(3))
         SubElement(joint, "axis", xyz=_text(data.xaxis[i]))
-        limits = {"lower": chain.lower, "upper": chain.upper, "effort": robot.torque, "velocity": robot.speed}
         SubElement(joint, "limit", {name: _text(values[i]) for name, values in limits.items()})
     position, rotation = _tool_frame(data, robot.tool)
-    _add_inertial(SubElement(urdf, "link", name=str(n + 1)), data, np.array([], int), position)
-    _add_joint(urdf, n, "fixed", position - origins[n], rotation)
+    _add_inertial(SubElement(urdf, "link", name=str(joints + 1)), data, np.array([], int), position)
+    _add_joint(urdf, joints, "fixed", n, position - origins[n], rotation)
     indent(urdf)  # PyBullet breaks lines of 1,024 characters, be it inside a number
     file = folder / "arm.urdf"
     ElementTree(urdf).write(file)
-    return PybulletModel(str(file), n, {robot.tool: 0.0})
+    return PybulletModel(str(file), joints, {robot.tool: 0.0})
 
 
-def _links(model: mujoco.MjModel, n: int) -> np.ndarray:
-    """For each body the link that it is part of: 1 + the last of the first `n` joints that move it; 0 for the base."""
-    links = np.zeros(model.nbody, int)
-    for body in range(1, model.nbody):
-        joints = np.flatnonzero(model.jnt_bodyid[:n] == body)
-        links[body] = joints[-1] + 1 if len(joints) else links[model.body_parentid[body]]
-    return links
+def _limits(robot: Robot) -> dict[str, np.ndarray]:
+    """Limits of all joints `[m]` by URDF's names."""
+    arm = np.array([robot.chain.lower, robot.chain.upper, robot.torque, robot.speed])
+    if hand := robot.gripper:
+        ways = np.sort([hand.closed, hand.open], axis=0)
+        arm = np.concatenate([arm, [*ways, np.full_like(ways[0], hand.force), np.full_like(ways[0], hand.speed)]], 1)
+    return dict(zip(("lower", "upper", "effort", "velocity"), arm, strict=True))
 
 
 def _tool_frame(data: mujoco.MjData, tool: str) -> tuple[np.ndarray, np.ndarray]:
@@ -103,27 +110,30 @@ def _add_inertial(link: Element, data: mujoco.MjData, bodies: np.ndarray, origin
 def _add_visual(link: Element, data: mujoco.MjData, geom: int, origin: np.ndarray, folder: Path) -> None:
     """What is drawn for a geom."""
     visual = SubElement(link, "visual")
-    _add_origin(visual, data.geom_xpos[geom] - origin, data.geom_xmat[geom].reshape(3, 3))
-    shape, sizes = _shape(data.model, geom, folder)
-    SubElement(SubElement(visual, "geometry"), shape, sizes)
+    _add_geometry(visual, data, geom, origin, folder)
     SubElement(SubElement(visual, "material", name=str(geom)), "color", rgba=_text(_colours(data.model)[geom]))
+
+
+def _add_geometry(part: Element, data: mujoco.MjData, geom: int, origin: np.ndarray, folder: Path) -> None:
+    """Where a geom is in its link, and its shape."""
+    _add_origin(part, data.geom_xpos[geom] - origin, data.geom_xmat[geom].reshape(3, 3))
+    shape, sizes = _shape(data.model, geom, folder)
+    SubElement(SubElement(part, "geometry"), shape, sizes)
 
 
 def _shape(model: mujoco.MjModel, geom: int, folder: Path) -> tuple[str, dict[str, str]]:
     """URDF's name of a geom's shape, and its sizes [m]."""
     import pybullet_data
 
-    size = model.geom_size[geom]
-    match mujoco.mjtGeom(model.geom_type[geom]):
-        case mujoco.mjtGeom.mjGEOM_BOX:
+    size, kinds = model.geom_size[geom], mujoco.mjtGeom
+    match kinds(model.geom_type[geom]):
+        case kinds.mjGEOM_BOX:
             return "box", {"size": _text(2 * size)}
-        case mujoco.mjtGeom.mjGEOM_SPHERE:
+        case kinds.mjGEOM_SPHERE:
             return "sphere", {"radius": _text(size[0])}
-        case mujoco.mjtGeom.mjGEOM_CYLINDER:
-            return "cylinder", {"radius": _text(size[0]), "length": _text(2 * size[1])}
-        case mujoco.mjtGeom.mjGEOM_CAPSULE:
-            return "capsule", {"radius": _text(size[0]), "length": _text(2 * size[1])}
-        case mujoco.mjtGeom.mjGEOM_ELLIPSOID:
+        case kinds.mjGEOM_CYLINDER | kinds.mjGEOM_CAPSULE as kind:
+            return kind.name[7:].lower(), {"radius": _text(size[0]), "length": _text(2 * size[1])}
+        case kinds.mjGEOM_ELLIPSOID:
             return "mesh", {"filename": str(Path(pybullet_data.getDataPath()) / UNIT_SPHERE), "scale": _text(size)}
     return "mesh", {"filename": _write_mesh(model, int(model.geom_dataid[geom]), folder)}
 
@@ -137,17 +147,16 @@ def _write_mesh(model: mujoco.MjModel, mesh: int, folder: Path) -> str:
         facets = np.zeros(len(faces), STL_FACET)
         facets["corners"] = corners = model.mesh_vert[first_corner + faces]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        facets["normal"] = normals / np.maximum(
-            np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(np.float32).tiny
-        )
+        lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+        facets["normal"] = normals / np.maximum(lengths, np.finfo(np.float32).tiny)
         file.write_bytes(STL_HEADER + np.uint32(len(facets)).tobytes() + facets.tobytes())
     return str(file)
 
 
-def _add_joint(urdf: Element, i: int, kind: str, position: np.ndarray, rotation: np.ndarray) -> Element:
-    """Joint number `i`, from link `i` to the next."""
+def _add_joint(urdf: Element, i: int, kind: str, parent: int, position: np.ndarray, rotation: np.ndarray) -> Element:
+    """Joint number `i`, from link `parent` to link `i + 1`."""
     joint = SubElement(urdf, "joint", name=f"joint_{i}", type=kind)
-    SubElement(joint, "parent", link=str(i))
+    SubElement(joint, "parent", link=str(parent))
     SubElement(joint, "child", link=str(i + 1))
     _add_origin(joint, position, rotation)
     return joint

@@ -1,4 +1,4 @@
-"""One client of PyBullet with the tutorial's scene: plane, table, arm and the object that falls."""
+"""One client of PyBullet with the tutorial's scene: plane, table and arm, and in it the object that falls."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ SETTLED_SPEED, SETTLED_SPIN, SETTLED_STEPS = 0.01, 0.1, 10
 """An object slower than this [m/s, rad/s] for so many steps has settled; contact with it is most of a step's time."""
 
 CAMERA: dict[str, Any] = {
+    "cameraTargetPosition": (0.55, -0.35, 0.2),
     "cameraDistance": 1.5,
     "cameraYaw": 0.0,
     "cameraPitch": -40.0,
-    "cameraTargetPosition": (0.55, -0.35, 0.2),
 }
 """The tutorial's viewer camera."""
 
@@ -46,94 +46,52 @@ LAMP_DISTANCE = 2.0
 
 
 class World:
-    """One client with the tutorial's scene, in the arm's size."""
+    """One client with plane, table and arm of the tutorial's scene, in the arm's size."""
 
     def __init__(self, bullet: ModuleType, robot: Robot, urdf: PybulletModel, period: float, *, gui: bool) -> None:
         import pybullet_data
 
-        self._bullet, self._urdf = bullet, urdf
+        self._urdf = urdf
         self._joints = list(range(robot.chain.n))
         self._scale = robot.scale
-        self._camera = CAMERA | {
-            "cameraDistance": CAMERA["cameraDistance"] * robot.scale,
-            "cameraTargetPosition": robot.placed(CAMERA["cameraTargetPosition"]),
-        }
-        self._still = 0
-        self.client = _connect(bullet, gui=gui)
-        here: dict[str, Any] = {"physicsClientId": self.client}
-        bullet.setAdditionalSearchPath(pybullet_data.getDataPath(), **here)
-        bullet.setGravity(0, 0, GRAVITY, **here)
-        bullet.setTimeStep(period, **here)
-        bullet.loadURDF("plane.urdf", basePosition=robot.placed(GROUND), globalScaling=robot.scale, **here)
-        bullet.loadURDF("table/table.urdf", basePosition=robot.placed(TABLE), globalScaling=robot.scale, **here)
-        self._arm = bullet.loadURDF(urdf.file, useFixedBase=True, **here)
-        self._object = bullet.loadURDF("random_urdfs/000/000.urdf", globalScaling=robot.scale, **here)
-        # Nothing but set joints moves the arm: awake, its default motors would only cost time and blur them by 1e-6.
-        self._sleep(self._arm)
+        place, distance = robot.placed(CAMERA["cameraTargetPosition"]), CAMERA["cameraDistance"] * robot.scale
+        self._camera = CAMERA | {"cameraTargetPosition": place, "cameraDistance": distance}
+        self.bullet = bullet = _connect(bullet, gui=gui)
+        bullet.setAdditionalSearchPath(pybullet_data.getDataPath())
+        bullet.setTimeStep(period)
+        self._furniture = [
+            bullet.loadURDF(file, basePosition=robot.placed(place), globalScaling=robot.scale)
+            for file, place in (("plane.urdf", GROUND), ("table/table.urdf", TABLE))
+        ]
+        self._arm = bullet.loadURDF(urdf.file, useFixedBase=True, flags=bullet.URDF_USE_INERTIA_FROM_FILE)
         if gui:
-            bullet.configureDebugVisualizer(bullet.COV_ENABLE_GUI, 0, **here)
-            bullet.resetDebugVisualizerCamera(**self._camera, **here)
+            bullet.configureDebugVisualizer(bullet.COV_ENABLE_GUI, 0)
+            bullet.resetDebugVisualizerCamera(**self._camera)
             for start, end in robot.workspace_edges():
-                bullet.addUserDebugLine(start, end, (1, 1, 1), **here)
-
-    def _sleep(self, body: int) -> None:
-        """Take a body out of the dynamics until it is woken."""
-        state = self._bullet.ACTIVATION_STATE_ENABLE_SLEEPING | self._bullet.ACTIVATION_STATE_SLEEP
-        self._bullet.changeDynamics(body, -1, activationState=state, physicsClientId=self.client)
-
-    def drop(self, target: np.ndarray) -> None:
-        """Let the object go above the target, at rest."""
-        wake = self._bullet.ACTIVATION_STATE_WAKE_UP
-        self._bullet.changeDynamics(self._object, -1, activationState=wake, physicsClientId=self.client)
-        self._still = 0
-        position = target + np.array([0.0, 0.0, DROP * self._scale])
-        self._bullet.resetBasePositionAndOrientation(self._object, position, (0, 0, 0, 1), physicsClientId=self.client)
-        self._bullet.resetBaseVelocity(self._object, (0, 0, 0), (0, 0, 0), physicsClientId=self.client)
-
-    def step(self) -> None:
-        """Move on by a control period; an object that has settled stays where it lies from then on."""
-        self._bullet.stepSimulation(physicsClientId=self.client)
-        if self._still < SETTLED_STEPS:
-            linear, angular = self._bullet.getBaseVelocity(self._object, physicsClientId=self.client)
-            slow = max(map(abs, linear)) < SETTLED_SPEED and max(map(abs, angular)) < SETTLED_SPIN
-            self._still = self._still + 1 if slow else 0
-            if self._still == SETTLED_STEPS:
-                self._sleep(self._object)
+                bullet.addUserDebugLine(start, end, (1, 1, 1))
 
     def set_joints(self, q: np.ndarray) -> None:
         """Set the joints, at rest."""
-        self._bullet.resetJointStatesMultiDof(
-            self._arm, self._joints, [[value] for value in q.tolist()], physicsClientId=self.client
-        )
+        self.bullet.resetJointStatesMultiDof(self._arm, self._joints, [[value] for value in q.tolist()])
 
     def link(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Position `[3]` m and quaternion `[4]` xyzw of the link that holds the tools, by PyBullet's kinematics."""
-        state = self._bullet.getLinkState(
-            self._arm, self._urdf.link, computeForwardKinematics=True, physicsClientId=self.client
-        )
+        state = self.bullet.getLinkState(self._arm, self._urdf.link, computeForwardKinematics=True)
         # [4] and [5] are the link's frame; [0] is its centre of mass, 2 cm away.
         return state[4], state[5]
 
     def picture(self) -> np.ndarray:
         """Picture of the tutorial's viewer camera, `[HEIGHT, WIDTH, 3]` uint8."""
-        bullet = self._bullet
-        view = bullet.computeViewMatrixFromYawPitchRoll(
-            self._camera["cameraTargetPosition"],
-            self._camera["cameraDistance"],
-            self._camera["cameraYaw"],
-            self._camera["cameraPitch"],
-            roll=0,
-            upAxisIndex=2,
-        )
+        bullet = self.bullet
+        point, distance, yaw, pitch = (self._camera[name] for name in CAMERA)
+        view = bullet.computeViewMatrixFromYawPitchRoll(point, distance, yaw, pitch, roll=0, upAxisIndex=2)
         projection = bullet.computeProjectionMatrixFOV(FIELD_OF_VIEW, WIDTH / HEIGHT, NEAR, FAR)
-        pixels = bullet.getCameraImage(
-            WIDTH, HEIGHT, view, projection, renderer=bullet.ER_TINY_RENDERER, physicsClientId=self.client
-        )[2]
+        pixels = bullet.getCameraImage(WIDTH, HEIGHT, view, projection, renderer=bullet.ER_TINY_RENDERER)[2]
         return np.array(pixels, np.uint8).reshape(HEIGHT, WIDTH, 4)[..., :3].copy()
 
     def observation(self, view: Views) -> np.ndarray:
         """Picture of the observation camera in a view, `[SIZE, SIZE]` uint8."""
-        bullet = self._bullet
+        bullet = self.bullet
         up, back = view.rotation[:, 1], view.rotation[:, 2]
         looks_at = view.position - back
         pixels = bullet.getCameraImage(
@@ -149,21 +107,58 @@ class World:
             shadow=0,
             renderer=bullet.ER_TINY_RENDERER,
             flags=bullet.ER_NO_SEGMENTATION_MASK,
-            physicsClientId=self.client,
         )[2]
         return greys(np.asarray(pixels, np.uint8).reshape(SIZE, SIZE, 4)[..., :3])
 
     def close(self) -> None:
         """Disconnect."""
-        if self._bullet.isConnected(physicsClientId=self.client):
-            self._bullet.disconnect(physicsClientId=self.client)
+        if self.bullet.isConnected():
+            self.bullet.disconnect()
 
 
-def _connect(bullet: ModuleType, *, gui: bool) -> int:
+class TutorialWorld(World):
+    """A world in which joints are set, and an object falls."""
+
+    def __init__(self, bullet: ModuleType, robot: Robot, urdf: PybulletModel, period: float, *, gui: bool) -> None:
+        super().__init__(bullet, robot, urdf, period, gui=gui)
+        self._still = 0
+        self.bullet.setGravity(0, 0, GRAVITY)
+        self._object = self.bullet.loadURDF("random_urdfs/000/000.urdf", globalScaling=robot.scale)
+        # Nothing but set joints moves the arm: awake, its default motors would only cost time and blur them by 1e-6.
+        self._sleep(self._arm)
+
+    def _sleep(self, body: int) -> None:
+        """Take a body out of the dynamics until it is woken."""
+        state = self.bullet.ACTIVATION_STATE_ENABLE_SLEEPING | self.bullet.ACTIVATION_STATE_SLEEP
+        self.bullet.changeDynamics(body, -1, activationState=state)
+
+    def drop(self, target: np.ndarray) -> None:
+        """Let the object go above the target, at rest."""
+        wake = self.bullet.ACTIVATION_STATE_WAKE_UP
+        self.bullet.changeDynamics(self._object, -1, activationState=wake)
+        self._still = 0
+        position = target + np.array([0.0, 0.0, DROP * self._scale])
+        self.bullet.resetBasePositionAndOrientation(self._object, position, (0, 0, 0, 1))
+        self.bullet.resetBaseVelocity(self._object, (0, 0, 0), (0, 0, 0))
+
+    def step(self) -> None:
+        """Move on by a control period; an object that has settled stays where it lies from then on."""
+        self.bullet.stepSimulation()
+        if self._still < SETTLED_STEPS:
+            linear, angular = self.bullet.getBaseVelocity(self._object)
+            slow = max(map(abs, linear)) < SETTLED_SPEED and max(map(abs, angular)) < SETTLED_SPIN
+            self._still = self._still + 1 if slow else 0
+            if self._still == SETTLED_STEPS:
+                self._sleep(self._object)
+
+
+def _connect(bullet: ModuleType, *, gui: bool) -> Any:
     if gui and platform.system() == "Linux" and not os.environ.get("DISPLAY"):
         raise InputError("--gui needs a display, and there is none here: run without it, or on a desktop.")
-    client = bullet.connect(bullet.GUI if gui else bullet.DIRECT)
-    if client < 0:
+    from pybullet_utils.bullet_client import BulletClient
+
+    client = BulletClient(bullet.GUI if gui else bullet.DIRECT)
+    if not client.isConnected():
         raise InputError("PyBullet gave no connection: its window could not be opened, or too many clients are open.")
     return client
 

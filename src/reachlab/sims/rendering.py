@@ -9,13 +9,13 @@ from typing import Any, Self
 
 import numpy as np
 
+from reachlab.control.situation import Goal
 from reachlab.render.marks import Marks
 from reachlab.render.observation_camera import ObservationCamera
-from reachlab.render.offscreen import LazyCamera
+from reachlab.render.offscreen import Camera
 from reachlab.render.view_randomisation import Views
 from reachlab.robots.robot import Robot
-from reachlab.sims import ArmState
-from reachlab.tasks.task import Goal
+from reachlab.sims.simulator import SimState
 
 
 @functools.cache
@@ -33,20 +33,21 @@ class Drawn:
     def __init__(self, robot: Robot, *settings: Any, **named: Any) -> None:
         """Nothing is loaded before the first picture; the settings are what else the simulator was made with."""
         self._made_with = (robot, *settings), named
-        self._camera, self._observation_camera = LazyCamera(robot), ObservationCamera(robot)
+        self._robot, self._observation_camera = robot, ObservationCamera(robot)
         self._painter = _painter()
-        self._drew = False
+        self._camera: Camera | None = None
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
-        """Another simulator made with the same: all that moves is in the `ArmState`."""
+        """Another simulator made with the same: all that moves is in the `SimState`."""
         del memo
         settings, named = self._made_with
         return type(self)(*settings, **named)
 
-    def render(self, state: ArmState, goal: Goal, index: int, marks: Marks) -> np.ndarray:
+    def render(self, state: SimState, goal: Goal, index: int, marks: Marks) -> np.ndarray:
         """See `Simulator.render`."""
-        q, point = np.asarray(state.q[index]), np.asarray(goal.position[index])
-        self._drew = True
+        self._camera = self._camera or self._painter.submit(Camera, self._robot).result()
+        actuated = np.concatenate([np.asarray(part)[index] for part in (state.q, state.opening)])
+        q, point = self._robot.posture(actuated), np.asarray(goal.position[index])
         return self._painter.submit(self._camera.picture, q, point, marks).result()
 
     def render_observations(self, q: np.ndarray, goal: Goal, views: Views, indices: np.ndarray) -> np.ndarray:
@@ -56,8 +57,8 @@ class Drawn:
 
     def close(self) -> None:
         """See `Simulator.close`."""
-        if self._drew:
+        if self._camera:
             with contextlib.suppress(RuntimeError):  # when Python ends, threads take no more work
                 self._painter.submit(self._camera.close).result()
-            self._drew = False
+            self._camera = None
         self._observation_camera.close()

@@ -1,66 +1,102 @@
-"""Holding a point among obstacles, without touching anything."""
+"""Task `clutter`: hold a point among obstacles without touching anything, under full dynamics."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
-import jax
-import jax.numpy as jnp
-from jax import Array
+from reachlab.settings.config import LearnerConfig, LoopConfig, PPOConfig, SimConfig
+from reachlab.settings.preset_record import Preset
+from reachlab.settings.validation import NonNegative, Positive, Range
+from reachlab.tasks.precise import WITHOUT_CONTROLLER, Precise
+from reachlab.tasks.tutorial import TOUCHED
 
-from reachlab.robots.inverse_kinematics import ik_point_step
-from reachlab.robots.kinematics import forward_kinematics
-from reachlab.settings.rules import Rules
-from reachlab.tasks.reach import PRECISE
-from reachlab.tasks.scenes import sample_scene
-from reachlab.tasks.targets import Drawn, first_reached
-from reachlab.tasks.task import Goal, TaskSetup
+if TYPE_CHECKING:
+    from reachlab.tasks.task import Task
 
-ITERATIONS, LONGEST_STEP = 40, 0.1
-"""Steps of the solver, and largest displacement of the tool in one [m]; those that arrive do so in about fifteen."""
-
-NEAR = 1e-4
-"""Distance of the tool from a point at which joints count as having it [m]."""
+Few = Annotated[int, Range(0, 16)]
+"""A number of obstacles."""
 
 
-def joints_at(setup: TaskSetup, point: Array) -> tuple[Array, Array]:
-    """Joints `[n]` near home that have a point `[3]` m; and if any were found."""
-    chain = setup.robot.chain
+@dataclass(frozen=True)
+class Clutter(Precise):
+    """Settings of holding a point among obstacles."""
 
-    def step(_: int, q: Array) -> Array:
-        way = point - forward_kinematics(chain, q).position
-        way *= jnp.minimum(LONGEST_STEP / (jnp.linalg.norm(way) + NEAR), 1.0)
-        return q + ik_point_step(chain, q, q, way)
+    preset: ClassVar[Preset] = Preset(
+        sim="mujoco",
+        randomise=("dynamics",),
+        physics=SimConfig(control_period=0.02),
+        loop=LoopConfig(total_steps=3_000_000, stop_early=False, report_episodes=2000, num_envs=256, rollout_steps=100),
+        learner=LearnerConfig(
+            hidden=(128, 128),
+            learning_rate=5e-4,
+            final_learning_rate=1e-5,
+            anneal_steps=3_000_000,
+            initial_std=0.3,
+        ),
+        ppo=PPOConfig(epochs=4, minibatches=4, gamma=0.98, final_std=0.1),
+        rules=(WITHOUT_CONTROLLER, *TOUCHED),
+    )
 
-    q = jax.lax.fori_loop(0, ITERATIONS, step, jnp.array(setup.robot.home))
-    return q, jnp.linalg.norm(forward_kinematics(chain, q).position - point) < NEAR
+    observation: str = "clutter"
+    reward: str = "closeness"
+    max_steps: Annotated[int, Range(1, 10**5)] = 150
+    joint_scale: Positive | None = None
+    closeness_scale: Positive = 0.02
+    effort_weight: NonNegative = 0.001
+    obstacles: tuple[Few, Few] = (0, 4)
+    """Fewest and most obstacles of an episode."""
+    end_on_contact: bool = True
+    """Touching anything ends the episode, in failure."""
+
+    @classmethod
+    def task(cls) -> Task:
+        """The flange is held at a point among obstacles."""
+        from reachlab.tasks import scenes
+        from reachlab.tasks.placing import place_free_point
+        from reachlab.tasks.task import Control, Scene
+
+        return replace(
+            super().task(),
+            # A residual action of 1 can stop the arm; with the dampers, lead it round.
+            control=Control("joint_servo", residual_gain=1.0, dampers=True),
+            sample_goal=scenes.sample_free_goal,
+            place=place_free_point,
+            scene=lambda setup: Scene(fixed=scenes.places(setup), contacts=True),
+            sample_bodies=scenes.sample_scene,
+            needs=frozenset({"contacts"}),
+            asks=_asks,
+            succeeds=_succeeds,
+        )
+
+    def contradiction(self) -> str | None:
+        """What of these settings cannot be together."""
+        fewest, most = self.obstacles
+        if fewest > most:
+            return f"obstacles has a fewest number above the most, {fewest} against {most}: exchange them."
+        if self.targets != "box":
+            return "the goal of task 'clutter' is a point in a box: set targets to 'box'."
+        return super().contradiction()
+
+    @property
+    def gives(self) -> frozenset[str]:
+        """What there is to observe and to control by."""
+        return frozenset({"joints", "bodies"})
+
+    @property
+    def ends_on_contact(self) -> bool:
+        """Whether touching anything ends an episode."""
+        return self.end_on_contact
 
 
-def _sample_goal(setup: TaskSetup, key: Array) -> Goal:
-    """A point of the box, and joints near home that have it, in which the arm touches neither itself nor the table."""
+def _asks(rules: Clutter, period: float) -> str:
+    from reachlab.tasks import reach
 
-    def draw(key: Array) -> Drawn:
-        key, now = jax.random.split(key)
-        return Drawn(key, *joints_at(setup, PRECISE.sample_goal(setup, now).position), jnp.zeros((), jnp.int32))
-
-    found = first_reached(draw, setup, key)
-    return Goal(found.position, joints=found.joints)
-
-
-def _asks(rules: Rules, period: float) -> str:
     fewest, most = rules.obstacles
-    return f"{PRECISE.asks(rules, period)}; there are {fewest} to {most} obstacles, and nothing may be touched"
+    return f"{reach.asks(rules, period)}; there are {fewest} to {most} obstacles, and nothing may be touched"
 
 
-def _succeeds(rules: Rules, period: float) -> str:
-    return f"{PRECISE.succeeds(rules, period)}, and the arm has touched nothing"
+def _succeeds(rules: Clutter, period: float) -> str:
+    from reachlab.tasks import reach
 
-
-CLUTTER = replace(
-    PRECISE,
-    sample_goal=_sample_goal,
-    sample_obstacles=lambda setup, key, start, goal: sample_scene(setup, key, start, goal.joints),
-    asks=_asks,
-    succeeds=_succeeds,
-)
-"""The flange is held at a point among obstacles."""
+    return f"{reach.succeeds(rules, period)}, and the arm has touched nothing"

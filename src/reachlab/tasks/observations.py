@@ -1,258 +1,28 @@
-"""What a policy observes: designs made of named terms with units and bounds."""
+"""Observations: designs made of terms."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 
-from reachlab.robots.inverse_kinematics import MAX_JOINT_STEP, rotation_error
-from reachlab.robots.kinematics import Pose, components, norm, stack
-from reachlab.robots.scalar_algebra import rotation_from_quaternion
-from reachlab.tasks.actions import ACTIONS
-from reachlab.tasks.avoidance import basis_points, clearance_terms, moving_capsules
-from reachlab.tasks.obstacles import distance_from
-from reachlab.tasks.schema import GOALS, Observation, Observed, Term
-from reachlab.tasks.task import Bounds, Goal, Situation, TaskSetup
-
-LOWEST_GOAL = -0.05
-"""Bottom of the observed box [m]: the tutorial's settled object lies just below the workspace."""
-
-CLOSE, BASIS = 0.1, 4
-"""Distance at which an obstacle counts half as near as one that is touched [m], and points of the grid in a row."""
-
-FASTEST = 5
-"""On a smooth path the goal is faster than its mean speed: at times 2.5 times as fast, and never so many times."""
-
-NEAR = 0.02
-"""Distance at which the near form of the way to the goal is half as long as a far one [m]."""
-
-
-# --- terms ----------------------------------------------------------------------------------------
-
-
-def _goal_bounds(setup: TaskSetup) -> Bounds:
-    """The box of goals; of goals on the table the workspace above it too."""
-    low, high = setup.task.goal_box(setup)
-    if (low < high).all():
-        return low, high
-    inner, outer = np.array(setup.robot.workspace, np.float32)
-    low[2] = min(inner[2], LOWEST_GOAL, low[2])
-    high[2] = max(outer[2], high[2])
-    return low, high
-
-
-def _goal_constant(setup: TaskSetup) -> np.ndarray:
-    low, high = setup.task.goal_box(setup)
-    return low == high
-
-
-def _tool_bounds(setup: TaskSetup) -> Bounds:
-    """A cube that holds every point the arm can reach: all its offsets and slides in one line."""
-    return _within(np.full(3, setup.robot.chain.longest))
-
-
-def _within(size: np.ndarray | Sequence[float]) -> Bounds:
-    size = np.asarray(size, np.float32)
-    return -size, size
-
-
-def _joint_bounds(setup: TaskSetup) -> Bounds:
-    """The limits; joints swing past them for moments."""
-    lower, upper = (np.array(limit, np.float32) for limit in (setup.robot.chain.lower, setup.robot.chain.upper))
-    swing = np.float32(0.1)
-    return lower - swing, upper + swing
-
-
-def _speed_bounds(setup: TaskSetup) -> Bounds:
-    """What an overloaded arm, or one whose joints are set, comes to: inverse kinematics take two bounded steps."""
-    longest = max(2 * MAX_JOINT_STEP, setup.rules.joint_scale or 0.0)
-    return _within(np.maximum(10 * np.array(setup.robot.speed), longest / setup.period))
-
-
-def _lag_bounds(setup: TaskSetup) -> Bounds:
-    lower, upper = (np.array(limit, np.float32) for limit in (setup.robot.chain.lower, setup.robot.chain.upper))
-    return _within(upper - lower)
-
-
-def _joint_way_bounds(setup: TaskSetup) -> Bounds:
-    low, high = _joint_bounds(setup)
-    return low - high, high - low
-
-
-def _way_bounds(setup: TaskSetup) -> Bounds:
-    tool, goal = _tool_bounds(setup), _goal_bounds(setup)
-    return _within(np.maximum(np.abs(goal[0] - tool[1]), np.abs(goal[1] - tool[0])))
-
-
-def _action_bounds(setup: TaskSetup) -> Bounds:
-    return _within(np.abs(ACTIONS[setup.rules.action].bounds(setup)).max(axis=0))
-
-
-def _way(setup: TaskSetup, now: Situation) -> Array:
-    del setup
-    return now.goal.position - now.tool_position
-
-
-def _way_near(setup: TaskSetup, now: Situation) -> Array:
-    way = _way(setup, now)
-    return way / (norm(way)[..., None] + NEAR)
-
-
-def _picture(setup: TaskSetup, now: Situation) -> Array:
-    del setup
-    assert now.picture is not None, "the environment hands the picture over"  # noqa: S101
-    return now.picture
-
-
-def _achieved(setup: TaskSetup, now: Situation) -> Array:
-    """Where the tool truly is, so that rewards can be recomputed."""
-    pose = Pose(now.tool_position, now.tool_quaternion) if now.achieved is None else now.achieved
-    return jnp.concatenate(pose, axis=-1) if setup.rules.asks_orientation else pose.position
-
-
-def _desired(setup: TaskSetup, now: Situation) -> Array:
-    del setup
-    if now.goal.quaternion is None:
-        return now.goal.position
-    return jnp.concatenate([now.goal.position, now.goal.quaternion], axis=-1)
-
-
-def _or_pose(bounds: Callable[[TaskSetup], Bounds]) -> Callable[[TaskSetup], Bounds]:
-    """Bounds of a position or, where an orientation is asked for, of a pose."""
-
-    def of(setup: TaskSetup) -> Bounds:
-        low, high = bounds(setup)
-        numbers = np.ones(4 * setup.rules.asks_orientation, np.float32)
-        return np.concatenate([low, -numbers]), np.concatenate([high, numbers])
-
-    return of
-
-
-def _desired_constant(setup: TaskSetup) -> np.ndarray:
-    return np.concatenate([_goal_constant(setup), np.zeros(4 * setup.rules.asks_orientation, bool)])
-
-
-def _axes(quaternion: Array) -> Array:
-    """First two axes `[..., 6]` of an orientation `[..., 4]`: the same for both quaternions of it, and continuous.
-
-    Zhou et al., "On the continuity of rotation representations in neural networks", CVPR 2019.
-    """
-    turned = rotation_from_quaternion(*components(quaternion))
-    return jnp.stack([jnp.asarray(number) for axis in turned[:2] for number in axis], axis=-1)
-
-
-def _goal_axes(setup: TaskSetup, now: Situation) -> Array:
-    del setup
-    assert now.goal.quaternion is not None, "checked with the settings"  # noqa: S101
-    return _axes(now.goal.quaternion)
-
-
-def _turn(setup: TaskSetup, now: Situation) -> Array:
-    """From the tool's orientation to the goal's: twice the sine of half the angle, times the axis."""
-    del setup
-    assert now.goal.quaternion is not None, "checked with the settings"  # noqa: S101
-    tool, goal = (rotation_from_quaternion(*components(q)) for q in (now.tool_quaternion, now.goal.quaternion))
-    return stack(rotation_error(tool, goal), now.tool_position)
-
-
-def _turn_near(setup: TaskSetup, now: Situation) -> Array:
-    turn = _turn(setup, now)
-    return turn / (norm(turn)[..., None] + NEAR / setup.rules.angle_weight)
-
-
-def _goal_velocity(setup: TaskSetup, now: Situation) -> Array:
-    del setup
-    assert now.goal.velocity is not None, "checked with the settings"  # noqa: S101
-    return now.goal.velocity
-
-
-def _goal_velocity_bounds(setup: TaskSetup) -> Bounds:
-    return _within(np.full(3, FASTEST * setup.rules.goal_speed[1]))
-
-
-def _clearance(setup: TaskSetup, now: Situation) -> Array:
-    return clearance_terms(setup, now, CLOSE * setup.robot.scale)
-
-
-def _scene(setup: TaskSetup, now: Situation) -> Array:
-    """Nearness `[B, BASIS³]` of obstacles to points about the goals."""
-    assert now.obstacles is not None, "checked with the settings"  # noqa: S101
-    away = distance_from(now.obstacles, basis_points(setup, BASIS))
-    return CLOSE / (CLOSE + jnp.maximum(away / setup.robot.scale, 0.0))
-
-
-def _goal_velocity_constant(setup: TaskSetup) -> np.ndarray:
-    """It is always zero where it is not told, or nothing but jumps."""
-    rules = setup.rules
-    moves = rules.goal_velocity and rules.goal_speed[1] > 0 and any(name != "jumps" for name in rules.goal_paths)
-    return np.full(3, not moves)
-
-
-def _joint_way(setup: TaskSetup, now: Situation) -> Array:
-    del setup
-    assert now.goal.joints is not None, "found with every pose"  # noqa: S101
-    return now.goal.joints - now.q
-
-
-GOAL = Term("goal", "m", lambda _, now: now.goal.position, _goal_bounds, _goal_constant)
-TOOL = Term("tool", "m", lambda _, now: now.tool_position, _tool_bounds)
-IMAGE = Term("image", "grey", _picture, lambda _: (np.zeros(1, np.uint8), np.full(1, 255, np.uint8)), picture=True)
-
-ARM = (
-    Term("joints", "rad or m", lambda _, now: now.q, _joint_bounds),
-    Term("joint_speeds", "rad/s or m/s", lambda _, now: now.qd, _speed_bounds),
-    Term("lag", "rad or m", lambda _, now: now.target_q - now.q, _lag_bounds, lambda setup: np.array(setup.lag) == 0.0),
-    TOOL,
-)
-"""Joints, their speeds and how far they are behind their commands, and the tool."""
-
-LAST_ACTION = Term("last_action", "1", lambda _, now: now.last_action, _action_bounds)
-
-STATE = (
-    *ARM,
+from reachlab.control.bodies import absent
+from reachlab.control.situation import Goal, Situation
+from reachlab.robots.kinematics.forward import Pose
+from reachlab.tasks.object_terms import GRIPPED, OBJECT, STRUCK
+from reachlab.tasks.schema import Observation, Observed
+from reachlab.tasks.task import TaskSetup
+from reachlab.tasks.terms import (
+    ACHIEVED_AND_DESIRED,
+    ARM,
+    CLUTTER,
     GOAL,
-    Term("way", "m", _way, _way_bounds),
-    Term("way_near", "1", _way_near, lambda _: _within(np.ones(3))),
+    IMAGE,
     LAST_ACTION,
+    POSE,
+    STATE,
+    TOOL,
+    TRACK,
 )
-"""The arm, the goal, the way to it from the tool and the same drawn together, and the last action."""
-
-JOINT_WAY = Term("joint_way", "rad or m", _joint_way, _joint_way_bounds)
-
-POSE = (
-    *STATE,
-    Term("tool_axes", "1", lambda _, now: _axes(now.tool_quaternion), lambda _: _within(np.ones(6))),
-    Term("goal_axes", "1", _goal_axes, lambda _: _within(np.ones(6))),
-    Term("turn", "rad", _turn, lambda _: _within(np.full(3, 2.0))),
-    Term("turn_near", "1", _turn_near, lambda _: _within(np.ones(3))),
-    JOINT_WAY,
-)
-"""The same with both orientations, the turn between them, and the way of the joints to a solution of the goal."""
-
-TRACK = (*STATE, Term("goal_velocity", "m/s", _goal_velocity, _goal_velocity_bounds, _goal_velocity_constant))
-"""The same as `STATE`, and how fast the goal moves."""
-
-CLUTTER = (
-    *STATE,
-    JOINT_WAY,
-    Term("clearance", "1", _clearance, lambda setup: _within(np.ones(3 * moving_capsules(setup)))),
-    Term("scene", "1", _scene, lambda _: (np.zeros(BASIS**3, np.float32), np.ones(BASIS**3, np.float32))),
-)
-"""The same as `STATE`, how far the joints are from where they have the goal, and the obstacles.
-
-Obstacles are seen by what is nearest to each capsule of the arm, which is what a policy must not touch, and by how near
-they are to the points of a grid (Prokudin et al., "Efficient learning on point clouds with basis point sets", ICCV
-2019), which tells ways round apart. Neither depends on their order, number or kind.
-"""
-
-ACHIEVED_AND_DESIRED = (
-    Term(GOALS[0], "m", _achieved, _or_pose(_tool_bounds)),
-    Term(GOALS[1], "m", _desired, _or_pose(_goal_bounds), _desired_constant),
-)
-"""Where the tool is, and where it is asked to be: positions, or poses with a quaternion wxyz."""
 
 OBSERVATIONS: dict[str, Observation] = {
     "target": Observation("the target's position [m]", (GOAL,)),
@@ -264,15 +34,26 @@ OBSERVATIONS: dict[str, Observation] = {
         "as state, and the orientations of tool and target, the turn between them far and near, and how far the joints"
         " are from where they have the target",
         POSE,
-        needs_pose=True,
+        needs=frozenset({"orientation", "joints"}),
     ),
-    "track": Observation("as state, and the velocity of the target", TRACK, needs_velocity=True),
+    "track": Observation("as state, and the velocity of the target", TRACK, needs=frozenset({"velocity"})),
     "clutter": Observation(
-        "as state, how far the joints are from where they have the target, and how near obstacles are to each link and"
+        "as state, how far the joints are from where they have the target, and how near bodies are to each link and"
         " to points of a grid",
         CLUTTER,
-        needs_obstacles=True,
+        needs=frozenset({"joints", "bodies"}),
     ),
+    "push": Observation(
+        "joints, their speeds and lag, tool, target and last action, and the object's place beside tool and target",
+        OBJECT,
+        needs=frozenset({"object"}),
+    ),
+    "lift": Observation(
+        "as push, and how wide the gripper is open and how firmly it closes",
+        GRIPPED,
+        needs=frozenset({"object", "gripper"}),
+    ),
+    "slide": Observation("as push, and how fast the object slides", STRUCK, needs=frozenset({"object"})),
     "image": Observation("a camera's picture, 84 × 84 grey", (IMAGE,)),
     "goal": Observation(
         "the tool's position, achieved_goal and desired_goal [m], as a dict: the form of a GoalEnv",
@@ -296,5 +77,17 @@ def observe(setup: TaskSetup, now: Situation) -> Observed:
 def remembered_situation(picture: Array, tool_position: Array) -> Situation:
     """Situation of which nothing is known but what an observation with a picture may hold."""
     unknown = jnp.full((), jnp.nan)
-    goal = Goal(unknown)
-    return Situation(unknown, unknown, tool_position, unknown, goal, unknown, unknown, picture)
+    return Situation(
+        q=unknown,
+        qd=unknown,
+        tool_position=tool_position,
+        tool_quaternion=unknown,
+        goal=Goal.at(unknown[None]),
+        command=unknown,
+        last_action=unknown,
+        bodies=absent(0),
+        contact=unknown,
+        achieved=Pose(tool_position, unknown),
+        opening=unknown,
+        picture=picture,
+    )

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from reachlab.robots.kinematics import added
+from reachlab.robots.kinematics.forward import added
 from reachlab.tasks.task import TaskSetup
 
 LENGTH = 1 / 3

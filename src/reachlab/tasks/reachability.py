@@ -10,8 +10,8 @@ import numpy as np
 from jax import Array
 
 from reachlab.jax_setup import jit
-from reachlab.robots.inverse_kinematics import ik_point_step
-from reachlab.robots.kinematics import forward_kinematics
+from reachlab.robots.kinematics.forward import forward_kinematics
+from reachlab.robots.kinematics.inverse import ik_point_step
 from reachlab.robots.robot import Robot
 from reachlab.tasks.task import TaskSetup
 
@@ -76,7 +76,7 @@ def _within_reach(setup: TaskSetup, random: np.random.Generator) -> np.ndarray:
 
 def _solved(setup: TaskSetup) -> bool:
     """Whether the task draws targets until one can be reached."""
-    return setup.rules.asks_orientation or setup.task.sample_obstacles is not None
+    return "joints" in setup.rules.gives
 
 
 def _drawn_within(setup: TaskSetup) -> np.ndarray:

@@ -7,8 +7,7 @@ from typing import Any
 
 from jax import Array
 
-from reachlab.settings.rules import Rules
-from reachlab.tasks.task import Outcome, gap, within
+from reachlab.tasks.task import Outcome
 
 OUTSIDE_REWARD = -0.1
 """Reward of leaving the workspace (the tutorial's)."""
@@ -20,24 +19,26 @@ SUCCESS_REWARD = 1.0
 """Reward of reaching the target (the tutorial's)."""
 
 
-GOAL_REWARDS: dict[str, Callable[[Rules, Any, Any | None], Any]] = {
-    "goal": lambda rules, distance, angle: -1.0 * ~within(rules, distance, angle),
-    "goal_distance": lambda rules, distance, angle: -gap(rules, distance, angle),
+GOAL_REWARDS: dict[str, Callable[[Any, Any], Any]] = {
+    "goal": lambda near, _gap: -1.0 * ~near,
+    "goal_distance": lambda _near, gap: -gap,
 }
-"""Rewards that follow from tool and goal alone, of distances `[...]` m and angles in rad or None, in NumPy and JAX."""
+"""Rewards that follow from tool and goal alone, of `near` and `gap [...]` of a task's errors, in NumPy and JAX."""
 
 
-def _goal(config: Rules, outcome: Outcome) -> dict[str, Array]:
+def _goal(config: Any, outcome: Outcome) -> dict[str, Array]:
     """-1 for every step that does not end at the goal: FetchReach's and panda-gym's, for hindsight replay."""
-    return {"goal": GOAL_REWARDS["goal"](config, outcome.distance, outcome.progress.angle)}
+    del config
+    return {"goal": GOAL_REWARDS["goal"](outcome.near, outcome.gap)}
 
 
-def _goal_distance(config: Rules, outcome: Outcome) -> dict[str, Array]:
+def _goal_distance(config: Any, outcome: Outcome) -> dict[str, Array]:
     """-1 for every metre between tool and target: their dense reward."""
-    return {"goal_distance": GOAL_REWARDS["goal_distance"](config, outcome.distance, outcome.progress.angle)}
+    del config
+    return {"goal_distance": GOAL_REWARDS["goal_distance"](outcome.near, outcome.gap)}
 
 
-def _sparse(config: Rules, outcome: Outcome) -> dict[str, Array]:
+def _sparse(config: Any, outcome: Outcome) -> dict[str, Array]:
     """1 for reaching the target, -0.1 for leaving the workspace or running out of time: the tutorial's.
 
     Where the episode continues at the target, losing it costs 1 again: a difference of potentials, so that coming and
@@ -51,13 +52,13 @@ def _sparse(config: Rules, outcome: Outcome) -> dict[str, Array]:
     }
 
 
-def _dense(config: Rules, outcome: Outcome) -> dict[str, Array]:
+def _dense(config: Any, outcome: Outcome) -> dict[str, Array]:
     """As sparse, and for every metre that the tool comes closer."""
     approach = config.approach_weight * (outcome.gap_before - outcome.gap)
     return {**_sparse(config, outcome), "approach": approach}
 
 
-def _precise(config: Rules, outcome: Outcome) -> dict[str, Array]:
+def _precise(config: Any, outcome: Outcome) -> dict[str, Array]:
     """For coming closer, for being within millimetres, for being still there, and against effort."""
     close = config.closeness_scale / (config.closeness_scale + outcome.gap)
     still = config.hold_speed / (config.hold_speed + outcome.speed)
@@ -69,13 +70,13 @@ def _precise(config: Rules, outcome: Outcome) -> dict[str, Array]:
     }
 
 
-def _closeness(config: Rules, outcome: Outcome) -> dict[str, Array]:
+def _closeness(config: Any, outcome: Outcome) -> dict[str, Array]:
     """For being within millimetres, and against effort."""
     close = config.closeness_scale / (config.closeness_scale + outcome.gap)
     return {"closeness": config.closeness_weight * close, "effort": -config.effort_weight * outcome.effort}
 
 
-REWARDS: dict[str, Callable[[Rules, Outcome], dict[str, Array]]] = {
+REWARDS: dict[str, Callable[[Any, Outcome], dict[str, Array]]] = {
     "sparse": _sparse,
     "dense": _dense,
     "precise": _precise,

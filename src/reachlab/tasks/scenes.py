@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 
-from reachlab.robots.clearance import Segments, capsules_at, free_at
-from reachlab.robots.kinematics import forward_kinematics
-from reachlab.robots.robot import Robot
-from reachlab.tasks.obstacles import FAR, Obstacles, beside, moving
+from reachlab.control.bodies import FAR, Bodies, Shape, absent, beside
+from reachlab.control.situation import Goal
+from reachlab.robots.kinematics.forward import forward_kinematics
+from reachlab.robots.shapes.clearance import Capsules, Segments, capsules_at, free_at, moving
+from reachlab.tasks.placing import joints_at
+from reachlab.tasks.targets import Drawn, first_reached, sample_point
 from reachlab.tasks.task import TaskSetup
 
-BALL, CAPSULE, BOX = range(3)
-"""Kinds of obstacles."""
+KINDS = (Shape.BALL, Shape.CAPSULE, Shape.BOX)
+"""Of which an obstacle is."""
 
 RADIUS, THIN, LONG, SIDE = (0.04, 0.1), (0.025, 0.06), (0.08, 0.25), (0.03, 0.12)
 """Least and largest radius of a ball, radius and half length of a capsule, and half side of a box [m], in proportion to
@@ -42,9 +45,20 @@ ROUNDS = 8
 
 class _Scene(NamedTuple):
     key: Array
-    obstacles: Obstacles
+    bodies: Bodies
     solved: Array
     rounds: Array
+
+
+def sample_free_goal(setup: TaskSetup, key: Array) -> Goal:
+    """A point of the box, and joints near home that have it, in which the arm touches neither itself nor the table."""
+
+    def draw(key: Array) -> Drawn:
+        key, now = jax.random.split(key)
+        return Drawn(key, *joints_at(setup, sample_point(setup, now)), jnp.zeros((), jnp.int32))
+
+    found = first_reached(draw, setup, key)
+    return Goal.at(found.position, joints=found.joints)
 
 
 def places(setup: TaskSetup) -> int:
@@ -52,37 +66,28 @@ def places(setup: TaskSetup) -> int:
     return max(setup.rules.obstacles[1], 1)
 
 
-def sample_scene(setup: TaskSetup, key: Array, start: Array, goal: Array) -> Obstacles:
-    """Obstacles for an episode from joints `start [n]` to `goal [n]`, each number that the rules allow as often."""
+def sample_scene(setup: TaskSetup, key: Array, start: Array, goal: Goal) -> Bodies:
+    """Obstacles for an episode from joints `start [n]` to a goal's, each number that the rules allow as often."""
     count, (fewest, most) = places(setup), setup.rules.obstacles
-    robot, nothing, ends = setup.robot, _nothing(count), jnp.stack([start, goal])
+    robot, nothing, ends = setup.robot, absent(count, radius=RADIUS[0]), jnp.stack([start, goal.joints])
 
     def again(before: _Scene) -> _Scene:
         key, for_count, for_shapes, for_way = jax.random.split(before.key, 4)
         wanted = jax.random.randint(for_count, (), fewest, most + 1)
-        joints = jnp.concatenate([ends, _ways(setup, for_way, start, goal)])
+        joints = jnp.concatenate([ends, _ways(setup, for_way, start, goal.joints)])
         at = capsules_at(robot.chain, robot.capsules, joints)
         at_ends, on_ways = jax.tree.map(lambda x: x[:, :2], at), jax.tree.map(lambda x: x[:, 2:], at)
         drawn = _drawn(setup, for_shapes, ends, at_ends)
         there = jnp.arange(count) < wanted
-        obstacles = jax.tree.map(lambda a, b: jnp.where(there.reshape(-1, *[1] * (a.ndim - 1)), a, b), drawn, nothing)
-        return _Scene(key, obstacles, _leads(setup, on_ways, obstacles), before.rounds + 1)
+        bodies = jax.tree.map(lambda a, b: jnp.where(_rows(there, a), a, b), drawn, nothing)
+        return _Scene(key, bodies, _leads(setup, on_ways, bodies), before.rounds + 1)
 
     begun = _Scene(key, nothing, jnp.zeros((), bool), jnp.zeros((), jnp.int32))
     found = jax.lax.while_loop(lambda scene: ~scene.solved & (scene.rounds < ROUNDS), again, begun)
-    return jax.tree.map(lambda a, b: jnp.where(found.solved, a, b), found.obstacles, nothing)
+    return jax.tree.map(lambda a, b: jnp.where(found.solved, a, b), found.bodies, nothing)
 
 
-def _nothing(count: int) -> Obstacles:
-    return Obstacles(
-        position=jnp.tile(jnp.array(FAR), (count, 1)),
-        quaternion=jnp.tile(jnp.array([1.0, 0.0, 0.0, 0.0]), (count, 1)),
-        half=jnp.zeros((count, 3)),
-        radius=jnp.full(count, RADIUS[0]),
-    )
-
-
-def _drawn(setup: TaskSetup, key: Array, free: Array, at: Segments) -> Obstacles:
+def _drawn(setup: TaskSetup, key: Array, free: Array, at: Segments) -> Bodies:
     """Obstacles that the arm does not meet at joints `free [2, n]`, near the way of the tool from the one to the other.
 
     There its capsules lie as `at`. Where none of the candidates is so, there is none.
@@ -92,19 +97,22 @@ def _drawn(setup: TaskSetup, key: Array, free: Array, at: Segments) -> Obstacles
     shares = jax.random.uniform(for_share, (count * CANDIDATES, 1))
     way = forward_kinematics(setup.robot.chain, free[0] + shares * (free[1] - free[0])).position
     candidates = _shapes(setup, for_shapes, way)
-    clear = (clearances(setup.robot, at, candidates) > CLEAR * setup.robot.scale).all(axis=0)
+    clear = (clearances(setup.robot.capsules, at, candidates) > CLEAR * setup.robot.scale).all(axis=0)
     clear = clear.reshape(count, CANDIDATES)
     chosen = jnp.arange(count) * CANDIDATES + clear.argmax(axis=1)
     found = jax.tree.map(lambda x: x[chosen], candidates)
-    far = jnp.where(clear.any(axis=1)[:, None], found.position, jnp.array(FAR))
-    return Obstacles(far, found.quaternion, found.half, found.radius)
+    return replace(found, position=jnp.where(clear.any(axis=1)[:, None], found.position, jnp.array(FAR)))
 
 
-def _shapes(setup: TaskSetup, key: Array, near: Array) -> Obstacles:
+def _rows(mask: Array, like: Array) -> Array:
+    return mask.reshape(-1, *[1] * (like.ndim - 1))
+
+
+def _shapes(setup: TaskSetup, key: Array, near: Array) -> Bodies:
     """A random obstacle near each of `near [k, 3]` m."""
     scale, count = setup.robot.scale, len(near)
     for_kind, for_place, for_turn, for_size = jax.random.split(key, 4)
-    kind = jax.random.randint(for_kind, (count, 1), 0, 3)
+    kind = jnp.array(KINDS)[jax.random.randint(for_kind, (count, 1), 0, len(KINDS))]
     place = near + AROUND * scale * jax.random.normal(for_place, (count, 3))
     turn = jax.random.normal(for_turn, (count, 4))
     share = jax.random.uniform(for_size, (count, 3))
@@ -112,23 +120,24 @@ def _shapes(setup: TaskSetup, key: Array, near: Array) -> Obstacles:
     def between(limits: tuple[float, float], share: Array) -> Array:
         return scale * (limits[0] + share * (limits[1] - limits[0]))
 
-    along = jnp.zeros((count, 3)).at[:, 2].set(between(LONG, share[:, 1]))
-    half = jnp.where(kind == BOX, between(SIDE, share), jnp.where(kind == CAPSULE, along, 0.0))
-    thick = jnp.where(kind == BALL, between(RADIUS, share[:, :1]), between(THIN, share[:, :1]))
-    return Obstacles(
+    thick = jnp.where(kind == Shape.BALL, between(RADIUS, share[:, :1]), between(THIN, share[:, :1]))
+    long = jnp.where(kind == Shape.CAPSULE, between(LONG, share[:, 1:2]), 0.0)
+    rounded = jnp.concatenate([thick, long, jnp.zeros_like(thick)], axis=1)
+    return Bodies(
         position=place,
         quaternion=turn / jnp.linalg.norm(turn, axis=-1, keepdims=True),
-        half=half,
-        radius=jnp.where(kind == BOX, 0.0, thick)[:, 0],
+        velocity=jnp.zeros((count, 6)),
+        size=jnp.where(kind == Shape.BOX, between(SIDE, share), rounded),
+        kind=kind[:, 0],
     )
 
 
-def clearances(robot: Robot, at: Segments, obstacles: Obstacles) -> Array:
-    """Distances `[B, K]` m from obstacles `[K]` of an arm whose capsules lie as `capsules_at` says."""
-    start, end, radius = moving(robot.capsules, at)
-    count, others = start[0].shape[1], len(obstacles.radius)
+def clearances(capsules: Capsules, at: Segments, bodies: Bodies) -> Array:
+    """Distances `[B, K]` m from bodies `[K]` of an arm whose capsules lie as `capsules_at` says."""
+    start, end, radius = moving(capsules, at)
+    count, others = start[0].shape[1], len(bodies.kind)
     one, other = (tuple(jnp.repeat(x, others, axis=1) for x in side) for side in (start, end))
-    each = jax.tree.map(lambda x: jnp.tile(x, (count, *[1] * (x.ndim - 1))), obstacles)
+    each = jax.tree.map(lambda x: jnp.tile(x, (count, *[1] * (x.ndim - 1))), bodies)
     return (beside(one, other, each).distance - radius).min(axis=0).reshape(count, others)
 
 
@@ -142,8 +151,8 @@ def _ways(setup: TaskSetup, key: Array, start: Array, goal: Array) -> Array:
     return jnp.concatenate([to, on], axis=1).reshape(-1, chain.n)
 
 
-def _leads(setup: TaskSetup, at: Segments, obstacles: Obstacles) -> Array:
+def _leads(setup: TaskSetup, at: Segments, bodies: Bodies) -> Array:
     """Whether one of those `_ways` is free; its capsules lie as `at`."""
     least = CLEAR * setup.robot.scale / 2
-    free = (clearances(setup.robot, at, obstacles) > least).all(axis=1) & free_at(setup.robot, at)
+    free = (clearances(setup.robot.capsules, at, bodies) > least).all(axis=1) & free_at(setup.robot.capsules, at)
     return free.reshape(VIAS, -1).all(axis=1).any()

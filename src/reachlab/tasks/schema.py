@@ -9,9 +9,9 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
 
-from reachlab.tasks.task import Bounds, Situation, TaskSetup
+from reachlab.control.situation import Situation
+from reachlab.tasks.task import Bounds, TaskSetup
 
 SIZE = 84
 """Height and width of a picture [pixels]; the tutorial's."""
@@ -38,7 +38,7 @@ class Term:
 
     name: str
     unit: str
-    value: Callable[[TaskSetup, Situation], Array]
+    value: Callable[[TaskSetup, Situation], Any]
     bounds: Callable[[TaskSetup], Bounds]
     constant: Callable[[TaskSetup], np.ndarray] | None = None
     picture: bool = False
@@ -149,16 +149,12 @@ class Observation:
     Attributes:
         summary: what its terms are, in a sentence.
         terms: what it is made of.
-        needs_pose: they need a goal with an orientation.
-        needs_velocity: they need a goal that moves.
-        needs_obstacles: they need a task with obstacles.
+        needs: what the task has to give for them, of `reachlab.tasks.WORDS`.
     """
 
     summary: str
     terms: tuple[Term, ...]
-    needs_pose: bool = False
-    needs_velocity: bool = False
-    needs_obstacles: bool = False
+    needs: frozenset[str] = frozenset()
 
     @property
     def pictured(self) -> bool:

@@ -12,10 +12,11 @@ import numpy as np
 from jax import Array
 from jax.scipy.spatial.transform import Rotation
 
-from reachlab.robots.clearance import free_of_contact
-from reachlab.robots.inverse_kinematics import inverse_kinematics
-from reachlab.robots.kinematics import Pose, forward_kinematics
-from reachlab.tasks.task import Bounds, Goal, TaskSetup
+from reachlab.control.situation import Goal
+from reachlab.robots.kinematics.forward import Pose, forward_kinematics
+from reachlab.robots.kinematics.inverse import inverse_kinematics
+from reachlab.robots.shapes.clearance import free_of_contact
+from reachlab.tasks.task import Bounds, TaskSetup
 
 WXYZ, XYZW = (3, 0, 1, 2), (1, 2, 3, 0)
 """Where the numbers of a quaternion are found in one of the other order."""
@@ -58,8 +59,8 @@ def _table_corners(setup: TaskSetup) -> Bounds:
     return low, high
 
 
-def _box_corners(setup: TaskSetup) -> Bounds:
-    """The configured box, by default the robot's."""
+def box_corners(setup: TaskSetup) -> Bounds:
+    """Corners `[3]` m of the configured box, by default the robot's."""
     given = (setup.rules.target_low, setup.rules.target_high)
     low, high = (own if one is None else one for one, own in zip(given, setup.robot.goal_box, strict=True))
     return np.array(low, np.float32), np.array(high, np.float32)
@@ -73,7 +74,7 @@ def _reach_corners(setup: TaskSetup) -> Bounds:
     return low, high
 
 
-def _point(setup: TaskSetup, key: Array) -> Array:
+def sample_point(setup: TaskSetup, key: Array) -> Array:
     """Point `[3]`, uniform in the box of goals."""
     low, high = TARGETS[setup.rules.targets].corners(setup)
     wide = low < high
@@ -83,8 +84,8 @@ def _point(setup: TaskSetup, key: Array) -> Array:
 
 def _sample_in_box(setup: TaskSetup, key: Array) -> Goal:
     """A point or, where an orientation is asked for, a pose that can be reached."""
-    if setup.rules.target_turn is None:
-        return Goal(_point(setup, key))
+    if not setup.rules.asks_orientation:
+        return Goal.at(sample_point(setup, key))
     return first_reached(lambda key: _turned_pose(setup, key), setup, key)
 
 
@@ -106,11 +107,12 @@ def first_reached(draw: Callable[[Array], Drawn], setup: TaskSetup, key: Array) 
 
     def again(before: Drawn) -> Drawn:
         drawn = draw(before.key)
-        free = free_of_contact(setup.robot, drawn.q[None])[0]
+        free = free_of_contact(setup.robot.chain, setup.robot.capsules, drawn.q[None])[0]
         return drawn._replace(reached=drawn.reached & free, draws=before.draws + 1)
 
     found = jax.lax.while_loop(lambda drawn: ~drawn.reached & (drawn.draws < DRAWS), again, nothing)
-    return Goal(*forward_kinematics(setup.robot.chain, found.q), joints=found.q)
+    pose = forward_kinematics(setup.robot.chain, found.q)
+    return Goal.at(pose.position, quaternion=pose.quaternion, joints=found.q)
 
 
 def _turned_pose(setup: TaskSetup, key: Array) -> Drawn:
@@ -119,7 +121,7 @@ def _turned_pose(setup: TaskSetup, key: Array) -> Drawn:
     most, home = jnp.array(setup.rules.target_turn), jnp.array(setup.robot.home)
     turn = Rotation.from_euler("xyz", jax.random.uniform(for_turn, (3,), minval=-most, maxval=most))
     held = Rotation.from_quat(jnp.array(setup.robot.held_quaternion)[jnp.array(XYZW)])
-    pose = Pose(_point(setup, for_point), (turn * held).as_quat()[jnp.array(WXYZ)])
+    pose = Pose(sample_point(setup, for_point), (turn * held).as_quat()[jnp.array(WXYZ)])
     return Drawn(key, *nearest_joints(setup, pose, home, home, for_starts), jnp.zeros((), jnp.int32))
 
 
@@ -162,7 +164,7 @@ def nearest_joints(setup: TaskSetup, pose: Pose, near: Array, start: Array, key:
 
 TARGETS: dict[str, Targets] = {
     "table": Targets("on the table", _table_corners, _sample_in_box),
-    "box": Targets("in a box, of target_low and target_high or the arm's own", _box_corners, _sample_in_box),
+    "box": Targets("in a box, of target_low and target_high or the arm's own", box_corners, _sample_in_box),
     "any": Targets(
         "wherever random joints bring the tool",
         _reach_corners,
@@ -174,5 +176,4 @@ TARGETS: dict[str, Targets] = {
 
 def solved_for(setup: TaskSetup) -> bool:
     """Whether goals are drawn until joints are found that have them, which takes far longer than drawing a point."""
-    rules = setup.rules
-    return setup.task.sample_obstacles is not None or rules.target_turn is not None or rules.targets == "any"
+    return "joints" in setup.rules.gives

@@ -7,175 +7,125 @@ for the simulators that JAX can trace and compiled for the others.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from reachlab.robots.kinematics import Pose, angle_between, norm
+from reachlab.control.bodies import Bodies, Shape, absent
+from reachlab.control.situation import Drive, Goal, Situation
+from reachlab.robots.kinematics.forward import added
 from reachlab.robots.robot import Robot
-from reachlab.settings.rules import Rules
-from reachlab.tasks.obstacles import Obstacles
 
 Bounds = tuple[np.ndarray, np.ndarray]
 """Lower and upper bounds `[k]`."""
 
+Progress = Any
+"""What a task remembers of an episode beside its errors, for a batch: a pytree of the task's own."""
+
+
+class Errors(NamedTuple):
+    """How far what a task moves is from where it has to be: `distance [B]` m and `angle [B]` rad.
+
+    Where any orientation will do the angle is without numbers, `[B, 0]`.
+    """
+
+    distance: Any
+    angle: Any
+
 
 @dataclass(frozen=True)
-class TaskSetup:
+class Scene:
+    """What may be beside the arm in an episode, and whether it can be touched.
+
+    Attributes:
+        fixed: bodies that do not move, at most.
+        moved: bodies that `Task.move` moves, after the others.
+        objects: bodies that move when the gripper touches them, after these; they lie on the table.
+        shape: of the objects.
+        mass: of an object [kg].
+        friction, grip: coefficients of friction of an object on what it lies on, and at the gripper.
+        friction_spread: where objects vary, the least and the largest share of it.
+        contacts: contacts of the arm are judged: with the bodies, with the table and with itself.
+    """
+
+    fixed: int = 0
+    moved: int = 0
+    objects: int = 0
+    shape: Shape = Shape.BOX
+    mass: float = 0.1
+    friction: float = 0.6
+    grip: float = 0.6
+    friction_spread: tuple[float, float] = (0.5, 5 / 3)
+    contacts: bool = False
+
+    @property
+    def bodies(self) -> int:
+        """Bodies `K` for which there is room."""
+        return self.fixed + self.moved + self.objects
+
+
+EMPTY = Scene()
+"""Nothing beside the arm, and no contacts."""
+
+
+@dataclass(frozen=True)
+class Control:
+    """What an engineer would do without learning, which baselines are, and which a residual action corrects.
+
+    Attributes:
+        controller: its name in `CONTROLLERS`.
+        residual_gain: displacement that a residual action of 1 adds, in displacements of an action of 1.
+        fade: distance from which on it falls, to nothing at the goal [m]; 0 where it never does.
+        dampers: velocity dampers keep every joint displacement clear of bodies and of the table.
+    """
+
+    controller: str
+    residual_gain: float
+    fade: float = 0.02
+    dampers: bool = False
+
+
+@dataclass(frozen=True)
+class TaskSetup(Drive):
     """A task on an arm; constants known while tracing.
 
     Attributes:
         task: the task.
         rules: its settings.
-        robot: the arm.
-        period: time from one command to the next [s].
-        lag: time by which each joint follows its command `[n]` [s].
     """
 
     task: Task
-    rules: Rules
-    robot: Robot
-    period: float
-    lag: tuple[float, ...]
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class Goal:
-    """Where the tool is asked to be.
-
-    Attributes:
-        position: `[..., 3]` [m].
-        quaternion: `[..., 4]`, wxyz; None where any orientation will do.
-        joints: joints `[..., n]` at which the tool is there [rad or m]; None where nobody has looked for them.
-        velocity: `[..., 3]` [m/s]; None where it does not move.
-        path: on which it moves, `[..., k]`, see `paths`; None where it does not, not a number where it does no more.
-    """
-
-    position: Array
-    quaternion: Array | None = None
-    joints: Array | None = None
-    velocity: Array | None = None
-    path: Array | None = None
-
-    def distance(self, tool_position: Array) -> Array:
-        """Distance `[...]` m from the tool at `[..., 3]` m to the goal."""
-        return norm(tool_position - self.position)
-
-    def moves(self) -> Array:
-        """Whether it moves by itself `[...]`."""
-        return jnp.zeros(self.position.shape[:-1], bool) if self.path is None else ~jnp.isnan(self.path[..., 0])
-
-    def angle(self, tool_quaternion: Array) -> Array | None:
-        """Angle `[...]` rad from the tool's orientation `[..., 4]` to the goal's; None where none is asked for."""
-        return None if self.quaternion is None else angle_between(tool_quaternion, self.quaternion)
-
-
-class Situation(NamedTuple):
-    """What observations, actions and baselines may use, for a batch.
-
-    `q, target_q [B, n]` rad or m, `qd [B, n]` rad/s or m/s, the tool's pose `[B, 3]` m and `[B, 4]` wxyz, the goal,
-    `last_action [B, a]`; the camera's `picture [B, SIZE, SIZE]` uint8 where the observation holds one; where the tool
-    truly is, `achieved`, if it is measured with noise; the obstacles, where there are any; and whether the arm touched
-    anything in the last control period, `contact [B]`, where the simulator tells it.
-    """
-
-    q: Array
-    qd: Array
-    tool_position: Array
-    tool_quaternion: Array
-    goal: Goal
-    target_q: Array
-    last_action: Array
-    picture: Array | None = None
-    achieved: Pose | None = None
-    obstacles: Obstacles | None = None
-    contact: Array | None = None
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class Progress:
-    """What a task remembers of an episode, for a batch.
-
-    Attributes:
-        distance: tool to goal `[B]` [m].
-        angle: between their orientations `[B]` [rad]; None where any will do.
-        recent: the distance after each of the last steps `[B, hold_steps]` [m]; None where touching the goal is enough.
-        recent_angle: the angle after them `[B, hold_steps]` [rad], likewise.
-        still: whether every joint was slow after them `[B, hold_steps]`.
-        mean_square: of the distances after the steps that count `[B]` [m²]; None where the goal does not move.
-    """
-
-    distance: Array
-    angle: Array | None = None
-    recent: Array | None = None
-    recent_angle: Array | None = None
-    still: Array | None = None
-    mean_square: Array | None = None
-
-    @property
-    def error(self) -> Array:
-        """The error that counts `[B]` [m].
-
-        The distance; where the goal has to be held the held error: the largest distance after the last `hold_steps`
-        steps, infinite if a joint was not still after one of them; where it moves the root mean square.
-        """
-        if self.mean_square is not None:
-            return jnp.sqrt(self.mean_square)
-        return self.distance if self.recent is None else self._held(self.recent)
-
-    @property
-    def angle_error(self) -> Array | None:
-        """The same of the angle `[B]` [rad]; None where any orientation will do."""
-        return self.angle if self.recent_angle is None else self._held(self.recent_angle)
-
-    def _held(self, recent: Array) -> Array:
-        assert self.still is not None, "remembered together"  # noqa: S101
-        return jnp.where(self.still, recent, jnp.inf).max(axis=-1)
-
-    def near(self, rules: Rules) -> Array:
-        """Whether the tool is at the goal now `[B]`."""
-        return within(rules, self.distance, self.angle)
-
-    def solved(self, rules: Rules) -> Array:
-        """Whether the errors that count are those of a success `[B]`."""
-        return within(rules, self.error, self.angle_error)
-
-
-def within(rules: Rules, distance: Any, angle: Any | None) -> Any:
-    """Whether errors `[...]` in m and, where an orientation is asked for, rad are those of a success."""
-    near = distance < rules.success_distance
-    return near if angle is None else near & (angle < rules.success_angle)
-
-
-def gap(rules: Rules, distance: Any, angle: Any | None) -> Any:
-    """Errors `[...]` in m and rad as one [m]."""
-    return distance if angle is None else distance + rules.angle_weight * angle
+    rules: Any
 
 
 class Outcome(NamedTuple):
     """What a step led to, `[B]` each.
 
     Attributes:
-        gap_before, gap: how far the tool is from the goal before and after it, see `gap` [m].
-        progress: what is remembered of the episode: distance, angle and the errors that count.
+        achieved: where what is moved truly is, `[B, 3]` m.
+        errors: how far what is moved is from where it has to be after it.
+        gap_before, gap: the same as one number each before and after it, see `Task.gap` [m].
+        near: the errors after it are those of a success.
+        counted: the errors that count at the end, see `Task.counted`.
+        progress: what is remembered of the episode.
         speed: of the fastest joint [rad/s or m/s].
         effort: mean square of the action.
         outside: the tool is outside the workspace, or the arm has touched something that it must not.
         success: the task is solved.
         timeout: the time is used up.
-        gained: what success pays for: 1 on the step on which it is reached and, where the episode continues, -1 on the
-            step on which it is lost.
+        gained: change of what success pays for: 1 on the step on which it is reached and, where the episode continues,
+            -1 on the step on which it is lost.
         terminated: the task ends the episode.
     """
 
+    errors: Errors
     gap_before: Array
     gap: Array
+    near: Array
+    counted: Errors
     progress: Progress
     speed: Array
     effort: Array
@@ -185,16 +135,51 @@ class Outcome(NamedTuple):
     gained: Array
     terminated: Array
 
-    @property
-    def distance(self) -> Array:
-        """Tool to goal after the step `[B]` [m]."""
-        return self.progress.distance
-
 
 def outside_workspace(robot: Robot, tool_position: Array) -> Array:
     """Whether the tool, at `[B, 3]` m, is outside the robot's workspace `[B]`."""
     low, high = (jnp.array(corner) for corner in robot.workspace)
     return ((tool_position < low) | (tool_position > high)).any(axis=-1)
+
+
+# --- what most tasks do ---------------------------------------------------------------------------
+
+
+def point_errors(setup: TaskSetup, now: Situation) -> Errors:
+    """Errors of a tool that is asked for at a point, in any orientation."""
+    del setup
+    distance = now.goal.distance(now.tool_position)
+    return Errors(distance, jnp.zeros((len(distance), 0)))
+
+
+def place_point(setup: TaskSetup, goal: Goal, position: Array, quaternion: Array, near: Array) -> tuple[Goal, Array]:
+    """A goal of position alone, see `Task.place`; one that moves is taken off its path."""
+    del setup, quaternion, near
+    stays, path = jnp.zeros_like(goal.velocity), jnp.full_like(goal.path, jnp.nan)
+    return replace(goal, position=position[None], velocity=stays, path=path), jnp.ones((), bool)
+
+
+def within_distance(rules: Any, errors: Errors) -> Any:
+    """Whether a distance is that of a success `[...]`."""
+    return errors.distance < rules.success_distance
+
+
+def stay(setup: TaskSetup, goal: Goal, bodies: Bodies, clock: Array) -> tuple[Goal, Bodies]:
+    """Goal and bodies that do not move by themselves."""
+    del setup, clock
+    return goal, bodies
+
+
+def no_bodies(setup: TaskSetup, key: Array, start: Array, goal: Goal) -> Bodies:
+    """Nothing beside the arm."""
+    del setup, key, start, goal
+    return absent(0)
+
+
+def nothing_remembered(setup: TaskSetup, errors: Errors) -> Progress:
+    """Progress of a task that asks for nothing but its errors."""
+    del setup, errors
+    return ()
 
 
 @dataclass(frozen=True)
@@ -203,30 +188,89 @@ class Task:
 
     Attributes:
         tool: which of a robot's tool frames is asked for, see `KnownRobot.tools`.
+        control: what would be done without learning.
         goal_box: corners `[3]` m of the box that holds all goals.
         sample_goal: a goal, of a random key.
-        sample_obstacles: the obstacles of an episode, of a random key, the joints `[n]` in which it starts and the
-            goal; None where there are none.
-        move: the goal after so many steps `[B]`; None where it stays.
-        sample_start: joint vector `[n]` in which an episode starts, of a random key.
-        begin: what is remembered at the start of an episode: of the goal and the tool's pose.
-        judge: what a step led to: of what was remembered before, the situation after it, and its number in the episode
-            `[B]`.
-        rests: whether the joint command stays as it is `[B]`, of what is remembered; None where it never does.
         check: raises `InputError` where the rules do not fit the robot.
         asks: what is asked for, in words, of the rules and the control period [s].
         succeeds: what an episode has to come to, in words, of the same.
+        needs: what simulator and action have to give, of `reachlab.tasks.WORDS`.
+        sample_start: joint vector `[n]` in which an episode starts, of a random key.
+        scene: what may be beside the arm.
+        sample_bodies: what is beside it in an episode `[K]`, of a random key, the joints `[n]` in which it starts and
+            the goal.
+        vary: goal and bodies with objects of another size, of a random key.
+        place: the goal put at a position `[3]` m and, where one is asked for, in an orientation `[4]` wxyz, of a goal
+            `[1]`, these and the arm's joints `[n]`; and whether the arm can be there freely `[]`.
+        move: goal and bodies after so many steps `[B]`; bodies are only looked at where the scene has moved ones.
+        known: the goal as far as it is known to the policy.
+        achieved: where what is moved truly is, `[B, 3]` m.
+        errors: how far what is moved is from where it has to be; the only place that says so.
+        gap: the errors as one number [m].
+        near: whether errors are those of a success.
+        begin: what is remembered at the start of an episode.
+        update: what is remembered after a step: of what was before it, the errors and the situation after it, and its
+            number in the episode `[B]`.
+        counted: the errors that count at the end: of the last ones and what is remembered.
     """
 
     tool: str
+    control: Control
     goal_box: Callable[[TaskSetup], Bounds]
     sample_goal: Callable[[TaskSetup, Array], Goal]
-    sample_obstacles: Callable[[TaskSetup, Array, Array, Goal], Obstacles] | None
-    move: Callable[[TaskSetup, Goal, Array], Goal] | None
-    sample_start: Callable[[TaskSetup, Array], Array]
-    begin: Callable[[TaskSetup, Goal, Pose], Progress]
-    judge: Callable[[TaskSetup, Progress, Situation, Array], Outcome]
-    rests: Callable[[TaskSetup, Progress], Array | None]
     check: Callable[[TaskSetup], None]
-    asks: Callable[[Rules, float], str]
-    succeeds: Callable[[Rules, float], str]
+    asks: Callable[[Any, float], str]
+    succeeds: Callable[[Any, float], str]
+    sample_start: Callable[[TaskSetup, Array], Array]
+    needs: frozenset[str] = frozenset()
+    scene: Callable[[TaskSetup], Scene] = lambda _: EMPTY
+    sample_bodies: Callable[[TaskSetup, Array, Array, Goal], Bodies] = no_bodies
+    vary: Callable[[TaskSetup, Array, Goal, Bodies], tuple[Goal, Bodies]] = lambda _, __, goal, bodies: (goal, bodies)
+    place: Callable[[TaskSetup, Goal, Array, Array, Array], tuple[Goal, Array]] = place_point
+    move: Callable[[TaskSetup, Goal, Bodies, Array], tuple[Goal, Bodies]] = stay
+    known: Callable[[TaskSetup, Goal], Goal] = lambda _, goal: goal
+    achieved: Callable[[Situation], Array] = lambda now: now.achieved.position
+    errors: Callable[[TaskSetup, Situation], Errors] = point_errors
+    gap: Callable[[Any, Errors], Any] = lambda _, errors: errors.distance
+    near: Callable[[Any, Errors], Any] = within_distance
+    begin: Callable[[TaskSetup, Errors], Progress] = nothing_remembered
+    update: Callable[[TaskSetup, Progress, Errors, Situation, Array], Progress] = lambda _, progress, *__: progress
+    counted: Callable[[Errors, Progress], Errors] = lambda errors, _: errors
+
+
+def judge(setup: TaskSetup, before: Errors, progress: Progress, now: Situation, clock: Array) -> Outcome:
+    """What a step led to: of the errors before it, what was remembered, the situation after it and its number `[B]`.
+
+    Leaving the workspace outranks success, and where success ends the episode it outranks a time-out on the same step.
+    """
+    task, rules = setup.task, setup.rules
+    errors = task.errors(setup, now)
+    after = task.update(setup, progress, errors, now, clock)
+    counted = task.counted(errors, after)
+    outside = jnp.zeros_like(errors.distance, bool)
+    if rules.ends_outside:
+        outside = outside_workspace(setup.robot, now.tool_position)
+    if rules.ends_on_contact:
+        outside |= now.contact
+    success = ~outside & task.near(rules, counted)
+    timeout = ~outside & (clock >= rules.max_steps)
+    gained, terminated = success.astype(errors.distance.dtype), outside
+    if rules.ends_at_goal:
+        timeout, terminated = timeout & ~success, outside | success
+    else:
+        gained = gained - task.near(rules, task.counted(before, progress))
+    return Outcome(
+        errors=errors,
+        gap_before=task.gap(rules, before),
+        gap=task.gap(rules, errors),
+        near=task.near(rules, errors),
+        counted=counted,
+        progress=after,
+        speed=jnp.abs(now.qd).max(axis=-1),
+        effort=added(jnp.square(now.last_action)) / now.last_action.shape[-1],
+        outside=outside,
+        success=success,
+        timeout=timeout,
+        gained=gained,
+        terminated=terminated,
+    )

@@ -1,62 +1,115 @@
-"""Following a point that moves."""
+"""Task `track`: follow a point that moves, under full dynamics."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
-import jax.numpy as jnp
-from jax import Array
+from reachlab.settings.config import LearnerConfig, LoopConfig, PPOConfig, SimConfig
+from reachlab.settings.preset_record import Preset
+from reachlab.settings.rules import TaskSettings
+from reachlab.settings.validation import (
+    BY_ARM,
+    InProportion,
+    Length,
+    NonNegative,
+    NonNegativeInt,
+    Point,
+    Positive,
+    Range,
+)
+from reachlab.tasks.precise import WITHOUT_CONTROLLER
 
-from reachlab.robots.kinematics import Pose
-from reachlab.settings.rules import Rules
-from reachlab.settings.validation import InputError
-from reachlab.tasks.paths import PATHS, place_at, sample_path
-from reachlab.tasks.reach import PRECISE, outcome
-from reachlab.tasks.task import Goal, Outcome, Progress, Situation, TaskSetup
-
-
-def _sample_goal(setup: TaskSetup, key: Array) -> Goal:
-    path = sample_path(setup, key)
-    place = place_at(setup, path[None], jnp.zeros(1, jnp.int32))
-    return Goal(place.position[0], velocity=place.velocity[0], path=path)
-
-
-def _move(setup: TaskSetup, goal: Goal, clock: Array) -> Goal:
-    """The goal on its path; one that was taken off it, as by a mouse, stays where it is."""
-    assert goal.path is not None, "as it was sampled"  # noqa: S101
-    place, moves = place_at(setup, goal.path, clock), goal.moves()[:, None]
-    position, velocity = jnp.where(moves, place.position, goal.position), jnp.where(moves, place.velocity, 0.0)
-    return replace(goal, position=position, velocity=velocity)
+if TYPE_CHECKING:
+    from reachlab.tasks.task import Task
 
 
-def _begin(setup: TaskSetup, goal: Goal, tool: Pose) -> Progress:
-    del setup
-    distance = goal.distance(tool.position)
-    return Progress(distance, mean_square=jnp.square(distance))
+@dataclass(frozen=True)
+class Track(TaskSettings):
+    """Settings of following a point."""
 
+    preset: ClassVar[Preset] = Preset(
+        sim="mujoco",
+        randomise=("dynamics",),
+        physics=SimConfig(control_period=0.02),
+        loop=LoopConfig(total_steps=3_000_000, stop_early=False, report_episodes=2000, num_envs=256, rollout_steps=100),
+        learner=LearnerConfig(hidden=(128, 128), learning_rate=3e-3, final_learning_rate=1e-5, anneal_steps=3_000_000),
+        ppo=PPOConfig(epochs=4, minibatches=4, gamma=0.8, final_std=0.1),
+        rules=(WITHOUT_CONTROLLER,),
+    )
 
-def _judge(setup: TaskSetup, before: Progress, now: Situation, clock: Array) -> Outcome:
-    """As for a point that stays; the error that counts is the root mean square after the settling time.
+    observation: str = "track"
+    action: str = "joint_residual"
+    reward: str = "closeness"
+    approach_weight: Annotated[NonNegative, InProportion(5.0, inverse=True)] = 15.0
+    success_distance: Annotated[Positive, InProportion(0.1)] = 0.01
+    max_steps: Annotated[int, Range(1, 10**5)] = 250
+    start_noise: NonNegative = 0.3
+    joint_scale: Positive | None = None
+    closeness_scale: Positive = 0.003
+    effort_weight: NonNegative = 0.001
+    target_low: Point | None = None
+    """Lower corner of the box in which the goal moves [m]; by default the robot's own."""
+    target_high: Point | None = None
+    """Upper corner of the box in which the goal moves [m]; by default the robot's own."""
+    goal_paths: Annotated[tuple[str, ...], Length(16)] = ("line", "circle", "smooth")
+    """The paths of which an episode has one, of circle, jumps, line and smooth."""
+    goal_speed: tuple[NonNegative, NonNegative] = (0.0, 0.2)
+    """Least and largest speed, of which an episode has one in between [m/s]."""
+    goal_jump: Annotated[Positive, InProportion(0.3)] = BY_ARM
+    """How far the goal jumps [m]; by default 0.3 m, in proportion to the arm's workspace."""
+    goal_velocity: bool = True
+    """The policy and its controller know the goal's velocity."""
+    settle_steps: NonNegativeInt = 50
+    """Steps at the beginning of an episode that do not count."""
 
-    Until then it is the distance.
-    """
-    assert before.mean_square is not None, "as it began"  # noqa: S101
-    distance = now.goal.distance(now.tool_position)
-    counted = jnp.maximum(clock - setup.rules.settle_steps, 1)
-    mean = before.mean_square + (jnp.square(distance) - before.mean_square) / counted
-    return outcome(setup, before, Progress(distance, mean_square=mean), now, clock)
+    @classmethod
+    def task(cls) -> Task:
+        """The flange follows a point."""
+        from reachlab.tasks import following, reach
+        from reachlab.tasks.targets import box_corners
+        from reachlab.tasks.task import Control, Task
 
+        return Task(
+            tool="flange",
+            # The residual never fades, for the tool is never just there; its gain is as much as the errors take.
+            control=Control("feed_forward", residual_gain=0.05, fade=0.0),
+            goal_box=box_corners,
+            sample_goal=following.sample_goal,
+            sample_start=reach.sample_start,
+            move=following.move,
+            known=following.known,
+            begin=following.begin,
+            update=following.update,
+            counted=following.counted,
+            check=following.check,
+            asks=_asks,
+            succeeds=_succeeds,
+        )
 
-def _check(setup: TaskSetup) -> None:
-    for axis, low, high in zip("xyz", *setup.task.goal_box(setup), strict=True):
-        if low >= high:
-            raise InputError(
-                f"a goal that moves needs a box that is wide in every direction, and it goes from {low:g} to {high:g} m"
-                f" in {axis}: choose other --target-low and --target-high."
+    def contradiction(self) -> str | None:
+        """What of these settings cannot be together."""
+        low, high = self.goal_speed
+        if not self.goal_paths:
+            return "goal_paths names no path: choose one of those that `reachlab list` shows, or several."
+        if low > high:
+            return f"goal_speed has a least speed above the largest, {low:g} against {high:g} m/s: exchange them."
+        if self.settle_steps >= self.max_steps:
+            return (
+                f"no step would count after settle_steps {self.settle_steps} in an episode of max_steps"
+                f" {self.max_steps}: choose fewer --settle-steps or more --max-steps."
             )
+        return None
+
+    @property
+    def gives(self) -> frozenset[str]:
+        """What there is to observe and to control by."""
+        return frozenset({"velocity"})
 
 
-def _asks(rules: Rules, period: float) -> str:
+def _asks(rules: Track, period: float) -> str:
+    from reachlab.tasks.paths import PATHS
+
     ways = "; ".join(PATHS[name].summary for name in rules.goal_paths)
     low, high = rules.goal_speed
     return (
@@ -65,21 +118,8 @@ def _asks(rules: Rules, period: float) -> str:
     )
 
 
-def _succeeds(rules: Rules, period: float) -> str:
+def _succeeds(rules: Track, period: float) -> str:
     return (
         f"the root mean square of the distance after the first {rules.settle_steps * period:.2g} s is below"
         f" {1000 * rules.success_distance:.4g} mm"
     )
-
-
-TRACK = replace(
-    PRECISE,
-    sample_goal=_sample_goal,
-    move=_move,
-    begin=_begin,
-    judge=_judge,
-    check=_check,
-    asks=_asks,
-    succeeds=_succeeds,
-)
-"""The flange follows a point."""

@@ -19,20 +19,20 @@ class Moment:
     Attributes:
         q: joints `[n]` [rad or m].
         tool, orientation: of the tool, `[3]` [m] and `[4]` wxyz.
-        target, target_orientation: `[3]` [m] and `[4]` wxyz, None where any will do.
-        distance, angle: from tool to target [m] and [rad], None likewise.
+        target, target_orientation: `[3]` [m] and `[4]` wxyz, `[0]` where any will do.
+        distance, angle: from tool to target [m] and [rad], None where any orientation will do.
         error: root mean square of the distance so far [m]; None where it does not count, or not yet.
         reached: the tool is near enough now and, where the task asks for it, was held.
         path: points `[k, 3]` [m] through which the tool came.
         trail: points `[k, 3]` [m] at which a target that moves by itself has been.
-        blocks: obstacles.
+        blocks: bodies beside the arm.
     """
 
     q: np.ndarray
     tool: np.ndarray
     orientation: np.ndarray
     target: np.ndarray
-    target_orientation: np.ndarray | None
+    target_orientation: np.ndarray
     distance: float
     angle: float | None
     error: float | None

@@ -19,7 +19,7 @@ from reachlab.envs.functions import EnvState, Transition
 from reachlab.envs.placing import make_place
 from reachlab.envs.random_streams import AGENT_STREAM, REPORT_STREAM, episode_keys
 from reachlab.jax_setup import jit
-from reachlab.tasks.task import TaskSetup
+from reachlab.tasks.task import Errors, TaskSetup
 from reachlab.watch.moment import PATH_STEP, TRAIL_STEP, Moment, Trace
 
 Advance = Callable[[Policy | None, EnvState, Array, bool, np.ndarray], tuple[EnvState, Transition, Array]]
@@ -59,9 +59,9 @@ class Player:
         self._advances: dict[str, Advance] = {}
         self._init = env.compile_whole(env.init)
         setup = env.setup
-        self._place, self._begin_task = make_place(setup), jit(partial(setup.task.begin, setup))
+        self._place, self._begin_task = make_place(setup), jit(partial(_begun, env))
         self._knows_home_alone = knows_home_alone(env)
-        self._nothing = np.full(env.setup.robot.chain.n, np.nan, np.float32)
+        self._nothing = np.full(len(env.setup.robot.actuators), np.nan, np.float32)
         self._following = False
         self.steps = self.episodes = self.successes = 0
         self.begin(0)
@@ -105,7 +105,7 @@ class Player:
         if self._going_back:
             self._going_back = False
             self._renew()
-        last = np.asarray(self.state.target_q)[0]
+        last = np.asarray(self.state.command)[0]
         if not self._way or not np.array_equal(last, self._way[-1]):  # an arm at rest makes no way
             self._way.append(last)
         return self._nothing
@@ -119,7 +119,7 @@ class Player:
         away = np.linalg.norm(self.moment.tool - np.clip(self.moment.tool, low, high))
         if rules.ends_outside and away > rules.success_distance:
             return LEFT
-        if rules.end_on_contact and self.state.arm.contact is not None and np.asarray(self.state.arm.contact)[0]:
+        if rules.ends_on_contact and np.asarray(self.state.arm.contact)[0]:
             return TOUCHED
         late = self.clock >= rules.max_steps and not self.on_path and not self._near()
         return LATE if late else ""
@@ -132,10 +132,9 @@ class Player:
         if not self.failed or (self._at_home and not self._following):
             self.begin(self.number + 1)
             return
-        moment, moves, obstacles = self.moment, self.on_path, self.state.obstacles
+        moment, moves, bodies = self.moment, self.on_path, self.state.arm.bodies
         self.begin(self.number)
-        if obstacles is not None:
-            self.state = self._env.rearrange(self.state, obstacles)
+        self.state = self._env.rearrange(self.state, bodies)
         if not moves:
             self.move_target(moment.target, moment.target_orientation)
         self._at_home = True
@@ -166,10 +165,8 @@ class Player:
         The arm continues from where it is, with all the time of an episode. False where no joints are found at which
         the tool is so: then the target stays.
         """
-        if self.moment.target_orientation is None:
-            turned = None
-        else:
-            turned = np.asarray(self.moment.target_orientation if orientation is None else orientation, np.float32)
+        own = self.moment.target_orientation
+        turned = np.asarray(orientation if len(own) and orientation is not None else own, np.float32)
         state = self.state
         goal, found = self._place(state.goal, np.asarray(target, np.float32), turned, np.asarray(state.arm.q)[0])
         if not found:
@@ -181,50 +178,58 @@ class Player:
         self._look()
         return True
 
-    def move_obstacle(self, number: int, position: np.ndarray) -> None:
-        """Put an obstacle at `[3]` m, inside the workspace; the arm has all the time of an episode again."""
-        obstacles = self.state.obstacles
-        assert obstacles is not None, "only what is shown can be moved"  # noqa: S101
-        positions = np.array(obstacles.position)
+    def move_body(self, number: int, position: np.ndarray) -> None:
+        """Put a body at `[3]` m, inside the workspace; the arm has all the time of an episode again."""
+        bodies = self.state.arm.bodies
+        positions = np.array(bodies.position)
         positions[0, number] = np.clip(position, *self._env.setup.robot.workspace)
-        self.state = self._env.rearrange(self.state, replace(obstacles, position=jnp.asarray(positions)))
+        self.state = self._env.rearrange(self.state, replace(bodies, position=jnp.asarray(positions)))
         self._renew()
         self._touched, self._at_home, self.over = True, False, bool(self.failed)
         self._look()
 
     def _near(self) -> bool:
-        return bool(np.asarray(self.state.progress.near(self._env.setup.rules))[0])
+        return bool(np.asarray(self._env.setup.task.near(self._env.setup.rules, self.state.errors))[0])
 
     def _renew(self) -> None:
         """Give the arm all the time of an episode again."""
         state = self.state
-        progress = self._begin_task(state.goal, state.arm.tool)
-        self.state, self.clock = replace(state, progress=progress, clock=jnp.zeros_like(state.clock)), 0
+        errors, progress = self._begin_task(state)
+        self.state = replace(state, errors=errors, progress=progress, clock=jnp.zeros_like(state.clock))
+        self.clock = 0
 
     def _look(self) -> None:
-        arm, goal, progress = self.state.arm, self.state.goal, self.state.progress
-        tool, target, angle = _row(arm.tool_position), _row(goal.position), _row(progress.angle)
-        settled = self.clock > self._env.setup.rules.settle_steps
-        error = float(_row(progress.error)) if settled and progress.mean_square is not None else None
+        arm, goal, errors, setup = self.state.arm, self.state.goal, self.state.errors, self._env.setup
+        tool, target, rules = _row(arm.tool_position), _row(goal.position), setup.rules
+        counted = setup.task.counted(errors, self.state.progress)
+        settled = rules.moves and self.clock > rules.settle_steps
         self.moment = Moment(
-            q=_row(arm.q),
+            q=setup.robot.posture(np.concatenate([_row(arm.q), _row(arm.opening)])),
             tool=tool,
             orientation=_row(arm.tool_quaternion),
             target=target,
             target_orientation=_row(goal.quaternion),
-            distance=float(_row(progress.distance)),
-            angle=None if angle is None else float(angle),
-            error=error,
+            distance=float(_row(errors.distance)),
+            angle=float(_row(errors.angle)) if rules.asks_orientation else None,
+            error=float(_row(counted.distance)) if settled else None,
             reached=self._env.reached(self.state),
             path=self._path.add(tool),
-            trail=self._trail.add(target) if goal.path is not None else self._trail.points,
+            trail=self._trail.add(target) if rules.moves else self._trail.points,
             blocks=self._env.blocks(self.state),
         )
 
 
-def _row(rows: Array | None) -> Any:
-    """The first of rows `[1, ...]`, if there are any."""
-    return None if rows is None else np.asarray(rows)[0]
+def _row(rows: Array) -> Any:
+    """The first of rows `[1, ...]`."""
+    return np.asarray(rows)[0]
+
+
+def _begun(env: Env, state: EnvState) -> tuple[Errors, Any]:
+    """Errors now, and what the task remembers of an episode that begins with them."""
+    arm, task, setup = state.arm, env.setup.task, env.setup
+    now = env.situation(state)._replace(q=arm.q, qd=arm.qd, tool_position=arm.tool_position)
+    errors = task.errors(setup, now._replace(tool_quaternion=arm.tool_quaternion, goal=state.goal))
+    return errors, task.begin(setup, errors)
 
 
 def played(player: Player, agent: str, policy: Policy | None, stride: int) -> Iterator[None]:
@@ -242,15 +247,15 @@ def make_advance(env: Env, agent: str) -> Advance:
     A joint command `[n]` that is a number is taken in place of the agent's.
     """
     act, rules = make_act(env, agent), env.setup.rules
-    rests_there = not rules.hold_steps and env.setup.task.move is None
+    rests_there = not (rules.holds or rules.moves)
 
     def advance(
         policy: Policy | None, state: EnvState, key: Array, following: bool, command: np.ndarray
     ) -> tuple[EnvState, Transition, Array]:
         instead = None
         if rests_there:
-            rests = state.progress.near(rules) & (following | (rules.at_goal == "hold"))
-            instead = jnp.where(rests[:, None], state.target_q, command)
+            rests = env.setup.task.near(rules, state.errors) & (following | rules.rests_at_goal)
+            instead = jnp.where(rests[:, None], state.command, command)
         return act(policy, state, key, instead=instead)
 
     return env.compile_whole(advance)
@@ -259,7 +264,7 @@ def make_advance(env: Env, agent: str) -> Advance:
 def knows_home_alone(env: Env) -> bool:
     """Whether all episodes of a policy's training began at home, so that it knows no way from anywhere else."""
     rules = env.setup.rules
-    return not (rules.hold_steps or rules.start_noise or env.config.loop.chained_starts)
+    return not (rules.holds or rules.start_noise or env.config.loop.chained_starts)
 
 
 def target_box(setup: TaskSetup) -> np.ndarray:

@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
+from reachlab.envs import presets
+from reachlab.envs.presets import preset
 from reachlab.evaluation.intervals import student_half_width
 from reachlab.runs.directory import RunDirectory
-from reachlab.settings import presets
 from reachlab.settings.json_form import flatten, to_json
-from reachlab.settings.presets import preset
 from reachlab.settings.validation import InputError
 
 POOL = 100

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from reachlab.render.marks import Block
-from reachlab.robots.shapes import SHAPES, SHOWN_GROUPS, Mesh, ball, box, mesh_of
+from reachlab.robots.shapes.solids import SHAPES, SHOWN_GROUPS, Mesh, ball, box, mesh_of
 
 Colour = tuple[float, float, float, float]
 """Red, green, blue and opacity, each 0 to 1."""
@@ -36,7 +36,7 @@ def solids(model: mujoco.MjModel) -> list[Solid]:
 
 
 def block_mesh(block: Block) -> Mesh:
-    """The mesh of an obstacle, in its own frame."""
+    """The mesh of a body, in its own frame."""
     return box(block.half) if block.is_box else ball(block.radius, float(block.half[2]))
 
 

@@ -70,7 +70,7 @@ class Stage:
         label: the text below the target.
         balls: the target, and around it the ball in which the tool is near enough.
         camera: the observation camera with its picture, once there is one.
-        obstacles: as many as a scene has room for, once a moment was shown.
+        bodies: as many as a scene has room for, once a moment was shown.
     """
 
     def __init__(self, server: viser.ViserServer, robot: Robot, success_distance: float) -> None:
@@ -78,12 +78,12 @@ class Stage:
         self._scene, self._robot = server.scene, robot
         self._model = scene_spec(robot, success_distance).compile()
         self._data = mujoco.MjData(self._model)
-        self._joints = self._model.jnt_qposadr[: robot.chain.n]
+        self._joints = self._model.jnt_qposadr
         self.path: viser.LineSegmentsHandle | None = None
         self.trail: viser.LineSegmentsHandle | None = None
         self._drawn: dict[str, np.ndarray] = {}
         self.camera: viser.CameraFrustumHandle | None = None
-        self.obstacles: list[viser.MeshHandle] = []
+        self.bodies: list[viser.MeshHandle] = []
         self._blocks: tuple[Block, ...] = ()
         self._set_view(server)
         self._frames = [self._scene.add_frame(self._name(body), show_axes=False) for body in range(self._model.nbody)]
@@ -116,10 +116,10 @@ class Stage:
         self._place(moment.q, moment.target)
         turned = moment.target_orientation
         self._target.visible, self.label.visible, self.axes.visible = True, True, axes
-        self.target_axes.visible = turned is not None
+        self.target_axes.visible = bool(len(turned))
         self.label.position = moment.target + self._robot.scale * np.array(LABEL_BELOW)
         self.axes.position, self.axes.wxyz = moment.tool, moment.orientation
-        if turned is not None:
+        if len(turned):
             self.target_axes.position, self.target_axes.wxyz = moment.target, turned
         for ball in self.balls:
             ball.color = _bytes(Marks(reached=moment.reached).colour)
@@ -176,7 +176,7 @@ class Stage:
         )
 
     def _place(self, q: np.ndarray, target: np.ndarray | None) -> None:
-        self._data.qpos[self._joints] = q
+        self._data.qpos[self._joints[: len(q)]] = q
         if target is not None:
             self._data.mocap_pos[0] = target
         mujoco.mj_kinematics(self._model, self._data)
@@ -208,12 +208,12 @@ class Stage:
     def _show_blocks(self, blocks: tuple[Block, ...]) -> None:
         before, self._blocks = self._blocks, blocks
         for number, block in enumerate(blocks):
-            if number == len(self.obstacles):
-                name, colour = f"/obstacle/{number}", _bytes(block.colour)
-                self.obstacles.append(self._scene.add_mesh_simple(name, *block_mesh(block), color=colour))
+            if number == len(self.bodies):
+                name, colour = f"/body/{number}", _bytes(block.colour)
+                self.bodies.append(self._scene.add_mesh_simple(name, *block_mesh(block), color=colour))
             elif not np.array_equal((*block.half, block.radius), (*before[number].half, before[number].radius)):
-                self.obstacles[number].vertices, self.obstacles[number].faces = block_mesh(block)
-            shape = self.obstacles[number]
+                self.bodies[number].vertices, self.bodies[number].faces = block_mesh(block)
+            shape = self.bodies[number]
             shape.position, shape.wxyz, shape.visible = block.position, block.quaternion, block.present
             shape.color = _bytes(block.colour)
 

@@ -1,4 +1,4 @@
-"""The viewer: an agent at work in the browser, with a target that a person moves and turns, and obstacles."""
+"""The viewer: an agent at work in the browser, with a target that a person moves and turns, and bodies."""
 
 from __future__ import annotations
 
@@ -112,16 +112,16 @@ class Viewer:
         self._put_handle()
         self._policy()
         self._play(1)
-        for number, obstacle in enumerate(self.stage.obstacles):
-            self._let_drag(number, obstacle)
+        for number, body in enumerate(self.stage.bodies):
+            self._let_drag(number, body)
 
-    def _let_drag(self, number: int, obstacle: viser.MeshHandle) -> None:
+    def _let_drag(self, number: int, body: viser.MeshHandle) -> None:
         grabbed = np.zeros(3)
 
-        @obstacle.on_drag
+        @body.on_drag
         async def pull(event: viser.SceneNodeDragEvent[viser.MeshHandle]) -> None:
             if event.phase == "start":
-                grabbed[:] = np.subtract(event.start_position, obstacle.position)
+                grabbed[:] = np.subtract(event.start_position, body.position)
             self._pulled.put((number, np.subtract(event.end_position, grabbed)))
 
     def run(self, ended: Callable[[], bool]) -> None:
@@ -139,7 +139,7 @@ class Viewer:
             COMMANDS[self.panel.pressed.get()](self)
         self._follow_hand()
         while not self._pulled.empty():
-            self.player.move_obstacle(*self._pulled.get())
+            self.player.move_body(*self._pulled.get())
             self._show()
         if self.paused or not self._server.get_clients():
             return
@@ -234,7 +234,7 @@ class Viewer:
     def _put_handle(self) -> None:
         moment = self.player.moment
         self.handle.position = moment.target
-        if moment.target_orientation is not None:
+        if len(moment.target_orientation):
             self.handle.wxyz = moment.target_orientation
         self._hand = self._handle_pose()
 

@@ -36,7 +36,7 @@ class Drawing {
   show(scene, run, shapes) {
     this.scene?.traverse((one) => { one.geometry?.dispose(); one.material?.dispose(); });
     Object.assign(this, { scene: new THREE.Scene(), shown: scene, size: scene.scale });
-    this.links = [null, ...run.arm.slides].map(() => this.added(new THREE.Group(), { matrixAutoUpdate: false }));
+    this.links = [null, ...run.facts.joints].map(() => this.added(new THREE.Group(), { matrixAutoUpdate: false }));
     this.shadows = this.added(new THREE.Group(), { matrixAutoUpdate: false, visible: !this.simple });
     flatten(this.shadows.matrix, scene);
     scene.parts.forEach((part, i) => this.addPart(part, shapes[i]));
@@ -90,14 +90,15 @@ class Drawing {
 
   /** Draw a player's moment. */
   draw({ episode, path, trail }) {
-    const { frames, goal } = episode;
-    frames.links.forEach(({ rotation, position }, i) => placed(this.links[i + 1], rotation, position));
-    this.goal.position.set(...goal.position);
-    if (goal.rotation) {
-      placed(this.axes, frames.rotation, frames.position);
-      placed(this.goal, goal.rotation, goal.position);
+    const { axes, positions } = episode.run.functions.links(episode.state), turn = episode.state.goal_quaternion;
+    const place = (one, i) => placed(one, axes.slice(9 * i, 9 * i + 9), positions.slice(3 * i, 3 * i + 3));
+    this.links.slice(1).forEach(place);
+    this.goal.position.set(...episode.goal);
+    if (turn) {
+      place(this.axes, this.links.length - 1);
+      this.goal.quaternion.set(turn[1], turn[2], turn[3], turn[0]);
     }
-    const colour = episode.reached() ? this.marks.reached : this.marks.waiting;
+    const colour = episode.reached ? this.marks.reached : this.marks.waiting;
     this.balls.forEach((material) => material.uniforms.colour.value.copy(rgb(colour)));
     extend(this.path, path.points);
     extend(this.trail, trail.points);
@@ -196,9 +197,9 @@ function extend({ geometry }, points) {
   geometry.setDrawRange(0, points.length);
 }
 
-/** Put something where a rotation `[3, 3]` and a position `[3]` m say. */
-function placed(one, [x, y, z], position) {
+/** Put something where its axes `[9]`, one after the other, and a position `[3]` m say. */
+function placed(one, axes, position) {
   one.matrixAutoUpdate = false;
-  one.matrix.set(...x, position[0], ...y, position[1], ...z, position[2], 0, 0, 0, 1);
+  one.matrix.set(...[0, 1, 2].flatMap((i) => [axes[i], axes[3 + i], axes[6 + i], position[i]]), 0, 0, 0, 1);
   one.matrixWorldNeedsUpdate = true;
 }

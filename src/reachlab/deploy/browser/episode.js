@@ -1,133 +1,104 @@
-/** One policy, its task and its arm, of the page's facts. */
+/** One policy, its task and its arm: what the page holds of it, and its printed functions. */
 class Run {
-  constructor(facts) {
-    this.facts = facts;
-    this.rules = facts.rules;
-    this.arm = new Arm(facts.arm, facts.constants);
-    this.decider = new Decider(this.arm, facts);
-    this.network = new Network(facts.weights, facts.network);
-    this.goals = new Goals(this.arm, facts);
+  constructor(facts, program) {
+    Object.assign(this, { facts, rules: facts.rules, begins: arrays(facts.begins), next: 0 });
+    this.functions = program(arrays(facts.constants));
     this.nothing = facts.action.low.map(() => 0);
+    this.free = facts.joints.map(() => NaN);
+  }
+
+  /** Joints and goal in which the next episode begins. */
+  draw() {
+    const i = this.next++ % this.facts.drawn;
+    return Object.fromEntries(Object.entries(this.begins).map(([name, part]) => {
+      const size = part.length / this.facts.drawn;
+      return [name, [...part.subarray(i * size, (i + 1) * size)]];
+    }));
   }
 }
 
-/** Agents by name: the action `[a]` in a situation. */
-const AGENTS = {
-  trained: ({ network, decider }, now) => network.act(decider.observe(now)),
-  ik: ({ decider }, now) => decider.inverseKinematics(now),
-};
+/** Arrays by name of numbers that are sent as text, each with its type. */
+function arrays(sent) {
+  const types = { f4: Float32Array, f8: Float64Array, i4: Int32Array, i8: BigInt64Array, b1: Uint8Array };
+  return Object.fromEntries(Object.entries(sent).map(([name, { type, data }]) => {
+    return [name, new types[type](bytesOf(data).buffer)];
+  }));
+}
+
+/** Bytes of a text in base64. */
+function bytesOf(text) {
+  return Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+}
 
 /**
  * An episode in a simulator without dynamics: joints follow their commands at once or, if they have a lag, after it.
  *
- * After a step `done` tells that it has ended, `success` that the task is solved, `outside` that the tool has left the
- * workspace.
+ * `state` holds what the printed functions hand on from step to step.
  */
 class Episode {
-  /** An episode of a run that starts at joints `[n]`. */
-  constructor(run, { start, goal }) {
-    Object.assign(this, { run, goal, q: start, qd: start.map(() => 0), command: start, action: run.nothing });
-    this.frames = run.arm.frames(start);
-    this.done = this.success = this.outside = false;
-    this.renew();
+  /** An episode of a run that begins at joints and with a goal, as `Run.draw` gives them. */
+  constructor(run, { q, ...goal }) {
+    this.run = run;
+    this.ask({ q, qd: q.map(() => 0), command: q, last_action: run.nothing, ...goal });
   }
 
-  /** Ask for another goal from now on. */
-  ask(goal) {
-    this.goal = goal;
-    this.renew();
+  /** Ask for another goal from now on: the arm has all the time of an episode. */
+  ask(changed = {}) {
+    this.state = this.run.functions.ask({ ...this.state, ...changed });
+    this.ended = { success: [false], terminated: [false], done: [false], counted: this.state.distance };
   }
 
-  /** Give the arm all the time of an episode again. */
-  renew() {
-    this.clock = 0;
-    this.meanSquare = null;
-    this.held = [];
-    this.remember();
+  get tool() { return this.state.tool; }
+  get goal() { return this.state.goal_position; }
+  get command() { return this.state.command; }
+  get clock() { return this.state.clock[0]; }
+  get distance() { return this.state.distance[0]; }
+  get angle() { return this.state.angle ? this.state.angle[0] : null; }
+  get near() { return this.state.near[0]; }
+  get success() { return this.ended.success[0]; }
+  get terminated() { return this.ended.terminated[0]; }
+  get done() { return this.ended.done[0]; }
+
+  /** The error that counts at the end, where it is not the last one; null until any counts. */
+  get counted() {
+    return this.run.facts.goal.moves && this.clock > this.run.rules.settle_steps ? this.ended.counted[0] : null;
   }
 
-  /** What agents may know now. */
-  situation() {
-    const hidden = this.goal.velocity && !this.run.rules.goal_velocity;
-    const goal = hidden ? { ...this.goal, velocity: [0, 0, 0] } : this.goal;
-    return situation(this.q, this.qd, this.frames, goal, this.command, this.action);
+  /** Whether the goal moves by itself; one that was taken off its path does not. */
+  get moves() {
+    return this.run.facts.goal.moves && !Number.isNaN(this.state.goal_path[0]);
   }
 
-  /** Take a control step with an agent of `AGENTS`; a command `instead [n]` is taken in place of its own. */
+  /** Whether the goal is reached now; of one that moves success tells the whole episode. */
+  get reached() {
+    return this.run.facts.goal.moves ? this.near : this.success;
+  }
+
+  /** Take a control step with an agent, `trained` or `ik`; a command `instead [m]` is taken in place of its own. */
   step(agent, instead = null) {
-    const { decider, rules, arm, goals } = this.run, now = this.situation();
-    const action = decider.bounded(AGENTS[agent](this.run, now));
-    const rests = rules.at_goal === "hold" && this.near();
-    const command = instead ?? (rests ? this.command : decider.command(now, action));
-    this.move(command);
-    Object.assign(this, { command, action, frames: arm.frames(this.q), clock: this.clock + 1 });
-    if (this.goal.path) this.goal = goals.onPath(this.goal.path, this.clock);
-    this.remember();
-    this.judge();
+    this.state = this.ended = this.run.functions[agent]({ ...this.state, instead: instead ?? this.run.free });
   }
 
-  /** Move the joints for a control period: at once to a command `[n]`, or after it by the time of their lag. */
-  move(command) {
-    const { control_period: period } = this.run.facts, { lag } = this.run.decider;
-    const q = command.map((x, i) => (lag[i] ? x + (this.q[i] - x) * Math.exp(-period / lag[i]) : x));
-    this.qd = q.map((x, i) => (lag[i] ? (command[i] - x) / lag[i] : (x - this.q[i]) / period));
-    this.q = q;
-  }
-
-  /** Take note of the errors after this step. */
-  remember() {
-    const { rules } = this.run;
-    this.distance = norm(minus(this.goal.position, this.frames.position));
-    this.angle = this.goal.rotation && angleOf(rotationError(this.frames.rotation, this.goal.rotation));
-    const square = this.distance ** 2, still = largest(this.qd) < rules.hold_speed;
-    if (this.goal.velocity) {
-      const counted = Math.max(this.clock - rules.settle_steps, 1);
-      this.meanSquare = this.meanSquare === null ? square : this.meanSquare + (square - this.meanSquare) / counted;
-    }
-    if (this.clock && rules.hold_steps) this.held = [...this.held, still && this.near()].slice(-rules.hold_steps);
-  }
-
-  judge() {
-    const { rules } = this.run;
-    this.outside = rules.ends_outside && this.beyond() > 0;
-    this.success = !this.outside && this.solved();
-    const ended = rules.at_goal === "end" && this.success;
-    this.terminated = this.outside || ended;
-    this.done = this.terminated || this.clock >= rules.max_steps;
+  /** Put the goal to `[3]` m, turned as it was; false where the arm cannot be there, and the goal stays. */
+  place(position) {
+    const { reached, ...goal } = this.run.functions.place({ ...this.state, position });
+    if (reached[0]) this.ask(goal);
+    return reached[0];
   }
 
   /** How far the tool is outside the workspace [m]. */
   beyond() {
-    const tool = this.frames.position, { low, high } = this.run.facts.workspace;
-    return norm(minus(tool, clipped(tool, low, high)));
-  }
-
-  /** Whether the tool is at the goal now. */
-  near() {
-    const { success_distance, success_angle } = this.run.rules;
-    return this.distance < success_distance && (this.angle === null || this.angle < success_angle);
-  }
-
-  /** Whether the errors that count are those of a success. */
-  solved() {
-    const { rules } = this.run;
-    if (this.meanSquare !== null) return Math.sqrt(this.meanSquare) < rules.success_distance;
-    if (!rules.hold_steps) return this.near();
-    return this.held.length === rules.hold_steps && this.held.every(Boolean);
-  }
-
-  /** Whether the goal is reached now; of one that moves `solved` tells the whole episode. */
-  reached() {
-    return this.meanSquare === null ? this.solved() : this.near();
+    const { low, high } = this.run.facts.workspace;
+    return norm(minus(this.tool, clipped(this.tool, low, high)));
   }
 }
 
 /** What became of an episode with an agent: success, steps and where the tool was `[steps + 1, 3]` m. */
 function playEpisode(run, agent, begin) {
-  const episode = new Episode(run, begin), tools = [episode.frames.position];
+  const episode = new Episode(run, begin), tools = [episode.tool];
   while (!episode.done) {
     episode.step(agent);
-    tools.push(episode.frames.position);
+    tools.push(episode.tool);
   }
   return { success: episode.success, steps: episode.clock, distance: episode.distance, tools };
 }

@@ -13,7 +13,7 @@ const TEXT_RATE = 10;
 /** The page: the runs that it holds, and the loop that plays one of them. */
 class Live {
   constructor({ runs, scenes, marks }) {
-    Object.assign(this, { sent: runs, scenes, runs: [], shapes: {}, random: new Random(Date.now()) });
+    Object.assign(this, { sent: runs, scenes, runs: [], shapes: {} });
     this.drawing = new Drawing(document.getElementById("scene"), marks);
     this.view = new View(this.drawing);
     this.hand = new Hand(this.view, () => this.goal());
@@ -36,19 +36,19 @@ class Live {
     this.drawing.fit();
     this.view.begin();
     this.panel.head(this.sent[number]);
-    this.player = new Player(run, this.random);
+    this.player = new Player(run);
     this.reset();
   }
 
   /** One of the runs, made when it is first asked for. */
   run(number) {
-    return (this.runs[number] ??= new Run(this.sent[number]));
+    return (this.runs[number] ??= new Run(this.sent[number], PROGRAMS[number]));
   }
 
   /** What the hand has to know of the goal. */
   goal() {
     const { episode, run } = this.player, { low, high } = run.facts.goal;
-    return { position: episode.goal.position, low, high, radius: run.rules.success_distance };
+    return { position: episode.goal, low, high, radius: run.rules.success_distance };
   }
 
   /** Begin a new episode. */
@@ -69,7 +69,7 @@ class Live {
     if (!panel.paused) this.play(elapsed);
     this.view.update();
     this.drawing.draw(player);
-    this.hand.mark(player.episode.reached());
+    this.hand.mark(player.episode.reached);
     this.drawing.keepPace(now);
     this.pictures++;
     this.tell(now);
@@ -117,11 +117,6 @@ class Live {
   }
 }
 
-/** A goal as a page is asked about it: a position [m], and what else its task needs. */
-function goalOf(run, { position, quaternion, joints, path }) {
-  return path ? run.goals.onPath(path, 0) : makeGoal(position, { quaternion, joints });
-}
-
 /** Begin, and let scripts ask the page what it does. */
 async function begin() {
   const live = new Live(JSON.parse(document.getElementById("facts").textContent));
@@ -133,23 +128,19 @@ async function begin() {
   requestAnimationFrame(frame);
   window.reachlab = {
     live,
-    /** What became of episodes of a run that begin as given, see `playEpisode`; with a `lag [n]` s or its own. */
-    play({ run: number, agent, episodes, lag }) {
-      const sent = live.sent[number], run = lag ? new Run({ ...sent, arm: { ...sent.arm, lag } }) : live.run(number);
-      return episodes.map(({ start, goal }) => playEpisode(run, agent, { start, goal: goalOf(run, goal) }));
+    /** What became of episodes of a run that begin as given, see `Run.draw` and `playEpisode`. */
+    play({ run, agent, episodes }) {
+      return episodes.map((begin) => playEpisode(live.run(run), agent, begin));
     },
-    /** A goal at `[3]` m. */
-    goal: makeGoal,
-    /** So many random begins of episodes of a run. */
+    /** So many begins of episodes of a run. */
     draw(number, count) {
-      const random = new Random(0);
-      return Array.from({ length: count }, () => live.run(number).goals.draw(random));
+      return Array.from({ length: count }, () => live.run(number).draw());
     },
     /** What the page shows now. */
     moment() {
-      const { episode, failed, successes, episodes } = live.player, { position: goal } = episode.goal;
-      const [x, y] = live.hand.onScreen(goal), tool = episode.frames.position, { distance, clock } = episode;
-      const reached = episode.reached(), { steps, pictures } = live, box = live.player.run.facts.goal;
+      const { episode, failed, successes, episodes } = live.player;
+      const { tool, goal, distance, clock, reached } = episode, [x, y] = live.hand.onScreen(goal);
+      const { steps, pictures } = live, box = live.player.run.facts.goal;
       return { tool, goal, box, x, y, distance, clock, reached, failed, successes, episodes, steps, pictures };
     },
   };

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import json
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 
 from reachlab.agents.policy import Policy
+from reachlab.deploy.browser.episode import DRAWN, drawn, programs
 from reachlab.deploy.browser.shapes import scene
-from reachlab.deploy.facts import describe, link_capsules
-from reachlab.deploy.weights import named_weights
+from reachlab.emit.braced import JAVASCRIPT_HEAD, javascript_function
+from reachlab.emit.program import Program, constants_of
 from reachlab.envs.core import Env
 from reachlab.envs.setup import in_evaluation
 from reachlab.learn.load import load_policy
@@ -26,7 +27,6 @@ from reachlab.settings.config import RunConfig
 from reachlab.settings.json_form import override
 from reachlab.settings.validation import InputError
 from reachlab.sims import SIMULATORS
-from reachlab.tasks import TASKS
 from reachlab.tasks.observations import OBSERVATIONS
 from reachlab.watch.player import knows_home_alone
 from reachlab.watch.server import TITLE
@@ -34,25 +34,14 @@ from reachlab.watch.server import TITLE
 SIMULATOR = "kinematic"
 """The simulator that the page has."""
 
-SCRIPTS = (
-    *("vectors", "random", "arm", "network", "deciding", "clearance", "paths", "goals", "episode", "player"),
-    *("solids", "light", "drawing", "view", "hand", "panel", "live"),
-)
+SCRIPTS = ("vectors", "episode", "player", "solids", "light", "drawing", "view", "hand", "panel", "live")
 """The page's scripts, each after those that it needs when it is read."""
 
 STYLES = ("page.css", "panel.css", "narrow.css")
 """Its styles, of which later ones outrank earlier ones."""
 
-TOLD = ("task", "control_period", "action", "network", "arm", "constants")
-"""What a page has to know of the facts of `describe`, beside goal and observation."""
-
-RULES = ("success_distance", "success_angle", "hold_steps", "hold_speed", "max_steps", "at_goal", "ends_outside")
-RULES += ("start_noise", "targets", "target_turn", "goal_paths", "goal_speed", "goal_jump", "goal_velocity")
-RULES += ("settle_steps",)
-"""And of a task's rules."""
-
-GOAL = ("low", "high", "orientation", "moves", "angle_weight")
-"""And of its goal."""
+RULES = ("success_distance", "hold_steps", "max_steps", "ends_outside", "settle_steps")
+"""Settings of a task that the page's own scripts ask for; where a task has none it is 0."""
 
 NOTE = (
     "Trained under full dynamics, which this page has not: each joint follows its command {lag:.2g} s late, without"
@@ -98,7 +87,7 @@ def load_shown(path: Path) -> Shown:
     """The newest policy of a run, in the page's simulator.
 
     Raises:
-        InputError: the run cannot be read, or its policy needs pictures or obstacles.
+        InputError: the run cannot be read, or its policy needs pictures or bodies.
     """
     run = find_run(path)
     trained = run.read_config()
@@ -108,7 +97,7 @@ def load_shown(path: Path) -> Shown:
 
 
 def _lag(trained: RunConfig, env: Env) -> tuple[float, ...]:
-    if not SIMULATORS[trained.sim].dynamics:
+    if "dynamics" not in SIMULATORS[trained.sim].gives:
         return env.setup.lag
     there = Env(in_evaluation(trained, trained.sim), 1)
     there.close()
@@ -117,8 +106,8 @@ def _lag(trained: RunConfig, env: Env) -> tuple[float, ...]:
 
 def _refuse(path: Path, config: RunConfig) -> None:
     pictured = OBSERVATIONS[config.rules.observation].pictured
-    if pictured or TASKS[config.task].load().sample_obstacles is not None:
-        what = "pictures" if pictured else "obstacles"
+    if pictured or {"bodies", "object"} & config.rules.gives:
+        what = "pictures" if pictured else "bodies"
         raise InputError(
             f"'{path}' needs {what}, which a live page does not have: view it without --live, or record it with --save."
         )
@@ -129,11 +118,11 @@ def live_page(shown: Sequence[Shown]) -> str:
     robots = {one.env.setup.robot.name: one.env.setup.robot for one in shown}
     several = len({one.env.config.task for one in shown}) > 1
     labels = [_title(one) + f" · {one.env.config.task}" * several for one in shown]
-    counts = Counter(labels)
+    counts, traced = Counter(labels), [programs(one.env, one.policy, one.lag) for one in shown]
     facts = {
         "runs": [
-            _facts(one) | {"label": f"{label} · {one.name}" if counts[label] > 1 else label}
-            for one, label in zip(shown, labels, strict=True)
+            _facts(one, functions) | {"label": f"{label} · {one.name}" if counts[label] > 1 else label}
+            for one, label, functions in zip(shown, labels, traced, strict=True)
         ],
         "scenes": {name: scene(robot) for name, robot in robots.items()},
         "marks": _marks(),
@@ -145,16 +134,24 @@ def live_page(shown: Sequence[Shown]) -> str:
         "three": _file("three.min.js"),
         # No `<` ends a script too early.
         "facts": json.dumps(facts, separators=(",", ":")).replace("<", "\\u003c"),
-        "script": script(),
+        "script": script(list(map(printed, traced))),
     }
     before, *rest = _file("page.html").split("{{")
     return before + "".join(parts[name] + after for name, after in (part.split("}}", 1) for part in rest))
 
 
-def script() -> str:
-    """The page's own scripts as one, whose names nothing else sees."""
+def script(functions: Sequence[str] = ()) -> str:
+    """The page's own scripts as one, whose names nothing else sees, after the printed functions of its runs."""
     joined = "\n".join(_file(f"{name}.js") for name in SCRIPTS)
-    return f'(() => {{\n"use strict";\n\n{joined}}})();\n'
+    return (
+        f'(() => {{\n"use strict";\n\n{JAVASCRIPT_HEAD}\nconst PROGRAMS = [{", ".join(functions)}];\n\n{joined}}})();\n'
+    )
+
+
+def printed(one: Sequence[Program]) -> str:
+    """A function of a run's constants that gives its printed functions by name."""
+    names = ", ".join(program.name for program in one)
+    return f"(CONSTANTS) => {{\n{''.join(map(javascript_function, one))}return {{ {names} }};\n}}"
 
 
 def _file(name: str) -> str:
@@ -167,29 +164,42 @@ def _title(one: Shown) -> str:
     return ROBOTS[name].title if name in ROBOTS else name
 
 
-def _facts(one: Shown) -> dict[str, Any]:
-    """What the page has to know of a policy."""
-    env = one.env
-    all_facts, setup = describe(env, one.policy), env.setup
-    robot, chain = setup.robot, setup.robot.chain
-    low, high = robot.workspace
+def _facts(one: Shown, traced: Sequence[Program]) -> dict[str, Any]:
+    """Facts that the page has to know of a policy."""
+    setup = one.env.setup
+    low, high = setup.robot.workspace
+    box, (least, most) = setup.task.goal_box(setup), one.env.action_bounds
     return {
-        **{name: all_facts[name] for name in TOLD},
-        "arm": all_facts["arm"] | {"lag": one.lag, "lower": chain.lower, "upper": chain.upper, "speed": robot.speed},
+        "task": one.env.config.task,
         "robot": setup.robot.name,
         "title": _title(one),
-        "asks": all_facts["goal"]["asks"],
+        "asks": setup.task.asks(setup.rules, setup.period),
         "note": NOTE.format(lag=max(one.lag)) if any(one.lag) else "",
-        "goal": {name: all_facts["goal"][name] for name in GOAL},
-        "observation": {"fields": [{"name": field.name} for field in one.policy.schema.fields]},
-        "rules": {name: getattr(setup.rules, name) for name in RULES},
-        "workspace": {"low": low, "high": high},
-        "knows_home_alone": knows_home_alone(env),
-        "free": link_capsules(setup.robot) if setup.rules.asks_orientation else None,
-        "weights": {
-            name: {"shape": array.shape, "data": base64.b64encode(np.asarray(array, "<f4").tobytes()).decode()}
-            for name, array in named_weights(one.policy, env.action_bounds).items()
+        "control_period": setup.period,
+        "joints": setup.robot.joint_names,
+        "action": {"low": least.tolist(), "high": most.tolist()},
+        "goal": {
+            "low": box[0].tolist(),
+            "high": box[1].tolist(),
+            "moves": setup.rules.moves,
+            "orientation": setup.rules.asks_orientation,
         },
+        "rules": {name: getattr(setup.rules, name, 0) for name in RULES},
+        "workspace": {"low": low, "high": high},
+        "knows_home_alone": knows_home_alone(one.env),
+        "drawn": DRAWN,
+        "begins": encoded(drawn(one.env)),
+        "constants": encoded(constants_of(traced)),
+    }
+
+
+def encoded(arrays: Mapping[str, np.ndarray]) -> dict[str, dict[str, str]]:
+    """Arrays by name as text, each with its type."""
+    kinds = {"i": "<i4", "b": "|b1"}
+    sent = {name: np.ascontiguousarray(one, kinds.get(one.dtype.kind, one.dtype)) for name, one in arrays.items()}
+    return {
+        name: {"type": one.dtype.str[1:], "data": base64.b64encode(one.tobytes()).decode()}
+        for name, one in sent.items()
     }
 
 

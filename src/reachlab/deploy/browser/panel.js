@@ -17,7 +17,7 @@ class Panel {
     labels.forEach((label, i) => policy.add(new Option(label, i)));
     policy.parentElement.hidden = labels.length < 2;
     policy.onchange = () => heard.picked(Number(policy.value));
-    segments(this.parts.agent, Object.keys(AGENTS), "trained", (agent) => {
+    segments(this.parts.agent, ["trained", "ik"], "trained", (agent) => {
       this.agent = agent;
       heard.agent();
     });
@@ -46,8 +46,7 @@ class Panel {
   /** Write the figures of a player's moment, and how many steps are taken in a second. */
   tell({ episode, failed, episodes, successes, run }, rate, reachable) {
     const distance = 1000 * episode.distance, period = run.facts.control_period;
-    const settled = episode.meanSquare !== null && episode.clock > run.rules.settle_steps;
-    const state = failed ? `${failed}: begins again` : episode.reached() ? "reached" : "on its way";
+    const state = failed ? `${failed}: begins again` : episode.reached ? "reached" : "on its way";
     this.write({
       distance: distance.toFixed(distance < FINE ? 2 : 1),
       angle: episode.angle === null ? "" : `${episode.angle.toFixed(3)} rad`,
@@ -56,10 +55,10 @@ class Panel {
       time: `${(episode.clock * period).toFixed(2)} s`,
       count: `${successes} of ${episodes}`,
       rate: this.paused ? "paused" : `${Math.round(rate).toLocaleString("en")}/s`,
-      mean: settled ? `Root mean square ${(1000 * Math.sqrt(episode.meanSquare)).toFixed(2)} mm` : "",
+      mean: episode.counted === null ? "" : `Root mean square ${(1000 * episode.counted).toFixed(2)} mm`,
       problem: reachable ? "" : UNREACHABLE,
     });
-    this.parts.state.className = `state ${failed ? "failed" : episode.reached() ? "reached" : ""}`;
+    this.parts.state.className = `state ${failed ? "failed" : episode.reached ? "reached" : ""}`;
   }
 
   write(texts) {

@@ -12,14 +12,14 @@ const PATH_POINTS = 300, PATH_STEP = 0.004, TRAIL_STEP = 0.01;
  * way it came.
  */
 class Player {
-  constructor(run, random) {
-    Object.assign(this, { run, random, following: false, steps: 0, episodes: 0, successes: 0 });
+  constructor(run) {
+    Object.assign(this, { run, following: false, steps: 0, episodes: 0, successes: 0 });
     this.restsThere = !run.rules.hold_steps && !run.facts.goal.moves;
     this.begin();
   }
 
   /** Begin a new episode, or one that began before. */
-  begin(first = this.run.goals.draw(this.random)) {
+  begin(first = this.run.draw()) {
     this.first = first;
     this.episode = new Episode(this.run, first);
     Object.assign(this, { touched: this.following, atHome: true, over: false, failed: "", way: [], goingBack: false });
@@ -28,10 +28,10 @@ class Player {
     this.look();
   }
 
-  /** Take one control step with an agent of `AGENTS`. */
+  /** Take one control step with an agent, `trained` or `ik`. */
   step(agent) {
     const { episode } = this, instead = this.wayBack(agent);
-    const rests = this.restsThere && this.following && episode.near();
+    const rests = this.restsThere && this.following && episode.near;
     episode.step(agent, rests ? episode.command : instead);
     this.steps++;
     this.look();
@@ -53,7 +53,7 @@ class Player {
     if (this.goingBack && way.length && agent === "trained") return way.pop();
     if (this.goingBack) {
       this.goingBack = false;
-      episode.renew();
+      episode.ask();
     }
     // An arm at rest makes no way.
     const last = way[way.length - 1];
@@ -65,15 +65,15 @@ class Player {
   failure() {
     const { episode } = this, { rules } = this.run;
     if (rules.ends_outside && episode.beyond() > rules.success_distance) return LEFT;
-    return episode.clock >= rules.max_steps && !episode.goal.path && !episode.near() ? LATE : "";
+    return episode.clock >= rules.max_steps && !episode.moves && !episode.near ? LATE : "";
   }
 
   /** Begin the next episode; after a failure to follow begin anew from home, once, with the goal where it is. */
   proceed() {
-    const { goal } = this.episode, again = this.failed && (!this.atHome || this.following);
+    const { goal, moves } = this.episode, again = this.failed && (!this.atHome || this.following);
     this.begin(again ? this.first : undefined);
     if (!again) return;
-    if (!goal.path) this.take(goal);
+    if (!moves) this.moveGoal(goal);
     this.atHome = true;
   }
 
@@ -86,20 +86,15 @@ class Player {
 
   /** Put the goal to `[3]` m; false where the arm cannot be there, and the goal stays. */
   moveGoal(position) {
-    const goal = this.run.goals.put(this.episode.goal, position, this.episode.q);
-    if (goal) this.take(goal);
-    return Boolean(goal);
-  }
-
-  take(goal) {
-    this.episode.ask(goal);
-    this.goingBack = this.run.facts.knows_home_alone && !this.episode.near() && this.way.length > 0;
+    if (!this.episode.place(position)) return false;
+    this.goingBack = this.run.facts.knows_home_alone && !this.episode.near && this.way.length > 0;
     Object.assign(this, { touched: true, atHome: false, over: Boolean(this.failed) });
+    return true;
   }
 
   look() {
-    this.path.add(this.episode.frames.position);
-    if (this.episode.goal.path) this.trail.add(this.episode.goal.position);
+    this.path.add(this.episode.tool);
+    if (this.episode.moves) this.trail.add(this.episode.goal);
   }
 }
 

@@ -10,9 +10,9 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from reachlab.render.scene import in_front, scene_spec, table_top
+from reachlab.render.scene import in_front, scene_spec
 from reachlab.robots.robot import Robot
-from reachlab.robots.shapes import Mesh, links_of_bodies
+from reachlab.robots.shapes.solids import Mesh, links_of_bodies
 from reachlab.watch.solids import solids
 from reachlab.watch.stage import FIELD_OF_VIEW, VIEW_FROM, VIEW_TO
 
@@ -51,7 +51,7 @@ def scene(robot: Robot) -> dict[str, Any]:
         "points": np.round(corners, 3).tolist(),
         "middle": np.mean(robot.workspace, axis=0).tolist(),
         "scale": robot.scale,
-        "top": table_top(robot),
+        "top": robot.table_top,
         "from": in_front(robot, VIEW_FROM).tolist(),
         "to": in_front(robot, VIEW_TO).tolist(),
         "field": FIELD_OF_VIEW,

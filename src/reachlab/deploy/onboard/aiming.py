@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Generator
 from typing import Any
 
 import numpy as np
 
-from reachlab.deploy.onboard.arm import Arm, quaternion_of
-from reachlab.deploy.onboard.deciding import Goal
+from reachlab.deploy.onboard.bodies import UNIT
 from reachlab.deploy.onboard.reading import in_words
-from reachlab.deploy.onboard.scene import UNIT
-from reachlab.deploy.onboard.solving import Solver
 
-SOLVED_A_STEP = 4
-"""Steps that the solver of a goal's joints takes in a control step."""
+ROUNDS_A_STEP = 4
+"""Rounds in which the joints of a goal are looked for in a control step, so that none waits for them."""
 
 NEARBY = 0.1
 """How far outside the box of the goals that were trained a goal may be [m]."""
+
+Goal = dict[str, Any]
+"""Numbers by name: `position [3]` m and, as needed, `quaternion [4]` wxyz, `velocity [3]` m/s and `joints [n]`."""
 
 
 class Aim:
@@ -28,17 +29,18 @@ class Aim:
         poses: goals are poses.
     """
 
-    def __init__(self, arm: Arm, facts: dict[str, Any]) -> None:
-        """Of an arm, and a policy's facts about its goals."""
-        self._arm, self._facts, self.poses = arm, facts, bool(facts["orientation"])
+    def __init__(self, facts: dict[str, Any], n: int, step: dict[str, Callable[..., Any]]) -> None:
+        """Of a policy's facts about its goals, for an arm of `n` joints, whose functions are those of its step."""
+        self._facts, self.poses, self._n, self._step = facts, bool(facts["orientation"]), n, step
         self.box = np.array([facts["low"], facts["high"]], float)
         self.clear()
 
     def clear(self) -> None:
         """Have no goal."""
         self.goal: Goal | None = None
-        self._asked: tuple[Any, ...] | None = None
-        self._solver: Solver | None = None
+        self._given: tuple[Any, ...] | None = None
+        self._search: Generator[None, None, Any] | None = None
+        self._refused = ""
         self._time = 0.0
 
     def take(self, goal: Any, time: float, velocity: Any, joints: Any, near: np.ndarray) -> str:
@@ -52,18 +54,18 @@ class Aim:
             near: joints `[n]` next to which others are looked for.
         """
         if goal is None:
-            self.goal = self._asked = None
+            self.goal = self._given = None
             return ""
         joints = joints if self._facts["joints"] else None
         if wrong := self._wrong(goal, velocity, joints):
             return wrong
         if self._facts["moves"]:
             known = self._seen_velocity(goal[:3], time) if velocity is None else velocity
-            self.goal, self._time = Goal(goal[:3], velocity=known), time
+            self.goal, self._time = {"position": goal[:3].tolist(), "velocity": known.tolist()}, time
             return ""
-        asked = (*goal.tolist(), None if joints is None else tuple(joints.tolist()))
-        if asked != self._asked:
-            self._asked, self._solver = asked, None
+        given = (*goal.tolist(), None if joints is None else tuple(joints.tolist()))
+        if given != self._given:
+            self._given, self._search, self._refused = given, None, ""
             self.goal = self._set(goal, joints, near)
         return self._look_for_joints()
 
@@ -71,7 +73,7 @@ class Aim:
         wanted = {
             "goal": (goal, 7 if self.poses else 3),
             "goal's velocity": (velocity, 3),
-            "goal's joints": (joints, self._arm.n),
+            "goal's joints": (joints, self._n),
         }
         for name, (numbers, size) in wanted.items():
             if isinstance(numbers, str):
@@ -87,12 +89,13 @@ class Aim:
 
     def _set(self, goal: np.ndarray, joints: np.ndarray | None, near: np.ndarray) -> Goal | None:
         """The goal, or None where its joints have to be looked for."""
+        turned = {"quaternion": (goal[3:] / np.linalg.norm(goal[3:])).tolist()} if self.poses else {}
         if not self._facts["joints"]:
-            return Goal(goal[:3])
+            return {"position": goal[:3].tolist(), **turned}
         if joints is not None:
-            return self._goal_at(joints)
-        turned = Goal(goal[:3], goal[3:] / np.linalg.norm(goal[3:])).rotation if self.poses else None
-        self._solver = Solver(self._arm, goal[:3], turned, near.copy())
+            position, quaternion = self._step["tool"](joints.tolist())
+            return {"position": position, "quaternion": quaternion, "joints": joints.tolist()}
+        self._search = self._step["place"](near=near.tolist(), position=goal[:3].tolist(), **turned)
         return None
 
     def _seen_velocity(self, place: np.ndarray, time: float) -> np.ndarray:
@@ -100,23 +103,20 @@ class Aim:
         last, passed = self.goal, time - self._time
         if last is None or passed <= 0:
             return np.zeros(3)
-        velocity = (place - last.position) / passed
+        velocity = (place - last["position"]) / passed
         return velocity if np.sqrt(velocity @ velocity) <= self._facts["fastest"] else np.zeros(3)
 
     def _look_for_joints(self) -> str:
-        solver = self._solver
-        if solver is None or self.goal is not None:
-            return ""
-        solver.advance(SOLVED_A_STEP)
-        if not solver.ended:
-            return ""
-        if solver.joints is None:
-            return "the goal is out of reach: no joints are found at which the tool is there"
-        self.goal = self._goal_at(solver.joints)
-        return ""
-
-    def _goal_at(self, joints: np.ndarray) -> Goal:
-        """The goal that the tool is at with joints `[n]`."""
-        frames = self._arm.frames(joints)
-        turned = quaternion_of(frames.rotation) if self.poses else None
-        return Goal(frames.position, turned, joints=joints)
+        """Take some rounds of the search, and give why the goal is refused where it ends without joints."""
+        if self._search is None:
+            return self._refused
+        try:
+            for _ in range(ROUNDS_A_STEP):
+                next(self._search)
+        except StopIteration as ended:
+            self._search, placed = None, dict(zip(self._facts["placed"], ended.value))
+            if placed.pop("reached")[0]:
+                self.goal = placed
+            else:
+                self._refused = "the goal is out of reach: no joints are found at which the tool is there freely"
+        return self._refused

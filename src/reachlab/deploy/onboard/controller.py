@@ -15,16 +15,14 @@ from typing import Any
 
 import numpy as np
 
+from reachlab.control.motion_limits import MotionLimits
 from reachlab.deploy.onboard.aiming import Aim
-from reachlab.deploy.onboard.arm import Arm, quaternion_of
-from reachlab.deploy.onboard.deciding import Decider, Goal, Situation
-from reachlab.deploy.onboard.folder import LIMITS, read_folder
+from reachlab.deploy.onboard.bodies import placed
+from reachlab.deploy.onboard.folder import FORMAT, LIMITS, read_folder
 from reachlab.deploy.onboard.log import Log, read_log
-from reachlab.deploy.onboard.network import Network, onnx_network, read_weights
-from reachlab.deploy.onboard.reading import in_words, read_numbers, read_obstacles, read_seconds
-from reachlab.deploy.onboard.scene import Obstacles
+from reachlab.deploy.onboard.reading import in_words, read_bodies, read_numbers, read_seconds
+from reachlab.deploy.onboard.step import load_step
 from reachlab.deploy.onboard.watching import JUMP, Watch
-from reachlab.robots.motion_limits import MotionLimits
 
 ASIDE = 0.01
 """How far past its limits an arm may rest that is taken over; its commands begin at the limit [rad or m]."""
@@ -52,20 +50,21 @@ class Controller:
         home_quaternion: orientation `[4]`, wxyz, of the tool at home.
     """
 
-    def __init__(self, folder: str | Path, *, runtime: str = "numpy") -> None:
+    def __init__(self, folder: str | Path) -> None:
         """Controller of the policy in a folder that `reachlab export` wrote.
 
         Args:
-            folder: the folder, with `policy.json` and `policy.safetensors`.
-            runtime: what computes the network: `numpy`, or `onnx` for ONNX Runtime and `policy.onnx`.
+            folder: the folder, with `policy.json`, `policy.safetensors` and `step.py`, which is run.
 
         Raises:
-            ValueError: a file is broken or of another export, a limit is wider than what was exported, or there is no
-                such runtime.
-            ModuleNotFoundError: ONNX Runtime is asked for and not installed.
+            ValueError: a file is broken or of another export, or a limit is wider than what was exported.
         """
         folder = Path(folder)
         facts = read_folder(folder)
+        if facts["format"] != FORMAT:
+            raise ValueError(
+                f"'{folder}' was exported by an earlier version: use the controller.py of its own, or export again."
+            )
         joints = facts["joints"]
         limits, widest = (
             {name: np.array([one[name] for one in rows], float) for name in LIMITS}
@@ -73,17 +72,14 @@ class Controller:
         )
         self.joints = [joint["name"] for joint in joints]
         self.home, self.period = np.array(facts["arm"]["home"], float), float(facts["control_period"])
-        self._pictured = facts["observation"]["pictured"]
-        self._arm = Arm(facts["arm"], limits, facts["constants"])
-        self._aim = Aim(self._arm, facts["goal"])
+        self._lower, self._upper, self._inputs = limits["lower"], limits["upper"], facts["inputs"]
+        self._objects = facts.get("objects", [])
+        step = load_step(folder)
+        self._decide = step["decide"]
+        self._aim = Aim(facts["goal"], len(self.joints), step)
         self.asks_orientation, self.goal_box = self._aim.poses, self._aim.box
-        self.home_quaternion = quaternion_of(self._arm.frames(self.home).rotation)
-        self._decider, self._watch = Decider(self._arm, facts), Watch(facts, widest)
-        network = {"numpy": lambda: Network(read_weights(folder / "policy.safetensors"), facts["network"]).act}
-        network["onnx"] = lambda: onnx_network(folder / "policy.onnx")
-        if runtime not in network:
-            raise ValueError(f"runtime must be numpy or onnx, got {runtime!r}.")
-        self._act = network[runtime]()
+        self.home_quaternion = np.array(step["tool"](self.home.tolist())[1])
+        self._watch = Watch(facts, widest)
         self.limits = MotionLimits(**limits, period=self.period)
         self._log = Log()
         self._make_anew()
@@ -94,15 +90,15 @@ class Controller:
         Raises:
             ValueError: they are not joints of this arm, within its limits.
         """
-        q, arm = read_numbers(q), self._arm
-        if not isinstance(q, np.ndarray) or q.shape != (arm.n,) or not np.isfinite(q).all():
-            raise ValueError(f"reset takes {arm.n} measured joints, got {in_words(q)}.")
-        outside = (q < arm.lower - ASIDE) | (q > arm.upper + ASIDE)
+        q, lower, upper = read_numbers(q), self._lower, self._upper
+        if not isinstance(q, np.ndarray) or q.shape != lower.shape or not np.isfinite(q).all():
+            raise ValueError(f"reset takes {len(lower)} measured joints, got {in_words(q)}.")
+        outside = (q < lower - ASIDE) | (q > upper + ASIDE)
         if outside.any():
             i = int(outside.argmax())
             raise ValueError(
-                f"joint {self.joints[i]!r} is at {in_words(q[i])}, out of its limits {in_words(arm.lower[i])} to"
-                f" {in_words(arm.upper[i])}: move the arm to within them, and reset there."
+                f"joint {self.joints[i]!r} is at {in_words(q[i])}, out of its limits {in_words(lower[i])} to"
+                f" {in_words(upper[i])}: move the arm to within them, and reset there."
             )
         self._start(q)
         self._log.add({"reset": q.tolist()})
@@ -114,10 +110,10 @@ class Controller:
         self._log.add({"reset": None})
 
     def _start(self, q: np.ndarray) -> None:
-        self.motion = self.limits.at_rest(np.clip(q, self._arm.lower, self._arm.upper))
+        self.motion = self.limits.at_rest(np.clip(q, self._lower, self._upper))
         self._watch.reset(q)
         self._aim.clear()
-        self._action, self.problem = np.zeros(self._decider.size), ""
+        self._action, self.problem = [0.0] * self._inputs["last_action"][0], ""
         self._stopped, self.braking, self._is_new = "", False, False
 
     def stop(self) -> None:
@@ -134,6 +130,7 @@ class Controller:
         *,
         velocity: Any = None,
         obstacles: Any = None,
+        objects: Any = None,
         picture: np.ndarray | None = None,
         joints: Any = None,
     ) -> np.ndarray:
@@ -147,12 +144,15 @@ class Controller:
             time: of this step [s], by any clock that does not run back.
             velocity: of the goal `[3]` [m/s]; by default from its last positions.
             obstacles: for a policy that was trained among them, a list of dicts with `position`, and for boxes and
-                capsules `quaternion`, `half` and `radius`, see `Obstacles`.
+                capsules `quaternion`, `half` and `radius`, which sweeps them.
+            objects: for a policy that moves some, the same of these, with their `velocity` `[3]` [m/s] where the
+                policy strikes them, and `time` [s] where they were measured earlier: without them, or with old ones,
+                the arm brakes.
             picture: the camera's, for a policy that gets one, `[84, 84]` uint8.
             joints: joints at which the tool is at the goal, where they are known; by default they are looked for.
         """
         q, qd, goal, velocity, joints = (read_numbers(one) for one in (q, qd, goal, velocity, joints))
-        seconds, around = read_seconds(time), read_obstacles(obstacles)
+        seconds, around, things = read_seconds(time), read_bodies(obstacles), read_bodies(objects)
         self._hold_where_measured(q)
         before = self.motion.position
         problem, brake = self._watch.look(q, qd, seconds, before)
@@ -163,7 +163,8 @@ class Controller:
                 refused = self._aim.take(goal, seconds, velocity, joints, before)
                 # An arm that rests because it has to finds out in every step whether it still has to.
                 if self._aim.goal is not None and not (refused or brake or (self.braking and not at_rest)):
-                    wanted, refused = self._decide(self._aim.goal, around, picture)
+                    bodies = around or [], things or [], seconds
+                    wanted, refused = self._command(self._aim.goal, bodies, picture)
             except Exception as error:  # whatever it is, an arm in motion is brought to rest
                 refused = f"{type(error).__name__}: {error}"
         was, now = self.braking and not at_rest, bool(refused or brake)
@@ -171,7 +172,7 @@ class Controller:
         self.braking = now or was
         self.motion = self.limits.advance(self.motion, wanted, self.braking)
         command = self.motion.position
-        self._log.add((q, qd, goal, seconds, velocity, around, joints, command, self.problem))
+        self._log.add((q, qd, goal, seconds, velocity, around, things, joints, command, self.problem))
         return command.copy()
 
     def _hold_where_measured(self, q: Any) -> None:
@@ -191,23 +192,31 @@ class Controller:
     @property
     def goal_joints(self) -> np.ndarray | None:
         """Joints `[n]` at which the tool is at the goal, where the policy needs them and they are found."""
-        return None if self._aim.goal is None else self._aim.goal.joints
+        goal = self._aim.goal or {}
+        return np.array(goal["joints"]) if "joints" in goal else None
 
-    # --- decisions ----------------------------------------------------------------------------------
+    def _command(self, goal: dict[str, Any], bodies: Any, picture: Any) -> tuple[np.ndarray, str]:
+        """The command `[m]` with which the policy goes to a goal, and why there is none, if so.
 
-    def _decide(self, goal: Goal, obstacles: Any, picture: np.ndarray | None) -> tuple[np.ndarray, str]:
-        """The command with which the policy goes to a goal `[n]`, and why there is none, if so."""
-        rest = self.motion.position
-        if self._pictured and (picture is None or np.shape(picture) != tuple(self._pictured)):
-            return rest, f"the policy needs a picture of {self._pictured} pixels"
-        try:
-            around = None if self._decider.scene is None else Obstacles(obstacles or [])
-        except ValueError as error:
-            return rest, str(error)
-        now = Situation(self._arm, self._watch.q, self._watch.qd, goal, rest, self._action, around, self._decider.scene)
-        seen = self._decider.observe(now)
-        action = np.asarray(self._act(seen, picture if self._pictured else None), float)
-        wanted = self._decider.command(now, action)
+        Bodies are obstacles, objects and the time [s].
+        """
+        rest, inputs = self.motion.position, self._inputs
+        given = {"q": self._watch.q.tolist(), "qd": self._watch.qd.tolist(), "command": rest.tolist()}
+        given.update({"last_action": self._action, **{f"goal_{name}": part for name, part in goal.items()}})
+        if "picture" in inputs:
+            if picture is None or list(np.shape(picture)) != inputs["picture"]:
+                return rest, f"the policy needs a picture of {inputs['picture']} pixels"
+            given["picture"] = picture
+        if "bodies_kind" in inputs:
+            try:
+                obstacles, objects, seconds = bodies
+                around = placed(obstacles, inputs["bodies_kind"][0], objects, self._objects, seconds)
+            except ValueError as error:
+                return rest, str(error)
+            given.update({f"bodies_{name}": numbers for name, numbers in around.items()})
+        with np.errstate(all="ignore"):  # what is not finite is refused below
+            action, wanted = self._decide(**{name: given[name] for name in inputs})
+        wanted = np.array(wanted)
         if not np.isfinite(wanted).all():
             return rest, "the policy's command is not finite"
         self._action = action

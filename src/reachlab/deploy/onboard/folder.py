@@ -8,8 +8,9 @@ import math
 from pathlib import Path
 from typing import Any
 
-FORMAT = 2
-"""Of `policy.json`. In format 1 each limit stood twice, and none was protected."""
+FORMAT = 3
+"""Of `policy.json`. In format 1 each limit stood twice, and none was protected; before 3 there was no `step.py`, and
+the controller itself held every formula."""
 
 LIMITS = ("lower", "upper", "speed", "acceleration", "jerk")
 """Limits of a joint."""
@@ -59,7 +60,7 @@ def read_folder(folder: Path) -> dict[str, Any]:
     file = folder / "policy.json"
     try:
         facts = json.loads(content_of(file))
-        known = facts["format"] in (1, FORMAT)
+        known = facts["format"] in range(1, FORMAT + 1)
     except (OSError, ValueError, LookupError, TypeError, RecursionError) as error:
         why = (error.strerror if isinstance(error, OSError) else "") or repr(error)
         raise ValueError(
@@ -67,7 +68,7 @@ def read_folder(folder: Path) -> dict[str, Any]:
         ) from None
     if not known:
         raise ValueError(
-            f"'{file}' has format {facts['format']!r}, and formats 1 and {FORMAT} are read here: use the controller.py"
+            f"'{file}' has format {facts['format']!r}, and formats 1 to {FORMAT} are read here: use the controller.py"
             " of its own folder, or export again."
         )
     try:

@@ -30,7 +30,7 @@ def read_seconds(value: Any) -> float | None:
     return seconds if math.isfinite(seconds) else None
 
 
-def read_obstacles(value: Any) -> Any:
+def read_bodies(value: Any) -> Any:
     """A list of dicts of arrays; None of None, and `UNREADABLE` of anything else."""
     if value is None:
         return None

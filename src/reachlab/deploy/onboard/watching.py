@@ -42,8 +42,9 @@ class Watch:
     def __init__(self, facts: dict[str, Any], widest: dict[str, np.ndarray]) -> None:
         """For the arm of a policy's facts, which can do what its widest limits say."""
         self._names = [joint["name"] for joint in facts["joints"]]
-        self._lower, self._upper, self._speed = (widest[name] for name in ("lower", "upper", "speed"))
-        self._lag = np.array(facts["arm"]["lag"], float)
+        self._lower, self._upper = widest["lower"] - BEYOND, widest["upper"] + BEYOND
+        self._fast = FASTER * widest["speed"]
+        self._away = BEYOND + 2 * np.array(facts["arm"]["lag"], float) * widest["speed"]
         self._period = float(facts["control_period"])
         self._repeats = max(int(GRACE / self._period + 1e-6), 2)
         self.reset(np.array(facts["arm"]["home"], float))
@@ -103,9 +104,13 @@ class Watch:
             return "the measurement is not made of numbers"
         if q.shape != self.q.shape or qd.shape != self.q.shape:
             return f"the measurement has {q.size} joints and {qd.size} speeds, the arm {self.q.size}"
+        far = JUMP + self._fast * (since * self._measured)
+        usual = (self._lower <= q) & (q <= self._upper) & (np.abs(qd) <= self._fast)
+        if (usual & (np.abs(q - self.q) <= far) & (np.abs(q - command) <= self._away)).all():
+            return ""
         if not (np.isfinite(q).all() and np.isfinite(qd).all()):
             return "the measurement is not finite"
-        jumped = np.abs(q - self.q) > JUMP + FASTER * self._speed * since * self._measured
+        jumped = np.abs(q - self.q) > far
         if jumped.any() and not self._measured:
             i = int(jumped.argmax())
             return (
@@ -113,10 +118,10 @@ class Watch:
                 f" {in_words(self.q[i])}: call reset with the joints at which the arm is measured to rest"
             )
         for wrong, what in (
-            ((q < self._lower - BEYOND) | (q > self._upper + BEYOND), "measured out of its limits"),
-            (np.abs(qd) > FASTER * self._speed, "measured faster than it can be"),
+            ((q < self._lower) | (q > self._upper), "measured out of its limits"),
+            (np.abs(qd) > self._fast, "measured faster than it can be"),
             (jumped, "measured to have jumped"),
-            (np.abs(q - command) > BEYOND + 2 * self._lag * self._speed, "not where it was sent"),
+            (np.abs(q - command) > self._away, "not where it was sent"),
         ):
             if wrong.any():
                 return f"joint {self._names[int(wrong.argmax())]!r} is {what}"

@@ -1,0 +1,72 @@
+"""Velocity dampers: joint displacements that keep an arm clear of the bodies beside it and of the table."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from reachlab.control.bodies import Bodies, Nearest, nearest
+from reachlab.control.situation import Drive, Situation
+from reachlab.robots.kinematics.forward import components, frames_at
+from reachlab.robots.kinematics.scalars import Vec
+from reachlab.robots.robot import Robot
+from reachlab.robots.shapes.clearance import capsules_at
+
+STOP = 0.03
+"""Distance at which a capsule may come no nearer [m], in proportion to the arm's workspace."""
+
+RATE = 0.08
+"""Share of its way to that distance that a capsule may go in a step."""
+
+SWEEPS = 6
+"""Times that the displacement is made to obey each capsule's limit in turn."""
+
+TINY = 1e-6
+"""Added to a square that divides."""
+
+
+def surroundings(robot: Robot, q: Array, bodies: Bodies) -> Nearest:
+    """What is nearest to the arm's capsules at joints `q [B, n]`, of bodies `[B, K]` and the table."""
+    return nearest(robot.capsules, capsules_at(robot.chain, robot.capsules, q), bodies)
+
+
+def damped(drive: Drive, now: Situation, step: Array) -> Array:
+    """Joint displacement `[B, n]` that brings no capsule nearer to a body than `RATE` allows.
+
+    Faverjon and Tournassoud, "A local based approach for path planning of manipulators with a high number of degrees of
+    freedom", ICRA 1987. The limits, one a capsule, are obeyed in turn by the smallest change (Kaczmarz, 1937).
+    """
+    robot, commanded = drive.robot, now.command[..., : drive.robot.chain.n]
+    around = surroundings(robot, commanded, now.bodies)
+    rows = _approach(robot, commanded, around)
+    least = -RATE * jnp.maximum(around.distance - STOP * robot.scale, -STOP)
+    squares = jnp.square(rows).sum(axis=1) + TINY
+
+    def obey(step: Array, limit: tuple[Array, Array, Array]) -> tuple[Array, None]:
+        row, least, square = limit
+        missing = jnp.maximum(least - (row * step).sum(axis=0), 0.0)
+        return step + missing / square * row, None
+
+    def broken(sweep: tuple[Array, Array]) -> Array:
+        turn, step = sweep
+        return (turn < SWEEPS) & ((rows * step).sum(axis=1) < least).any()
+
+    def sweep(before: tuple[Array, Array]) -> tuple[Array, Array]:
+        turn, step = before
+        return turn + 1, jax.lax.scan(obey, step, (rows, least, squares))[0]
+
+    return jax.lax.while_loop(broken, sweep, (jnp.zeros((), jnp.int32), step.T))[1].T
+
+
+def _approach(robot: Robot, q: Array, around: Nearest) -> Array:
+    """By how much displacements of the joints move each moving capsule away from what is nearest, `[C, n, B]`."""
+    chain, links = robot.chain, np.array([link for link in robot.capsules.links if link])
+    frames = frames_at(chain, components(q))
+    normal, point = Vec(*around.normal), Vec(*around.point)
+    columns = []
+    for joint, (slides, axis, origin) in enumerate(zip(chain.slides, frames.axes, frames.origins, strict=True)):
+        moves = axis if slides else axis.cross(point.minus(origin))
+        columns.append(jnp.where((joint < links)[:, None], normal.dot(moves), 0.0))
+    return jnp.stack(columns, axis=1)

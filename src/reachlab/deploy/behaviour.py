@@ -1,0 +1,160 @@
+"""What a controller computes, as programs: traced from the functions that training uses."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, fields, replace
+from typing import Any, cast
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, ShapeDtypeStruct
+
+from reachlab.agents.policy import Policy
+from reachlab.control.situation import Goal
+from reachlab.emit.program import Program
+from reachlab.emit.tracing import trace
+from reachlab.envs.core import Env
+from reachlab.envs.functions import EnvFunctions, EnvState
+from reachlab.robots.kinematics.forward import Pose, forward_kinematics
+from reachlab.sims.simulator import SimState
+from reachlab.tasks.schema import SIZE
+
+GOAL, BODIES = "goal_", "bodies_"
+"""Begins of the names of inputs that are parts of the goal and of the bodies."""
+
+Shapes = dict[str, ShapeDtypeStruct]
+
+
+@dataclass(frozen=True)
+class Behaviour:
+    """Programs of a policy's controller.
+
+    Attributes:
+        inputs: names and shapes of what a decision is made of.
+        decide: action `[a]` and command `[m]`, of what is measured `[m]`, the goal, and the last command and action.
+        tool: position `[3]` m and quaternion `[4]` wxyz of the tool, of what is measured.
+        place: the goal put at a position and in an orientation with joints that have it, and whether there are any;
+            None where goals need no joints.
+    """
+
+    inputs: dict[str, list[int]]
+    decide: Program
+    tool: Program
+    place: Program | None
+
+    @property
+    def programs(self) -> list[Program]:
+        """All of them."""
+        return [one for one in (self.decide, self.tool, self.place) if one is not None]
+
+
+def behaviour(env: Env, policy: Policy, constants: Mapping[str, np.ndarray]) -> Behaviour:
+    """Programs of a policy in an environment, whose constants are named as `constants` names them.
+
+    Raises:
+        InputError: an observation, an action, a controller or a task computes what cannot be printed.
+    """
+    functions, robot, like = as_measured(env.functions), env.setup.robot, example_state(env)
+    shapes, goal = decision_inputs(env, like), _parts(like.goal)
+
+    def decide(**given: Array) -> dict[str, Array]:
+        state = measured_state(functions, like, given)
+        action = policy.act(functions.observe(state, given["picture"][None] if "picture" in given else None))
+        action, command, _ = functions.command(state, action, None)
+        return {"action": action[0], "wanted": command[0]}
+
+    def tool(q: Array) -> dict[str, Array]:
+        return forward_kinematics(robot.chain, q[: robot.chain.n])._asdict()
+
+    def place(position: Array, near: Array, **given: Array) -> dict[str, Array]:
+        before = goal_of(like, {GOAL + "joints": jnp.array(robot.home), GOAL + "position": position})
+        turned = given.get("quaternion", jnp.array(robot.held_quaternion))
+        placed, reached = env.setup.task.place(env.setup, before, position, turned, near)
+        return {f"placed_{name}": getattr(placed, name)[0] for name in goal} | {"reached": reached[None]}
+
+    joints = shapes["q"]
+    asked = {"position": goal["position"], "near": joints}
+    asked |= {"quaternion": goal["quaternion"]} if "quaternion" in goal else {}
+    return Behaviour(
+        {name: list(shape.shape) for name, shape in shapes.items()},
+        trace("decide", decide, shapes, constants),
+        trace("tool", tool, {"q": joints}),
+        trace("place", place, asked) if "joints" in goal else None,
+    )
+
+
+def as_measured(functions: EnvFunctions) -> EnvFunctions:
+    """Functions of an environment whose measurements are those that are given, and whose commands go on to a shell."""
+    return replace(functions, randomise=(), limits=None)
+
+
+def example_state(env: Env) -> EnvState:
+    """A state of one environment that shows what goals, bodies and progress are made of; nothing is computed."""
+    functions = as_measured(env.functions)
+    key = jax.random.split(jax.random.key(0), 1)
+    begin = jax.eval_shape(functions.sample_episode, key)
+    position, quaternion = (ShapeDtypeStruct((1, size), jnp.float32) for size in (3, 4))
+    contact: Any = ShapeDtypeStruct((1, 0), jnp.bool_)
+    opening: Any = ShapeDtypeStruct((1, len(env.setup.robot.actuators) - env.setup.robot.chain.n), jnp.float32)
+    arm = SimState(begin.q, begin.q, *cast("Pose", (position, quaternion)), begin.bodies, contact, opening)
+    shapes = jax.eval_shape(functions.begin, arm, begin)
+    return jax.tree.map(lambda one: jnp.zeros(one.shape, one.dtype), replace(shapes, key=begin.q))
+
+
+def _parts(record: Any) -> Shapes:
+    """Names and shapes of what a record of arrays `[B, ...]` holds, for one of the batch; what is empty is left out."""
+    parts = {field.name: getattr(record, field.name) for field in fields(record)}
+    shapes = {name: ShapeDtypeStruct(part.shape[1:], part.dtype) for name, part in parts.items()}
+    return {name: shape for name, shape in shapes.items() if 0 not in shape.shape}
+
+
+def decision_inputs(env: Env, like: EnvState) -> Shapes:
+    """Names and shapes of what a decision is made of: what of goal and bodies there is in the task."""
+    sizes: dict[str, int] = dict.fromkeys(("q", "qd", "command"), len(env.setup.robot.actuators))
+    sizes["last_action"] = len(env.action_bounds[0])
+    shapes = {name: ShapeDtypeStruct((size,), jnp.float32) for name, size in sizes.items()}
+    shapes |= {GOAL + name: shape for name, shape in _parts(like.goal).items() if name != "path"}
+    shapes |= {BODIES + name: shape for name, shape in _parts(like.arm.bodies).items()}
+    return shapes | ({"picture": ShapeDtypeStruct((SIZE, SIZE), jnp.uint8)} if env.pictured else {})
+
+
+def goal_of(like: EnvState, given: Mapping[str, Array]) -> Goal:
+    """A goal `[1]` of what is given of it, and nothing else."""
+    return _filled(like.goal, GOAL, given)
+
+
+def _filled(like: Any, begin: str, given: Mapping[str, Array]) -> Any:
+    parts = {field.name: getattr(like, field.name) for field in fields(like)}
+    nothing = {name: jnp.zeros(part.shape[1:], part.dtype) for name, part in parts.items()}
+    return type(like)(**{name: given.get(begin + name, zero)[None] for name, zero in nothing.items()})
+
+
+def measured_state(functions: EnvFunctions, like: EnvState, given: Mapping[str, Array]) -> EnvState:
+    """State `[1]` of an arm that is measured."""
+    setup, n = functions.setup, functions.setup.robot.chain.n
+    q, qd, opening = given["q"][None, :n], given["qd"][None, :n], given["q"][None, n:]
+    tool, contact = forward_kinematics(setup.robot.chain, q), jnp.zeros_like(like.arm.contact[:1])
+    state = replace(
+        like,
+        arm=SimState(q, qd, *tool, _filled(like.arm.bodies, BODIES, given), contact, opening),
+        goal=goal_of(like, given),
+        command=given["command"][None],
+        last_action=given["last_action"][None],
+        clock=jnp.zeros(1, jnp.int32),
+        motion=None,
+        sensed=None,
+    )
+    return replace(state, errors=setup.task.errors(setup, functions.situation(state)))
+
+
+def rows_of(state: EnvState, picture: Any, names: Iterable[str]) -> Iterator[dict[str, Any]]:
+    """Inputs of decisions by name, of each of a batch of states: lists of numbers, and a picture as it is."""
+    speeds = jnp.concatenate([state.arm.qd, jnp.zeros_like(state.arm.opening)], axis=-1)
+    known = {"q": state.arm.actuated, "qd": speeds, "command": state.command, "last_action": state.last_action}
+    known |= {GOAL + field.name: getattr(state.goal, field.name) for field in fields(state.goal)}
+    known |= {BODIES + field.name: getattr(state.arm.bodies, field.name) for field in fields(state.arm.bodies)}
+    given = {name: np.asarray(picture if name == "picture" else known[name]) for name in names}
+    for row in range(len(state.command)):
+        yield {name: part[row] if name == "picture" else part[row].ravel().tolist() for name, part in given.items()}

@@ -1,0 +1,120 @@
+"""The step of a policy and its motion limits as sources in C99."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import ShapeDtypeStruct
+
+from reachlab.control.motion_limits import Motion, MotionLimits
+from reachlab.deploy.behaviour import Behaviour
+from reachlab.deploy.c_library import OWN
+from reachlab.emit.braced import c_declarations, c_function, c_numbers
+from reachlab.emit.program import Program
+from reachlab.emit.tracing import trace
+from reachlab.runs.versions import versions
+
+FILES = ("reachlab_policy.h", "reachlab_policy.c", "main.c")
+"""What is written; `main.c` is an example of how it is called."""
+
+
+def motion_program(limits: MotionLimits) -> Program:
+    """The program of `MotionLimits.advance` for one arm, in double precision."""
+    with jax.enable_x64(True):
+        n = ShapeDtypeStruct((limits.n,), jnp.float64)
+        shapes = dict.fromkeys((*Motion._fields, "wanted"), n)
+        shapes |= {"stop_step": ShapeDtypeStruct((limits.n,), jnp.int32), "brake": ShapeDtypeStruct((1,), jnp.bool_)}
+
+        def advance(wanted: Any, brake: Any, **motion: Any) -> dict[str, Any]:
+            moved = limits.advance(Motion(**motion), wanted, brake[0], xp=jnp)
+            return {f"next_{name}": part for name, part in moved._asdict().items()}
+
+        return trace("advance", advance, shapes)
+
+
+def c_sources(facts: dict[str, Any], limits: MotionLimits, step: Behaviour) -> dict[str, str]:
+    """Contents of `FILES` by name, for what `describe` says of a policy."""
+    motion, decide = motion_program(limits), step.decide
+    inputs = [one for one in decide.inputs if one.name not in OWN]
+    fields = {
+        name: f"{'int' if name == 'stop_step' else 'reachlab_real'} {name}[{limits.n}];" for name in Motion._fields
+    }
+    decided = [
+        f"state->{one.name}"
+        if one.name == "last_action"
+        else "state->position"
+        if one.name == "command"
+        else f"input->{one.name}"
+        for one in decide.inputs
+    ]
+    moved = [{"wanted": "wanted", "brake": "stops"}.get(one.name, f"state->{one.name}") for one in motion.inputs]
+    moved += [f"next.{one.name.removeprefix('next_')}" for one in motion.outputs]
+    programs = [decide, motion, *([step.place] if step.place else [])]
+    text = {
+        "title": f"{facts['task']} for {facts['robot']}".replace("*/", ""),
+        "version": versions()["reachlab"],
+        "joints": ", ".join(joint["name"] for joint in facts["joints"]).replace("*/", ""),
+        "period": repr(facts["control_period"]),
+        "commands": str(limits.n),
+        "actions": str(len(decide.outputs[0].atoms)),
+        "input": "\n".join(f"    {one};" for one in c_declarations(inputs, "reachlab_real")),
+        "state": "\n".join(f"    {one}" for one in fields.values()),
+        "functions": "\n".join(map(c_function, programs)),
+        "lower": c_numbers(limits.lower),
+        "upper": c_numbers(limits.upper),
+        "rested": c_numbers(np.full(limits.n, limits.steps)),
+        "checked": " && ".join(f"finite(input->{one.name}, {one.size})" for one in inputs if one.kind == "real"),
+        "decided": ", ".join(decided),
+        "moved": ", ".join(moved),
+        "place": _placing(step.place, ";\n"),
+        "placing": _placing(step.place, f"\n{{\n{_placed(step.place)}\n}}"),
+        "goal": "\n".join(" " * 8 + line for line in _example([one.name for one in inputs])),
+    }
+    return {name: _filled(name, text) for name in FILES}
+
+
+def _placing(place: Program | None, end: str) -> str:
+    if place is None:
+        return ""
+    about = (
+        "/* The goal with joints near those of the arm that have it, exactly as they have it; 0 if there are none. */"
+    )
+    given = ", ".join(f"const {one}" for one in c_declarations(place.inputs, "reachlab_real"))
+    return f"\n{about}\nint reachlab_place({given}, reachlab_input *input){end}"
+
+
+def _placed(place: Program | None) -> str:
+    if place is None:
+        return ""
+    names = [one.name for one in place.inputs]
+    results = [
+        "reached" if one.name == "reached" else one.name.replace("placed_", "input->goal_") for one in place.outputs
+    ]
+    return f"    int reached[1];\n    place({', '.join([*names, *results])});\n    return reached[0];"
+
+
+def _example(names: Sequence[str]) -> list[str]:
+    """How the example fills in a goal."""
+    if "goal_joints" in names:
+        turned = ", goal + 3" * ("goal_quaternion" in names)
+        return [
+            "static reachlab_real before[7];",
+            "if (memcmp(before, goal, sizeof goal)) reachlab_place(state.position, goal" + turned + ", &input);",
+            "memcpy(before, goal, sizeof goal);",
+        ]
+    lines = ["memcpy(input.goal_position, goal, sizeof input.goal_position);"]
+    if "goal_velocity" in names:
+        lines.append('numbers(line, "velocity", input.goal_velocity, 3);')
+    return lines
+
+
+def _filled(name: str, text: dict[str, str]) -> str:
+    content = (Path(__file__).parent / "c" / name).read_text(encoding="utf-8")
+    for key, value in text.items():
+        content = content.replace("{{" + key + "}}", value)
+    return content

@@ -1,0 +1,103 @@
+"""Bodies beside the arm, as a caller gives them and as the printed step takes them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from reachlab.deploy.onboard.reading import in_words
+
+SHAPES = {"position": (3,), "quaternion": (4,), "half": (3,), "radius": (), "velocity": (3,), "time": ()}
+"""What a body is made of, and of how many numbers."""
+
+OLD = 0.1
+"""Age of a measurement of an object from which on it is not believed [s]."""
+
+USUAL = {
+    "quaternion": np.array([1.0, 0.0, 0.0, 0.0]),
+    "half": np.zeros(3),
+    "radius": np.array(0.0),
+    "velocity": np.zeros(3),
+}
+"""What a body has where nothing else is given."""
+
+UNIT = 0.01
+"""How far from 1 a quaternion's length may be."""
+
+BALL, CAPSULE, BOX = 2, 3, 6
+"""Kinds of bodies."""
+
+FAR = (0.0, 0.0, -10.0)
+"""Where bodies are that are not there [m]."""
+
+
+def placed(
+    obstacles: Any, room: int, objects: Any = (), free: Sequence[int] = (), seconds: float = 0.0
+) -> dict[str, list[float]]:
+    """Numbers of `room` bodies by name, of which the last ones are objects of the kinds in `free`.
+
+    Obstacles and objects are as `read_bodies` gives them: boxes swept by a ball. Without half sizes one is a ball, with
+    that along z alone a capsule. A box is made larger by its radius.
+
+    Raises:
+        ValueError: one of them is none, there are more obstacles, not all objects, or one was measured too long before
+            `seconds`.
+    """
+    if isinstance(obstacles, str) or isinstance(objects, str):
+        raise ValueError("obstacles and objects are not lists of dicts of numbers")
+    fixed, moved = room - len(free), len(free)
+    if len(obstacles) > fixed:
+        raise ValueError(
+            f"there are {len(obstacles)} obstacles, and the policy knows {fixed} at most: give the nearest"
+        )
+    if len(objects) != moved:
+        raise ValueError(
+            f"there are {len(objects)} objects, and the policy moves {moved}: give where they are measured"
+        )
+    for number, one in enumerate(objects, 1):
+        if seconds - float(one.get("time", seconds)) > OLD:
+            raise ValueError(f"object {number} was measured more than {OLD:g} s ago")
+    parts: dict[str, list[float]] = {"position": [], "quaternion": [], "velocity": [], "size": [], "kind": []}
+    _add(parts, obstacles, "obstacle")
+    for _ in range(fixed - len(obstacles)):
+        parts["position"] += FAR
+        parts["quaternion"] += [1.0, 0.0, 0.0, 0.0]
+        parts["velocity"] += [0.0] * 6
+        parts["size"] += [0.0, 0.0, 0.0]
+        parts["kind"].append(BALL)
+    _add(parts, objects, "object")
+    parts["kind"][fixed:] = free
+    return parts
+
+
+def _add(parts: dict[str, list[float]], bodies: Any, what: str) -> None:
+    for number, one in enumerate(bodies, 1):
+        if wrong := _wrong_body(one, what):
+            raise ValueError(f"{what} {number} {wrong}")
+        body = {**USUAL, **one}
+        half, radius, turn = body["half"].tolist(), float(body["radius"]), body["quaternion"]
+        kind = BOX if half[0] or half[1] else CAPSULE if half[2] else BALL
+        size = [side + radius for side in half] if kind == BOX else [radius, half[2], 0.0]
+        parts["position"] += body["position"].tolist()
+        parts["quaternion"] += (turn / np.sqrt(turn @ turn)).tolist()
+        parts["velocity"] += [*body["velocity"].tolist(), 0.0, 0.0, 0.0]
+        parts["size"] += size
+        parts["kind"].append(kind)
+
+
+def _wrong_body(body: dict[str, Any], what: str) -> str:
+    """What is wrong with an obstacle or an object, empty where nothing is."""
+    if unknown := [name for name in body if name not in SHAPES]:
+        return f"has {unknown[0]!r}, and an {what} is made of {', '.join(SHAPES)}"
+    if "position" not in body:
+        return "has no position"
+    for name, numbers in body.items():
+        if not isinstance(numbers, np.ndarray) or numbers.shape != SHAPES[name] or not np.isfinite(numbers).all():
+            return f"must have a {name} of {max(sum(SHAPES[name]), 1)} finite numbers, got {in_words(numbers)}"
+    for name in ("half", "radius"):
+        if name in body and body[name].min() < 0.0:
+            return f"must have a {name} of at least 0 m, got {in_words(body[name])}"
+    turn = body.get("quaternion", USUAL["quaternion"])
+    return "" if abs(turn @ turn - 1.0) <= 2 * UNIT else f"must have a quaternion of length 1, got {in_words(turn)}"

@@ -1,0 +1,1 @@
+"""Behaviour printed: functions that JAX traces, as straight code in Python, C and JavaScript."""

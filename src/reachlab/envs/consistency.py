@@ -1,0 +1,132 @@
+"""Which settings make sense together: what cannot be is refused before any time is spent.
+
+What is changed from its preset and has no effect is refused; what has another effect than one may expect is said.
+Presets and defaults trouble nobody.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator, Mapping
+
+from reachlab.envs.presets import preset_of
+from reachlab.envs.uses import MILD, unused, users
+from reachlab.settings.config import RunConfig
+from reachlab.settings.json_form import flatten, to_json
+from reachlab.settings.validation import InputError, choose
+from reachlab.sims import SIMULATORS
+from reachlab.tasks import TASKS, WORDS
+from reachlab.tasks.actions import ACTIONS
+from reachlab.tasks.handling import SHAPES
+from reachlab.tasks.observations import OBSERVATIONS
+from reachlab.tasks.paths import PATHS
+from reachlab.tasks.rewards import REWARDS
+from reachlab.tasks.targets import TARGETS
+from reachlab.tasks.tutorial import AT_GOAL
+
+NAMES: dict[str, tuple[str, Mapping[str, object]]] = {
+    "task": ("task", TASKS),
+    "sim": ("simulator", SIMULATORS),
+    "observation": ("observation", OBSERVATIONS),
+    "action": ("action", ACTIONS),
+    "reward": ("reward", REWARDS),
+    "targets": ("targets", TARGETS),
+    "at_goal": ("at_goal", AT_GOAL),
+    "goal_paths": ("goal path", PATHS),
+    "object_shape": ("object_shape", SHAPES),
+}
+"""Settings that are names of tables, or lists of them, and what they are called."""
+
+RANDOMISED = ("dynamics", "delay", "view", "objects")
+"""Parts that can vary from episode to episode; see `RunConfig.randomise`."""
+
+log = logging.getLogger(__name__)
+
+
+def check_names(config: RunConfig) -> None:
+    """Make sure that what a configuration names is there.
+
+    Raises:
+        InputError: it is not; the sentence lists the names and the nearest one.
+    """
+    settings = flatten(to_json(config))
+    for setting, (kind, table) in NAMES.items():
+        chosen = settings.get(setting, ())
+        for name in (chosen,) if isinstance(chosen, str) else chosen:
+            choose(kind, name, table)
+
+
+def _contradictions(config: RunConfig, changed: set[str]) -> Iterator[str]:
+    """Sentences on settings that cannot be together."""
+    rules, loop, sim = config.rules, config.loop, config.sim
+    observation, task = OBSERVATIONS[rules.observation], rules.task()
+    if sentence := rules.contradiction():
+        yield sentence
+    given = rules.gives | SIMULATORS[sim].gives | ACTIONS[rules.action].gives
+    needs = {f"observation {rules.observation!r}": observation.needs, f"task {config.task!r}": task.needs}
+    for who, words in needs.items():
+        for word in sorted(words - given):
+            yield f"{who} needs {WORDS[word]}."
+    if loop.chained_starts and {"bodies", "object"} & rules.gives:
+        yield (
+            f"with chained_starts {loop.chained_starts:g} episodes would start inside bodies, which leave only a start"
+            " near home free: leave it out."
+        )
+    if loop.num_envs % config.ppo.minibatches:
+        yield (
+            f"num_envs {loop.num_envs} cannot be divided among {config.ppo.minibatches} minibatches: choose a divisor."
+        )
+    for name in config.randomise:
+        choose("randomise", name, RANDOMISED)
+    if "objects" in config.randomise and "object" not in rules.gives:
+        yield f"randomise objects needs an object, as in task push, and {config.task!r} has none."
+    if "view" in config.randomise and not observation.pictured:
+        yield (
+            "randomise view has an effect only with an observation with a picture, as image:"
+            f" {rules.observation!r} holds none."
+        )
+    if "action_repeat" in changed and loop.action_repeat > rules.max_steps:
+        yield (
+            f"an action cannot be held for action_repeat {loop.action_repeat} in an episode of max_steps"
+            f" {rules.max_steps}: choose a lower --action-repeat or more --max-steps."
+        )
+
+
+def _consequences(config: RunConfig, changed: set[str]) -> Iterator[str]:
+    """Sentences on changed settings that have another effect than one may expect."""
+    if "randomise" in changed and "dynamics" in config.randomise and "dynamics" not in SIMULATORS[config.sim].gives:
+        yield (
+            f"randomise dynamics adds noise to what is measured and nothing else in simulator {config.sim!r}: arms"
+            " differ with --sim mujoco."
+        )
+    if "anneal_steps" in changed and config.learner.anneal_steps > config.loop.total_steps:
+        yield (
+            f"training ends after total_steps {config.loop.total_steps:,}, before the learning rate has fallen to its"
+            f" end after anneal_steps {config.learner.anneal_steps:,}."
+        )
+
+
+def check(config: RunConfig, base: RunConfig | None = None) -> None:
+    """Make sure that settings make sense together, and say what follows from those changed from `base`.
+
+    Args:
+        config: the settings.
+        base: what they are changed from; without it their preset.
+
+    Raises:
+        InputError: a name that does not exist, settings that contradict each other, or one without effect.
+    """
+    check_names(config)
+    settings, usual = (flatten(to_json(one)) for one in (config, base or preset_of(config)))
+    changed = {name for name, value in settings.items() if usual.get(name, value) != value}
+    for sentence in _contradictions(config, changed):
+        raise InputError(sentence)
+    for name, choice in sorted(unused(settings).items()):
+        if name not in changed:
+            continue
+        sentence = f"{name} has an effect only with {users(name, choice)}: leave it out, or choose that."
+        if choice not in MILD:
+            raise InputError(sentence)
+        log.warning("reachlab: %s", sentence)
+    for sentence in _consequences(config, changed):
+        log.warning("reachlab: %s", sentence)

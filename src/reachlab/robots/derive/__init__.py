@@ -1,0 +1,1 @@
+"""What a file does not state: which joints are the arm, its home, workspace, tool and servos."""

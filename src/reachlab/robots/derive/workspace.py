@@ -1,0 +1,288 @@
+"""What of an arm follows from its chain where nobody says it: home, how the tool is held, and the boxes it works in."""
+
+from __future__ import annotations
+
+import functools
+import itertools
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from reachlab.jax_setup import compile_together
+from reachlab.robots.derive.home import SAMPLES, Candidates, rounded, turned_candidates
+from reachlab.robots.kinematics.chain import Chain, significant
+from reachlab.robots.kinematics.forward import forward_kinematics, turned
+from reachlab.robots.kinematics.inverse import ik_displace, ik_point_step
+from reachlab.robots.robot import TUTORIAL_WORKSPACE, Box
+
+SHARE = 0.999
+"""A derived box holds at most one point in a thousand that the tool cannot reach."""
+
+NODES = (15, 10, 13)
+"""Points of the grid on which boxes are looked for: forward, to one side (and as many to the other), and up."""
+
+NEAREST, WIDEST, HIGHEST, LOWEST_GOAL = 0.15, 0.8, 0.9, 0.08
+"""Where the grid begins in front of the base, and ends at its sides and above it; and the height above which points in
+the air lie: shares of the arm's reach."""
+
+STEPS, SETTLING = 64, 16
+"""Steps on the straight way from home to a point, and steps in which the arm comes to rest there."""
+
+CLOSE, TURNED = 2e-3, 0.1
+"""A point is reached when the tool is this close to it [m], and, where it is held, turned by less than this [rad]."""
+
+TRAVEL = 1.2
+"""Points in the air are near enough to home that every joint gets there in this time at its speed limit [s]."""
+
+NOISE = 0.3
+"""Starts from which points in the air have to be reached: every joint within this of home [rad or m]."""
+
+PROBES = NODES[0] * (2 * NODES[1] - 1) * NODES[2]
+"""Random points of which the share is measured: as many as the grid has, so that nothing is compiled twice."""
+
+SHRINK, SHRINKS = 0.04, 15
+"""A box that holds too many points out of reach is made smaller by this share, so many times at most."""
+
+QUARTERS = (0.0, 0.5 * np.pi, -0.5 * np.pi, np.pi)
+"""Directions that may be the front, as turns about the vertical from x [rad]; x unless another is far better."""
+
+TILTS = (0.0, np.pi / 6, np.pi / 3)
+"""How the tool of an arm with fewer than six joints may be held: angles from straight down, outward [rad]."""
+
+HOMES, HOMES_ASIDE = 6, 2
+"""Homes that are tried with the front in x, and in each other direction; fewer where there are several tilts."""
+
+FAR_BETTER = 1.3
+"""Another front or tilt, or a home that is not the file's, is taken if its box is so many times as large."""
+
+START = (0.65, 0.5, 0.88)
+"""Where in the workspace the tool is at home, in shares of its sides: about where the tutorial's is."""
+
+
+class Derived(NamedTuple):
+    """What was derived: joint vector `[n]`, the tool's orientation there wxyz, two boxes, and how much is reached."""
+
+    home: tuple[float, ...]
+    held_quaternion: tuple[float, ...]
+    workspace: Box
+    goal_box: Box
+    shares: Mapping[str, float]
+
+
+def derive(
+    chain: Chain,
+    speed: np.ndarray,
+    base: np.ndarray,
+    home: tuple[float, ...] | None,
+    free: Callable[[np.ndarray], bool],
+) -> Derived:
+    """Home and boxes of an arm.
+
+    The workspace is the largest box of the tutorial's proportions, in front of and above the base, that the tool can be
+    displaced to from home on straight ways, held as it is at home. The box of goals in the air is the largest that it
+    comes to in any orientation.
+
+    Args:
+        chain: the arm.
+        speed: its joint speed limits `[n]`.
+        base: where it stands [m].
+        home: the file's.
+        free: whether the arm does not touch itself at a joint vector `[n]`.
+    """
+    tilts = TILTS[:1] if chain.poses else TILTS
+    vectors, points = (np.zeros((PROBES, size), np.float32) for size in (chain.n, 3))
+    held, anyhow, find = compile_together(
+        (functools.partial(_held, chain), (vectors[0], points)),
+        (functools.partial(_anyhow, chain), (vectors, points)),
+        (functools.partial(turned_candidates, chain, base), (np.zeros((SAMPLES, chain.n), np.float32), np.float32(0))),
+    )
+    candidates = Candidates(chain, base, tilts, find)
+    search = _Search(chain, speed, base, candidates.reach, held, anyhow)
+    tried = [(np.array(home), turn, FAR_BETTER**2) for turn in QUARTERS] if home else []
+    for turn, tilt in itertools.product(QUARTERS, tilts):
+        favour = FAR_BETTER ** ((turn == 0.0) + (tilt == 0.0))
+        most = -(-(HOMES_ASIDE if turn else HOMES) // len(tilts))
+        tried += [(q, turn, favour) for q in candidates.best(turn, tilt, free, most)]
+    found = [
+        (favour * box[1], q, turn, box[0])
+        for q, turn, favour in tried
+        if (box := search.largest(functools.partial(search.held, q), turn, chain.tool_at(q)[0], 0.0))
+    ]
+    if not found:
+        return _around(chain, base, np.array(home) if home else rounded(chain, candidates.any()))
+    _, q, turn, box = max(found, key=lambda one: one[0])
+    if home is None or not np.array_equal(q, home):
+        moved = rounded(chain, search.start(q, box, turn))
+        q = moved if free(moved) else rounded(chain, q)
+    workspace, share = search.verified(box, functools.partial(search.held, q), chain.tool_at(q)[0])
+    anyhow_from_home = functools.partial(search.anyhow, q)
+    goals = search.largest(anyhow_from_home, turn, None, LOWEST_GOAL)
+    goal_box, goal_share = search.verified(goals[0] if goals else workspace, anyhow_from_home, None)
+    there, shares = tuple(q.tolist()), {"workspace": share, "goal_box": goal_share}
+    return Derived(there, orientation(chain, there), workspace, goal_box, shares)
+
+
+def orientation(chain: Chain, home: tuple[float, ...]) -> tuple[float, ...]:
+    """Orientation wxyz of the tool at home, to nine decimals."""
+    return tuple((np.round(chain.tool_at(home)[1], 9) + 0.0).tolist())
+
+
+@dataclass
+class _Search:
+    """Boxes of points that an arm reaches from a home; what is compiled are the functions below."""
+
+    chain: Chain
+    speed: np.ndarray
+    base: np.ndarray
+    reach: float
+    compiled_held: Callable[..., tuple[Array, Array]]
+    compiled_anyhow: Callable[..., tuple[Array, Array]]
+
+    def held(self, q: np.ndarray, points: np.ndarray) -> np.ndarray:
+        """Which of `points [m, 3]` the tool reaches from home `q`, held as it is there."""
+        return np.asarray(self.compiled_held(q.astype(np.float32), points.astype(np.float32))[0])
+
+    def start(self, q: np.ndarray, box: Box, turn: float) -> np.ndarray:
+        """Home `[n]` from which the tool starts in its place in the box."""
+        low, high = np.sort((np.array(box) - self.base) @ _about_z(turn), axis=0)
+        point = self.base + (low + np.array(START) * (high - low)) @ _about_z(turn).T
+        points = np.broadcast_to(point, (PROBES, 3)).astype(np.float32)
+        return np.asarray(self.compiled_held(q.astype(np.float32), points)[1][0], np.float64)
+
+    def anyhow(self, q: np.ndarray, points: np.ndarray) -> np.ndarray:
+        """Which of them it reaches from starts about home in any orientation, and in time."""
+        noise = np.random.default_rng(0).uniform(-NOISE, NOISE, (len(points), self.chain.n))
+        starts = np.clip(q + noise, self.chain.lower, self.chain.upper).astype(np.float32)
+        reached, ends = self.compiled_anyhow(starts, points.astype(np.float32))
+        return np.asarray(reached) & (np.abs(np.asarray(ends) - q) <= TRAVEL * self.speed).all(axis=1)
+
+    def largest(
+        self, reached: Callable[[np.ndarray], np.ndarray], turn: float, holds: np.ndarray | None, lowest: float
+    ) -> tuple[Box, float] | None:
+        """Largest box of points that are reached, in shares of the reach no lower than `lowest`, and its size.
+
+        One that `holds` a point has the tutorial's proportions, see `largest_box`.
+        """
+        x, y, z = (
+            np.linspace(NEAREST, 1.0, NODES[0]) * self.reach,
+            np.linspace(-WIDEST, WIDEST, 2 * NODES[1] - 1) * self.reach,
+            np.linspace(0.0, HIGHEST, NODES[2]) * self.reach,
+        )
+        grid = np.stack(np.meshgrid(x, y, z, indexing="ij"), axis=-1)
+        inside = reached(grid.reshape(-1, 3) @ _about_z(turn).T + self.base).reshape(grid.shape[:3]).copy()
+        inside[:, :, : int(np.searchsorted(z, lowest * self.reach))] = False
+        half = NODES[1] - 1
+        both = inside[:, half:] & inside[:, half::-1]  # [x, |y|, z]
+        home = None if holds is None else (holds - self.base) @ _about_z(turn)
+        found = largest_box(both, x, y[half:], z, home)
+        if found is None:
+            return None
+        corners, size = found
+        corners = corners @ _about_z(turn).T + self.base
+        return (tuple(corners.min(axis=0).tolist()), tuple(corners.max(axis=0).tolist())), size
+
+    def verified(
+        self, box: Box, reached: Callable[[np.ndarray], np.ndarray], holds: np.ndarray | None
+    ) -> tuple[Box, float]:
+        """The box, made smaller until enough random points in it are reached, and their share."""
+        low, high = np.array(box)
+        random, share = np.random.default_rng(1), 0.0
+        for _ in range(SHRINKS):
+            share = float(reached(random.uniform(low, high, (PROBES, 3))).mean())
+            if share >= SHARE:
+                break
+            less = SHRINK / 2 * (high - low)
+            low, high = low + less, high - less
+            if holds is not None:
+                low, high = np.minimum(low, holds), np.maximum(high, holds)
+        low, high = np.round(low, 3), np.round(high, 3)
+        return (tuple(low.tolist()), tuple(high.tolist())), share
+
+
+def _held(chain: Chain, home: Array, points: Array) -> tuple[Array, Array]:
+    start = forward_kinematics(chain, home)
+    quaternion = jnp.broadcast_to(start.quaternion, (len(points), 4))
+
+    def step(number: Array, q: Array) -> Array:
+        share = jnp.minimum((number + 1) / STEPS, 1.0)
+        aim = start.position + share * (points - start.position)
+        return ik_displace(chain, q, aim - forward_kinematics(chain, q).position, quaternion)
+
+    q = jax.lax.fori_loop(0, STEPS + SETTLING, step, jnp.broadcast_to(home, (len(points), chain.n)))
+    pose = forward_kinematics(chain, q)
+    apart = jnp.linalg.norm(pose.position - points, axis=-1)
+    return (apart < CLOSE) & (turned(chain, pose.quaternion, quaternion) < TURNED), q
+
+
+def _anyhow(chain: Chain, starts: Array, points: Array) -> tuple[Array, Array]:
+    begun = forward_kinematics(chain, starts).position
+
+    def step(number: Array, q: Array) -> Array:
+        aim = begun + jnp.minimum((number + 1) / STEPS, 1.0) * (points - begun)
+        return q + ik_point_step(chain, q, q, aim - forward_kinematics(chain, q).position)
+
+    q = jax.lax.fori_loop(0, STEPS + SETTLING, step, starts)
+    return jnp.linalg.norm(forward_kinematics(chain, q).position - points, axis=-1) < CLOSE, q
+
+
+def largest_box(
+    inside: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray, holds: np.ndarray | None
+) -> tuple[np.ndarray, float] | None:
+    """Corners `[2, 3]` and size of the largest box, even about the plane y = 0, all of whose nodes are `inside`.
+
+    `inside [x, |y|, z]` are nodes on the axes. The size is the volume; of a box that `holds` a point it is the
+    shortest side, in proportion to those of the tutorial's workspace, to which the others are cut.
+    """
+    sides = np.subtract(TUTORIAL_WORKSPACE[1], TUTORIAL_WORKSPACE[0])
+    (i0, i1), (k0, k1) = np.triu_indices(len(x), 1), np.triu_indices(len(z), 1)
+    i0, i1, k0, k1 = i0[:, None], i1[:, None], k0[None], k1[None]
+    best, found = 0.0, None
+    for side in range(1, len(y)):
+        sums = np.zeros((len(x) + 1, len(z) + 1), int)
+        sums[1:, 1:] = inside[:, : side + 1].all(axis=1).cumsum(axis=0).cumsum(axis=1)
+        nodes = sums[i1 + 1, k1 + 1] - sums[i0, k1 + 1] - sums[i1 + 1, k0] + sums[i0, k0]
+        full = nodes == (i1 - i0 + 1) * (k1 - k0 + 1)
+        deep, wide, high = x[i1] - x[i0], 2 * y[side], z[k1] - z[k0]
+        if holds is None:
+            size = deep * wide * high
+        else:
+            size = np.minimum(np.minimum(deep / sides[0], wide / sides[1]), high / sides[2])
+            full &= (x[i0] <= holds[0]) & (x[i1] >= holds[0]) & (z[k0] <= holds[2]) & (z[k1] >= holds[2])
+            full &= y[side] >= abs(holds[1])
+        size = np.where(full, size, 0.0)
+        if size.max() > best * (1 + 1e-9):
+            best = float(size.max())
+            i, k = np.unravel_index(size.argmax(), size.shape)
+            found = np.array([[x[i0[i, 0]], -y[side], z[k0[0, k]]], [x[i1[i, 0]], y[side], z[k1[0, k]]]])
+    if found is None or holds is None:
+        return None if found is None else (found, best)
+    extra = (found[1] - found[0] - best * sides).clip(0)
+    low, high = found[0] + extra * (0.5, 0.5, 0.0), found[1] - extra * (0.5, 0.5, 1.0)
+    return np.array([low, high]) + (holds - high).clip(0) + (holds - low).clip(None, 0), best
+
+
+def _about_z(angle: float) -> np.ndarray:
+    cos, sin = np.round(np.cos(angle), 12), np.round(np.sin(angle), 12)
+    return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+
+
+QUANTILES, MARGIN = (0.1, 0.9), 0.01
+"""Of an arm that moves its tool in a plane or on a line: shares of the points that it reaches below its faces, and
+how much larger the box is, so that the plane is not a face [m]."""
+
+
+def _around(chain: Chain, base: np.ndarray, home: np.ndarray) -> Derived:
+    """Of an arm that reaches no box: that around the middle of the points it reaches above its base, and home."""
+    random = np.random.default_rng(0).uniform(chain.lower, chain.upper, (PROBES, chain.n))
+    low, high = np.quantile([chain.tool_at(q)[0] for q in random], QUANTILES, axis=0)
+    there = chain.tool_at(home)[0]
+    low, high = np.minimum(low, there) - MARGIN, np.maximum(high, there) + MARGIN
+    low[2] = min(max(low[2], base[2]), there[2] - MARGIN)
+    box = tuple(map(significant, low.tolist())), tuple(map(significant, high.tolist()))
+    start = tuple(home.tolist())
+    return Derived(start, orientation(chain, start), box, box, {})

@@ -1,0 +1,1 @@
+"""Model files: MJCF and URDF with what they name, read safely."""

@@ -1,0 +1,100 @@
+"""URDF rewritten for MuJoCo's reader: names of meshes, limits of joints and shapes that it refuses."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass
+from xml.etree.ElementTree import SubElement
+
+from reachlab.robots.files.picture_files import MESHES, PictureFiles, some
+from reachlab.robots.files.safe_xml import Element, number, to_text
+from reachlab.settings.validation import InputError
+
+SHAPES = {"mesh", "box", "sphere", "cylinder", "capsule"}
+"""Geometries that MuJoCo knows."""
+
+FIXED = "Floating joints are taken as fixed, so that the arm stands on its base"
+NONE = "Position limits from 0 to 0 are taken as none, so a turn or a metre either way"
+SOFT = "Position limits are narrowed to the soft limits of safety_controller"
+
+
+@dataclass(frozen=True)
+class JointFacts:
+    """What a URDF says of a joint and MuJoCo's model does not keep.
+
+    Attributes:
+        speed: speed limit [rad/s or m/s]; None where it is absent or 0.
+        mimics: the joint that it follows; None for a joint of its own.
+    """
+
+    speed: float | None = None
+    mimics: str | None = None
+
+
+def rewrite_urdf(root: Element, pictures: PictureFiles) -> tuple[str, dict[str, JointFacts], list[str]]:
+    """Text for MuJoCo, facts on the joints, and one sentence on each change.
+
+    Raises:
+        InputError: there are no links, or a limit of speed or torque makes no sense.
+    """
+    if root.find("link") is None:
+        raise InputError("has no links.")
+    noted: dict[str, list[str]] = defaultdict(list)
+    facts = {joint.get("name", ""): _rewrite_joint(joint, noted) for joint in root.findall("joint")}
+    folder = _rewrite_compiler(root)
+    for link in root.findall("link"):
+        for shape in [*link.findall("visual"), *link.findall("collision")]:
+            if not SHAPES & {solid.tag for solid in shape.findall("geometry/*")}:
+                link.remove(shape)
+        for mesh in link.iter("mesh"):
+            mesh.set("filename", pictures.add(mesh.get("filename", ""), folder, MESHES))
+        for inertial in link.findall("inertial"):
+            mass = inertial.find("mass")
+            if mass is None or not number(mass, "value"):
+                link.remove(inertial)
+    return to_text(root), facts, [f"{what}: {some(names)}." for what, names in noted.items()]
+
+
+def _rewrite_joint(joint: Element, noted: dict[str, list[str]]) -> JointFacts:
+    """Facts on a joint, whose position limits become the soft ones; what is changed is noted, with its name."""
+    name, kind = joint.get("name", ""), joint.get("type")
+    if kind == "floating":
+        joint.set("type", "fixed")
+        noted[FIXED].append(name)
+    limit, mimic = joint.find("limit"), joint.find("mimic")
+    speed = 0.0
+    if limit is not None:
+        if kind in ("revolute", "prismatic"):
+            _narrow(joint, limit, noted)
+        speed = number(limit, "velocity")
+        if min(speed, number(limit, "effort")) < 0.0:
+            raise InputError(f"gives joint {name!r} a negative limit of speed or torque: leave its sign out.")
+    return JointFacts(speed or None, None if mimic is None else mimic.get("joint"))
+
+
+def _narrow(joint: Element, limit: Element, noted: dict[str, list[str]]) -> None:
+    low, high = number(limit, "lower"), number(limit, "upper")
+    if low == high == 0.0:
+        noted[NONE].append(joint.get("name", ""))
+        return
+    soft = joint.find("safety_controller")
+    if soft is None:
+        return
+    soft_low, soft_high = number(soft, "soft_lower_limit", low), number(soft, "soft_upper_limit", high)
+    if (soft_low > low or soft_high < high) and (soft_low or soft_high):  # both 0 is how URDF says that there are none
+        limit.set("lower", repr(max(low, soft_low)))
+        limit.set("upper", repr(min(high, soft_high)))
+        noted[SOFT].append(joint.get("name", ""))
+
+
+def _rewrite_compiler(root: Element) -> str:
+    """Folder of the meshes that MuJoCo's extension names; its settings become those that keep every link and shape."""
+    extension = root.find("mujoco")
+    extension = SubElement(root, "mujoco") if extension is None else extension
+    compiler = extension.find("compiler")
+    compiler = Element("compiler") if compiler is None else compiler
+    extension[:] = [compiler, *extension.findall("option")]
+    folders = [compiler.attrib.pop(key, "") for key in ("meshdir", "assetdir", "texturedir")]
+    kept = {"discardvisual": "false", "fusestatic": "false", "strippath": "false"}
+    compiler.attrib = {"inertiafromgeom": "false"} | compiler.attrib | kept
+    return folders[0] or folders[1]

@@ -1,0 +1,1 @@
+"""The chain of joints: its frames, its inverse, and its limits."""

@@ -1,0 +1,157 @@
+"""Kinematics of a serial chain of hinge and slide joints: the tool's pose, and its Jacobian.
+
+Every function takes joint vectors `[..., n]` with any leading shape and is traced by JAX; the work
+is done on scalars (see `scalar_algebra`). Positions are in metres in the world frame, angles in radians,
+quaternions unit and ordered w, x, y, z.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from reachlab.robots.kinematics.chain import Chain
+from reachlab.robots.kinematics.scalars import (
+    IDENTITY,
+    ZERO,
+    Rotation,
+    Scalar,
+    Vec,
+    once,
+    quaternion_from_rotation,
+    rotation_from_quaternion,
+    total,
+)
+
+
+class Pose(NamedTuple):
+    """A pose: `position [..., 3]` m and unit `quaternion [..., 4]` wxyz."""
+
+    position: Array
+    quaternion: Array
+
+
+class Frames(NamedTuple):
+    """World axes and origins of the joints, and the tool's pose."""
+
+    axes: list[Vec]
+    origins: list[Vec]
+    rotation: Rotation
+    position: Vec
+
+
+def forward_kinematics(chain: Chain, q: Array) -> Pose:
+    """Pose of the tool at joint vectors `q [..., n]`.
+
+    Args:
+        chain: the arm's joints, as `Robot.chain`.
+        q: joints [rad or m].
+    """
+    frames = frames_at(chain, components(q))
+    return Pose(stack(frames.position, q), stack(quaternion_from_rotation(frames.rotation), q))
+
+
+def jacobian(chain: Chain, q: Array) -> Array:
+    """Geometric Jacobian `[..., 6, n]` of the tool in the world frame: linear rows, then angular."""
+    columns = jacobian_columns(chain, frames_at(chain, components(q)))
+    rows = [stack(row, q) for row in zip(*columns, strict=True)]
+    return jnp.stack(rows, axis=-2)
+
+
+def approach_axis(chain: Chain, quaternion: Array) -> Array:
+    """The axis along which the tool points `[..., 3]`, in the world, in an orientation `[..., 4]`."""
+    rotation = rotation_from_quaternion(*components(quaternion))
+    return stack(rotation.apply(Vec(*chain.approach)), quaternion)
+
+
+def tilt(chain: Chain, quaternion: Array) -> Array:
+    """Angle `[...]` rad of the axis along which the tool points from straight down."""
+    axis = approach_axis(chain, quaternion)
+    return jnp.arctan2(norm(axis[..., :2]), -axis[..., 2])
+
+
+def turned(chain: Chain, quaternion: Array, held: Array) -> Array:
+    """Angle `[...]` rad from one orientation to another; of their tilts where an arm holds no more."""
+    if not chain.poses:
+        return jnp.abs(tilt(chain, quaternion) - tilt(chain, held))
+    return angle_between(quaternion, held)
+
+
+def angle_between(quaternion: Any, other: Any) -> Any:
+    """Angle `[...]` rad between orientations `[..., 4]`, in arrays of NumPy or of JAX.
+
+    By the arc sine of half the chord between the quaternions: the arc cosine of their product is blind near zero.
+    """
+    module: Any = np if isinstance(quaternion, np.ndarray) else jnp
+    chords = [norm(other + sign * quaternion) for sign in (-1.0, 1.0)]
+    return 4 * module.arcsin(module.minimum(module.minimum(*chords) / 2, 1.0))
+
+
+def frames_at(chain: Chain, q: Sequence[Scalar]) -> Frames:
+    """Frames at the joints `q`, one scalar a joint."""
+    moved = _moved(chain, q)
+    rotation, position = moved[-1][2:]
+    turn, offset = chain.frames[-1]
+    axes, origins = [axis for axis, *_ in moved], [origin for _, origin, *_ in moved]
+    return once(Frames(axes, origins, rotation.compose(turn), position.plus(rotation.apply(offset))))
+
+
+def link_frames(chain: Chain, q: Sequence[Scalar]) -> list[tuple[Rotation, Vec]]:
+    """Rotations and positions [m] of the links at the joints `q`, one scalar a joint; see `Chain.links_at`."""
+    return once([(IDENTITY, ZERO), *((rotation, position) for _, _, rotation, position in _moved(chain, q))])
+
+
+def _moved(chain: Chain, q: Sequence[Scalar]) -> list[tuple[Vec, Vec, Rotation, Vec]]:
+    """Of each joint its axis and origin, and the rotation and position of the link that it moves."""
+    rotation, position = IDENTITY, ZERO
+    moved = []
+    turns = once([(0.0, 0.0) if slide else (jnp.cos(a), jnp.sin(a)) for a, slide in zip(q, chain.slides, strict=True)])
+    for (turn, offset), slide, value, (cos, sin) in zip(chain.frames[:-1], chain.slides, q, turns, strict=True):
+        position = position.plus(rotation.apply(offset))
+        rotation = rotation.compose(turn)
+        axis, origin = rotation.z, position
+        if slide:
+            position = position.plus(rotation.z.times(value))
+        else:
+            rotation = rotation.turn_z(cos, sin)
+        moved.append((axis, origin, rotation, position))
+    return moved
+
+
+def jacobian_columns(chain: Chain, frames: Frames) -> list[tuple[Scalar, ...]]:
+    """Columns of the Jacobian, one a joint: three linear entries, then three angular ones."""
+    columns = []
+    for slide, axis, origin in zip(chain.slides, frames.axes, frames.origins, strict=True):
+        if slide:
+            columns.append((*axis, *ZERO))
+        else:
+            columns.append((*axis.cross(frames.position.minus(origin)), *axis))
+    return once(columns)
+
+
+def components(array: Array) -> list[Array]:
+    """Components `[...]` of vectors `[..., k]`."""
+    return [array[..., i] for i in range(array.shape[-1])]
+
+
+def norm(vectors: Any) -> Any:
+    """Length `[...]` of vectors `[..., k]`, in arrays of NumPy or of JAX; see `added`."""
+    return added(vectors * vectors) ** 0.5
+
+
+def added(vectors: Any) -> Any:
+    """Sum `[...]` of the components of vectors `[..., k]`, one after the other.
+
+    How XLA rounds a sum over an axis depends on the batch, and a part of the environments has to be as in all of them.
+    """
+    return total(components(vectors))
+
+
+def stack(parts: Sequence[Scalar], like: Array) -> Array:
+    """Vectors `[..., k]` of their components, in shape and type those of `like`."""
+    shape = like.shape[:-1]
+    return jnp.stack([jnp.broadcast_to(jnp.asarray(c, like.dtype), shape) for c in parts], axis=-1)

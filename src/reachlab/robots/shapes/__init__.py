@@ -1,0 +1,1 @@
+"""Capsules around the links, and how near they are to what they must not touch."""

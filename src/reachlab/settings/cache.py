@@ -1,0 +1,43 @@
+"""What is derived of an arm once, kept in the user's cache."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+from collections.abc import Callable, Mapping
+from typing import Any, TypeVar
+
+from reachlab.settings.reading import cache_folder
+
+Record = TypeVar("Record")
+
+
+def kept(
+    folder: str,
+    asked: tuple[object, ...],
+    find: Callable[[], Record],
+    make: Callable[..., Record],
+    fields: Callable[[Record], Mapping[str, Any]],
+) -> Record:
+    """What `find` gives for what is `asked`; from a folder of the cache if it was found before.
+
+    `make` makes such a record of its `fields`, which are mappings, tuples, texts and numbers. What cannot be kept is
+    found again the next time.
+    """
+    file = cache_folder() / folder / f"{hashlib.sha256(repr(asked).encode()).hexdigest()[:32]}.json"
+    with contextlib.suppress(OSError, ValueError, TypeError, AttributeError):
+        return make(**{name: _tuples(value) for name, value in json.loads(file.read_text()).items()})
+    found = find()
+    with contextlib.suppress(OSError):
+        file.parent.mkdir(parents=True, exist_ok=True)
+        part = file.with_suffix(f".{os.getpid()}.part")
+        part.write_text(json.dumps(dict(fields(found))))
+        part.replace(file)
+    return found
+
+
+def _tuples(value: object) -> object:
+    """What was kept, its lists tuples again."""
+    return tuple(map(_tuples, value)) if isinstance(value, list) else value

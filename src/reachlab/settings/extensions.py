@@ -1,0 +1,139 @@
+"""Extensions: modules of users that enter tasks, robots, controllers and others into the tables."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import importlib.util
+import json
+import os
+import sys
+from importlib.machinery import ModuleSpec
+from importlib.metadata import entry_points
+from pathlib import Path
+
+from reachlab.settings.reading import MOST_TEXT, cache_folder, read_regular
+from reachlab.settings.validation import InputError
+
+GROUP = "reachlab.extensions"
+"""Entry points of this name in installed packages are modules that are imported before a command reads its flags."""
+
+IMPORTED: list[str] = []
+"""Extensions that were imported by name or file, as new runs remember them."""
+
+
+@functools.cache
+def import_installed() -> None:
+    """Import the extensions of installed packages.
+
+    Raises:
+        InputError: one cannot be imported.
+    """
+    for entry in entry_points(group=GROUP):
+        try:
+            entry.load()
+        except Exception as error:
+            raise InputError(f"extension {entry.value!r} cannot be imported: {_why(error)}.") from error
+
+
+def import_extension(name: str) -> None:
+    """Import a module by its name or file; runs that are made from now on remember it.
+
+    Args:
+        name: a module, as `mytask`, in this folder or installed, or a file, as `mytask.py`.
+
+    Raises:
+        InputError: it is not there, or cannot be imported.
+    """
+    spec = _found(name)
+    _import(spec, name)
+    _remember(spec)
+
+
+def import_remembered(names: tuple[str, ...]) -> None:
+    """Import the extensions that a run names; none that was never imported here by name, or has changed since.
+
+    Raises:
+        InputError: one is not there, is not known here or cannot be imported.
+    """
+    for name in names:
+        if name in IMPORTED:
+            continue
+        spec = _found(name)
+        if _hash(spec) not in _known():
+            raise InputError(
+                f"the run needs extension '{name}', which was not imported here before, or has changed since: it runs"
+                f" when it is imported. If you trust it, name it with --import {name}."
+            )
+        _import(spec, name)
+
+
+def _found(name: str) -> ModuleSpec:
+    """Where an extension lies."""
+    path = Path(name)
+    if path.suffix == ".py":
+        if not path.is_file():
+            raise InputError(f"extension '{name}' is not there: name a module, or its file, with --import.")
+        found = importlib.util.spec_from_file_location(path.stem, path.absolute())
+    else:
+        if (here := str(Path.cwd())) not in sys.path:  # as `python -m` does
+            sys.path.append(here)
+        try:
+            found = importlib.util.find_spec(name)
+        except (ImportError, ValueError):
+            found = None
+    if found is None or found.origin is None:
+        raise InputError(f"extension '{name}' is not there: name a module, or its file, with --import.")
+    return found
+
+
+def _import(spec: ModuleSpec, name: str) -> None:
+    taken = vars(sys.modules.get(spec.name, object)).get("__file__", "nowhere" if spec.name in sys.modules else None)
+    if taken and Path(taken).resolve() != Path(spec.origin or "").resolve():
+        raise InputError(f"extension '{name}' is called as module {spec.name!r} is, which is in use: rename it.")
+    if not taken:
+        module = importlib.util.module_from_spec(spec)
+        sys.modules[spec.name] = module
+        try:
+            if spec.loader:
+                spec.loader.exec_module(module)
+        except Exception as error:
+            del sys.modules[spec.name]
+            raise InputError(f"extension '{name}' cannot be imported: {_why(error)}.") from error
+    path = str(Path(name).absolute()) if name.endswith(".py") else name
+    if path not in IMPORTED:
+        IMPORTED.append(path)
+
+
+def _why(error: Exception) -> str:
+    return f"{type(error).__name__}: {' '.join(str(error).split())}".rstrip(".")
+
+
+# --- which are known here -------------------------------------------------------------------------
+
+
+def _hash(spec: ModuleSpec) -> str:
+    return hashlib.sha256(read_regular(Path(spec.origin or ""), MOST_TEXT)[0]).hexdigest()
+
+
+def _file() -> Path:
+    return cache_folder() / "extensions.json"
+
+
+def _known() -> dict[str, str]:
+    """Files by their hash."""
+    try:
+        return dict(json.loads(read_regular(_file(), MOST_TEXT)[0]))
+    except (OSError, ValueError, TypeError):
+        return {}
+
+
+def _remember(spec: ModuleSpec) -> None:
+    known = _known() | {_hash(spec): str(spec.origin)}
+    try:
+        _file().parent.mkdir(parents=True, exist_ok=True)
+        part = _file().with_suffix(f".{os.getpid()}.part")
+        part.write_text(json.dumps(known))
+        part.replace(_file())
+    except OSError:
+        return  # it has to be named again the next time

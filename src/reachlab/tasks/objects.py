@@ -1,0 +1,180 @@
+"""What tasks share whose object lies on the table: where it begins, where it has to be, and when it rests there."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from reachlab.control.bodies import Bodies, Shape
+from reachlab.control.situation import Goal, Situation
+from reachlab.robots.kinematics.forward import norm
+from reachlab.tasks import reach
+from reachlab.tasks.tabletop import working_box
+from reachlab.tasks.task import Bounds, Control, Errors, Scene, Task, TaskSetup
+
+APART = 0.08
+"""Least distance of an object from its goal at the start [m]; it is drawn again up to `DRAWS` times."""
+
+DRAWS = 8
+
+YAW = np.pi / 4
+"""Objects are turned by up to so much either way [rad]."""
+
+SIZE_SPREAD = 0.25
+"""Where objects vary: relative spread of their size."""
+
+REST = 0.02
+"""Speed below which an object rests [m/s]."""
+
+
+FORMS = {
+    "box": (Shape.BOX, (1.0, 1.0, 1.0)),
+    "cylinder": (Shape.CYLINDER, (1.0, 1.0, 1.0)),
+    "ball": (Shape.BALL, (1.0, 0.0, 0.0)),
+    "puck": (Shape.CYLINDER, (1.0, 1.0, 1 / 3)),
+}
+"""What the shapes of objects by name are, and their `Bodies.size` beside their `object_size`."""
+
+ON_TABLE = 0.2
+"""Share of the goals above a table that are on it."""
+
+
+def handled(asked: str, control: Control, **parts: Any) -> Task:
+    """A task with an object on the table, of what is asked for in words, and what is not as in `push`."""
+    usual: dict[str, Any] = {
+        "goal_box": goal_box,
+        "sample_goal": sample_goal,
+        "sample_start": reach.sample_start,
+        "scene": scene,
+        "sample_bodies": sample_object,
+        "vary": vary,
+        "place": place,
+        "achieved": achieved,
+        "errors": errors,
+        "begin": reach.begin,
+        "update": update,
+        "counted": reach.counted,
+        "check": lambda setup: goal_box(setup) and None,
+        "asks": functools.partial(asks, asked),
+        "succeeds": succeeds,
+        "needs": frozenset({"objects"}),
+    }
+    return Task("flange", control, **(usual | parts))
+
+
+def scene(setup: TaskSetup) -> Scene:
+    """The object, as the settings have it."""
+    rules, shape = setup.rules, FORMS[setup.rules.object_shape][0]
+    friction = rules.object_friction
+    return Scene(objects=1, shape=shape, mass=rules.object_mass, friction=friction, grip=friction)
+
+
+def goal_box(setup: TaskSetup) -> Bounds:
+    """Corners `[3]` m of the part of the table in which the object's middle is asked for."""
+    low, high = above(setup)
+    high[2] = low[2]
+    return low, high
+
+
+def above(setup: TaskSetup) -> Bounds:
+    """Corners `[3]` m of the same part of the table, and of the air above it."""
+    low, high = working_box(setup.robot)
+    shape, size = FORMS[setup.rules.object_shape]
+    low[2] += setup.rules.object_size * (size[0] if shape == Shape.BALL else size[2])
+    return low, high
+
+
+def sample_goal(setup: TaskSetup, key: Array) -> Goal:
+    """A place on the table."""
+    return Goal.at(_place(setup, key))
+
+
+def sample_above(setup: TaskSetup, key: Array) -> Goal:
+    """A place on the table or in the air above it."""
+    low, high = map(jnp.array, above(setup))
+    for_place, for_table = jax.random.split(key)
+    place = low + (high - low) * jax.random.uniform(for_place, (3,))
+    on_table = jax.random.uniform(for_table) < ON_TABLE
+    return Goal.at(place.at[2].set(jnp.where(on_table, low[2], place[2])))
+
+
+def _place(setup: TaskSetup, key: Array) -> Array:
+    low, high = map(jnp.array, goal_box(setup))
+    return low + (high - low) * jax.random.uniform(key, (3,))
+
+
+def sample_object(setup: TaskSetup, key: Array, start: Array, goal: Goal) -> Bodies:
+    """The object of an episode `[1]`, at another place on the table."""
+    del start
+    shape, size = FORMS[setup.rules.object_shape]
+    for_yaw, *for_places = jax.random.split(key, DRAWS + 1)
+    places = jnp.stack([_place(setup, one) for one in for_places])
+    position = places[jnp.argmax(norm(places - goal.position) >= APART)]
+    half_turn = jax.random.uniform(for_yaw, minval=-YAW, maxval=YAW) / 2
+    zero = jnp.zeros(())
+    return Bodies(
+        position=position[None],
+        quaternion=jnp.stack([jnp.cos(half_turn), zero, zero, jnp.sin(half_turn)])[None],
+        velocity=jnp.zeros((1, 6)),
+        size=setup.rules.object_size * jnp.array([size]),
+        kind=jnp.full(1, shape, jnp.int32),
+    )
+
+
+def vary(setup: TaskSetup, key: Array, goal: Goal, bodies: Bodies) -> tuple[Goal, Bodies]:
+    """Goal and object of another size, both on the table."""
+    del setup
+    share = 1 + SIZE_SPREAD * jax.random.uniform(key, minval=-1.0)
+    up = (share - 1) * bodies.extent[-1, 2] * jnp.array([0.0, 0.0, 1.0])
+    bodies = replace(bodies, position=bodies.position.at[-1].add(up), size=bodies.size.at[-1].multiply(share))
+    return replace(goal, position=goal.position + up), bodies
+
+
+def place(setup: TaskSetup, goal: Goal, position: Array, quaternion: Array, near: Array) -> tuple[Goal, Array]:
+    """The goal put at the nearest place where goals are; see `Task.place`."""
+    del quaternion, near
+    low, high = map(jnp.array, setup.task.goal_box(setup))
+    return replace(goal, position=jnp.clip(position, low, high)[None]), jnp.ones((), bool)
+
+
+def achieved(now: Situation) -> Array:
+    """Where the object is `[B, 3]` m."""
+    return now.bodies.position[:, -1]
+
+
+def errors(setup: TaskSetup, now: Situation) -> Errors:
+    """Distance from the object to the goal."""
+    del setup
+    distance = now.goal.distance(achieved(now))
+    return Errors(distance, jnp.zeros((len(distance), 0)))
+
+
+def update(setup: TaskSetup, before: reach.Held, errors: Errors, now: Situation, clock: Array) -> Any:
+    """The last steps, see `reach.update`; still are joints and object."""
+    moves = norm(now.bodies.velocity[:, -1, :3]) >= REST
+    return reach.update(setup, before, errors, now._replace(qd=jnp.where(moves[:, None], jnp.inf, now.qd)), clock)
+
+
+def asks(asked: str, rules: Any, period: float) -> str:
+    """What is asked for, in words."""
+    steps = f"{rules.max_steps:,} steps ({rules.max_steps * period:.2g} s)"
+    return f"{asked}: {_rests(rules, period)}; an episode has {steps}"
+
+
+def succeeds(rules: Any, period: float) -> str:
+    """What an episode has to come to, in words."""
+    return f"at the end {_rests(rules, period)}"
+
+
+def _rests(rules: Any, period: float) -> str:
+    return (
+        f"the object has been within {1000 * rules.success_distance:.4g} mm for {rules.hold_steps} steps"
+        f" ({rules.hold_steps * period:.2g} s), slower than {REST:g} m/s, and no joint faster than"
+        f" {rules.hold_speed:g} rad/s"
+    )

@@ -1,0 +1,122 @@
+"""The part of its table over which an arm works with its hand pointing down."""
+
+from __future__ import annotations
+
+import functools
+import itertools
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from reachlab.jax_setup import jit
+from reachlab.robots.kinematics.chain import Chain
+from reachlab.robots.kinematics.forward import angle_between, components, forward_kinematics
+from reachlab.robots.kinematics.inverse import ik_displace
+from reachlab.robots.kinematics.scalars import Vec, rotation_from_quaternion
+from reachlab.robots.robot import Box, Robot
+from reachlab.settings.cache import kept
+from reachlab.tasks.task import Bounds
+
+SHARES = (0.5, 0.7, 0.55)
+"""Shares of the workspace in x and y, about its middle, and of its height, over which a hand works: behind each object
+there has to be room for it."""
+
+MOVES = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25)
+"""Shares of the workspace's depth by which that part is moved outward where the arm does not reach all of it, of which
+the first one is taken that does, else the best."""
+
+EACH = (4, 4, 3)
+"""Points in x, y and z that have to be reached."""
+
+STEPS = 200
+"""Steps of inverse kinematics towards each of them."""
+
+NEAR, UPRIGHT, PLAY = 0.002, 0.05, 0.02
+"""Where the tool is there: distance [m], angle [rad], and what is left to each joint's limits [rad or m]."""
+
+VERSION = 2
+"""Of this search: what an older one left in the cache is found again."""
+
+
+SAMPLES, LOW = 200_000, 0.05
+"""Random joint vectors whose tools show how far an arm reaches over the table, and how near to it these are [m]."""
+
+
+class Reach(NamedTuple):
+    """How far an arm reaches [m]."""
+
+    reach: float
+
+
+class Part(NamedTuple):
+    """Corners `[3]` m of a part of the workspace."""
+
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+
+
+def working_box(robot: Robot) -> Bounds:
+    """Corners `[3]` m of the part of the table, and of the air above it, over which the hand works."""
+    part = _found(robot.chain, robot.home, robot.down, robot.workspace, robot.table_top)
+    return np.array(part.low, np.float32), np.array(part.high, np.float32)
+
+
+@functools.cache
+def _found(chain: Chain, home: tuple[float, ...], held: tuple[float, ...], workspace: Box, table: float) -> Part:
+    asked = (VERSION, chain, home, held, workspace, table)
+    return kept("tables", asked, lambda: _find(chain, home, held, workspace, table), Part, Part._asdict)
+
+
+def _find(chain: Chain, home: tuple[float, ...], held: tuple[float, ...], workspace: Box, table: float) -> Part:
+    low, high = np.array(workspace)
+    middle, half = (low + high) / 2, np.array(SHARES) * (high - low) / 2
+    parts = [
+        (middle - half + by * (high - low) * [1, 0, 0], middle + half + by * (high - low) * [1, 0, 0]) for by in MOVES
+    ]
+    parts = [((*a[:2], table), (*b[:2], table + 2 * half[2])) for a, b in parts]
+    grids = [list(itertools.product(*map(np.linspace, a, b, EACH))) for a, b in parts]
+    there = jit(functools.partial(_there, chain, jnp.array(home), jnp.array(held)), brief=True)
+    with jax.ensure_compile_time_eval():
+        shares = [float(np.asarray(there(jnp.array(grid, jnp.float32))).mean()) for grid in grids]
+    low, high = parts[int(np.argmax(shares))]
+    return Part(tuple(map(float, low)), tuple(map(float, high)))
+
+
+@functools.cache
+def _reach(chain: Chain, table: float) -> float:
+    def find() -> Reach:
+        q = np.random.default_rng(0).uniform(chain.lower, chain.upper, (SAMPLES, chain.n)).astype(np.float32)
+        with jax.ensure_compile_time_eval():
+            tool = np.asarray(jit(lambda q: forward_kinematics(chain, q).position, brief=True)(q))
+        low = np.abs(tool[:, 2] - table) < LOW
+        return Reach(float(np.linalg.norm((tool[low] - chain.frames[0][1])[:, :2], axis=1).max()))
+
+    return kept("tables", (VERSION, chain, table), find, Reach, Reach._asdict).reach
+
+
+def reach_on_table(robot: Robot) -> float:
+    """Largest distance along the table from the arm's first joint to the tool, in any orientation [m]."""
+    return _reach(robot.chain, robot.table_top)
+
+
+def _there(chain: Chain, home: Array, held: Array, points: Array) -> Array:
+    """Which of points `[P, 3]` the tool comes to, held like that, with all joints within their limits.
+
+    Of an arm with fewer than six joints only the tilt counts.
+    """
+    turned = jnp.broadcast_to(held, (len(points), 4))
+
+    def closer(_: int, q: Array) -> Array:
+        return ik_displace(chain, q, points - forward_kinematics(chain, q).position, turned)
+
+    q = jax.lax.fori_loop(0, STEPS, closer, jnp.broadcast_to(home, (len(points), chain.n)))
+    tool = forward_kinematics(chain, q)
+    free = ((q > jnp.array(chain.lower) + PLAY) & (q < jnp.array(chain.upper) - PLAY)).all(axis=-1)
+    near = jnp.linalg.norm(tool.position - points, axis=-1) < NEAR
+    if chain.poses:
+        return free & near & (angle_between(tool.quaternion, turned) < UPRIGHT)
+    out = rotation_from_quaternion(*components(tool.quaternion)).apply(Vec(*chain.approach))
+    return free & near & (out.z < -np.cos(UPRIGHT))

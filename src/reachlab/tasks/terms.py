@@ -1,0 +1,275 @@
+"""Terms of observations: what a policy may observe, with units and bounds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from reachlab.control.bodies import distance_from
+from reachlab.control.dampers import surroundings
+from reachlab.control.situation import Situation
+from reachlab.robots.kinematics.forward import components, norm, stack
+from reachlab.robots.kinematics.inverse import MAX_JOINT_STEP, rotation_error
+from reachlab.robots.kinematics.scalars import rotation_from_quaternion
+from reachlab.tasks.actions import ACTIONS
+from reachlab.tasks.schema import GOALS, Term
+from reachlab.tasks.task import Bounds, TaskSetup
+
+LOWEST_GOAL = -0.05
+"""Bottom of the observed box [m]: the tutorial's settled object lies just below the workspace."""
+
+CLOSE, BASIS = 0.1, 4
+"""Distance at which a body counts half as near as one that is touched [m], and points of the grid in a row."""
+
+FASTEST = 5
+"""On a smooth path the goal is faster than its mean speed: at times 2.5 times as fast, and never so many times."""
+
+NEAR = 0.02
+"""Distance at which the near form of the way to the goal is half as long as a far one [m]."""
+
+
+# --- terms ----------------------------------------------------------------------------------------
+
+
+def _goal_bounds(setup: TaskSetup) -> Bounds:
+    """The box of goals; of goals on the table the workspace above it too."""
+    low, high = setup.task.goal_box(setup)
+    if (low < high).all():
+        return low, high
+    inner, outer = np.array(setup.robot.workspace, np.float32)
+    low[2] = min(inner[2], LOWEST_GOAL, low[2])
+    high[2] = max(outer[2], high[2])
+    return low, high
+
+
+def _goal_constant(setup: TaskSetup) -> np.ndarray:
+    low, high = setup.task.goal_box(setup)
+    return low == high
+
+
+def _tool_bounds(setup: TaskSetup) -> Bounds:
+    """A cube that holds every point the arm can reach: all its offsets and slides in one line."""
+    return within(np.full(3, setup.robot.chain.longest))
+
+
+def within(size: np.ndarray | Sequence[float]) -> Bounds:
+    """Bounds of numbers that are at most so large either way."""
+    size = np.asarray(size, np.float32)
+    return -size, size
+
+
+def _joint_bounds(setup: TaskSetup) -> Bounds:
+    """The limits; joints swing past them for moments."""
+    lower, upper = (np.array(limit, np.float32) for limit in (setup.robot.chain.lower, setup.robot.chain.upper))
+    swing = np.float32(0.1)
+    return lower - swing, upper + swing
+
+
+def _speed_bounds(setup: TaskSetup) -> Bounds:
+    """What an overloaded arm, or one whose joints are set, comes to: inverse kinematics take two bounded steps."""
+    longest = max(2 * MAX_JOINT_STEP, setup.rules.joint_scale or 0.0)
+    return within(np.maximum(10 * np.array(setup.robot.speed), longest / setup.period))
+
+
+def _lag_bounds(setup: TaskSetup) -> Bounds:
+    lower, upper = (np.array(limit, np.float32) for limit in (setup.robot.chain.lower, setup.robot.chain.upper))
+    return within(upper - lower)
+
+
+def _joint_way_bounds(setup: TaskSetup) -> Bounds:
+    low, high = _joint_bounds(setup)
+    return low - high, high - low
+
+
+def way_bounds(setup: TaskSetup) -> Bounds:
+    """Bounds of the way between any place of the tool and any goal."""
+    tool, goal = _tool_bounds(setup), _goal_bounds(setup)
+    return within(np.maximum(np.abs(goal[0] - tool[1]), np.abs(goal[1] - tool[0])))
+
+
+def _action_bounds(setup: TaskSetup) -> Bounds:
+    return within(np.abs(ACTIONS[setup.rules.action].bounds(setup)).max(axis=0))
+
+
+def _way(setup: TaskSetup, now: Situation) -> Array:
+    del setup
+    return now.goal.position - now.tool_position
+
+
+def _way_near(setup: TaskSetup, now: Situation) -> Array:
+    way = _way(setup, now)
+    return way / (norm(way)[..., None] + NEAR)
+
+
+def _achieved(setup: TaskSetup, now: Situation) -> Array:
+    """Where what is moved truly is, so that rewards can be recomputed."""
+    place = setup.task.achieved(now)
+    return jnp.concatenate([place, now.achieved.quaternion], axis=-1) if setup.rules.asks_orientation else place
+
+
+def _desired(setup: TaskSetup, now: Situation) -> Array:
+    del setup
+    return jnp.concatenate([now.goal.position, now.goal.quaternion], axis=-1)
+
+
+def _or_pose(bounds: Callable[[TaskSetup], Bounds]) -> Callable[[TaskSetup], Bounds]:
+    """Bounds of a position or, where an orientation is asked for, of a pose."""
+
+    def of(setup: TaskSetup) -> Bounds:
+        low, high = bounds(setup)
+        numbers = np.ones(4 * setup.rules.asks_orientation, np.float32)
+        return np.concatenate([low, -numbers]), np.concatenate([high, numbers])
+
+    return of
+
+
+def _desired_constant(setup: TaskSetup) -> np.ndarray:
+    return np.concatenate([_goal_constant(setup), np.zeros(4 * setup.rules.asks_orientation, bool)])
+
+
+def _axes(quaternion: Array) -> Array:
+    """First two axes `[..., 6]` of an orientation `[..., 4]`: the same for both quaternions of it, and continuous.
+
+    Zhou et al., "On the continuity of rotation representations in neural networks", CVPR 2019.
+    """
+    turned = rotation_from_quaternion(*components(quaternion))
+    return jnp.stack([jnp.asarray(number) for axis in turned[:2] for number in axis], axis=-1)
+
+
+def _goal_axes(setup: TaskSetup, now: Situation) -> Array:
+    del setup
+    return _axes(now.goal.quaternion)
+
+
+def _turn(setup: TaskSetup, now: Situation) -> Array:
+    """From the tool's orientation to the goal's: twice the sine of half the angle, times the axis."""
+    del setup
+    tool, goal = (rotation_from_quaternion(*components(q)) for q in (now.tool_quaternion, now.goal.quaternion))
+    return stack(rotation_error(tool, goal), now.tool_position)
+
+
+def _turn_near(setup: TaskSetup, now: Situation) -> Array:
+    turn = _turn(setup, now)
+    return turn / (norm(turn)[..., None] + NEAR / setup.rules.angle_weight)
+
+
+def _goal_velocity(setup: TaskSetup, now: Situation) -> Array:
+    del setup
+    return now.goal.velocity
+
+
+def _goal_velocity_bounds(setup: TaskSetup) -> Bounds:
+    return within(np.full(3, FASTEST * setup.rules.goal_speed[1]))
+
+
+def _clearance(setup: TaskSetup, now: Situation) -> Array:
+    """Of each moving capsule the direction away from what is nearest, shorter the further away, `[B, 3 C]`."""
+    near = CLOSE * setup.robot.scale
+    around = surroundings(setup.robot, now.q, now.bodies)
+    close = near / (near + jnp.maximum(around.distance, 0.0))
+    return jnp.concatenate([(close * x).T for x in around.normal], axis=-1)
+
+
+def _clearance_bounds(setup: TaskSetup) -> Bounds:
+    return within(np.ones(3 * np.count_nonzero(setup.robot.capsules.links)))
+
+
+def _basis_points(setup: TaskSetup, each: int) -> np.ndarray:
+    """Points `[each³, 3]` m on a grid in the arm's goal box and around it."""
+    low, high = np.array(setup.robot.goal_box)
+    axes = [np.linspace(a, b, each) for a, b in zip(low, high, strict=True)]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3).astype(np.float32)
+
+
+def _scene(setup: TaskSetup, now: Situation) -> Array:
+    """Nearness `[B, BASIS³]` of bodies to points about the goals."""
+    away = distance_from(now.bodies, _basis_points(setup, BASIS))
+    return CLOSE / (CLOSE + jnp.maximum(away / setup.robot.scale, 0.0))
+
+
+def _goal_velocity_constant(setup: TaskSetup) -> np.ndarray:
+    """It is always zero where it is not told, or nothing but jumps."""
+    rules = setup.rules
+    moves = rules.goal_velocity and rules.goal_speed[1] > 0 and any(name != "jumps" for name in rules.goal_paths)
+    return np.full(3, not moves)
+
+
+def _joint_way(setup: TaskSetup, now: Situation) -> Array:
+    del setup
+    return now.goal.joints - now.q
+
+
+GOAL = Term("goal", "m", lambda _, now: now.goal.position, _goal_bounds, _goal_constant)
+TOOL = Term("tool", "m", lambda _, now: now.tool_position, _tool_bounds)
+IMAGE = Term(
+    "image",
+    "grey",
+    lambda _, now: now.picture,
+    lambda _: (np.zeros(1, np.uint8), np.full(1, 255, np.uint8)),
+    picture=True,
+)
+
+ARM = (
+    Term("joints", "rad or m", lambda _, now: now.q, _joint_bounds),
+    Term("joint_speeds", "rad/s or m/s", lambda _, now: now.qd, _speed_bounds),
+    Term(
+        "lag",
+        "rad or m",
+        lambda _, now: now.command[..., : now.q.shape[-1]] - now.q,
+        _lag_bounds,
+        lambda setup: np.array(setup.lag) == 0.0,
+    ),
+    TOOL,
+)
+"""Joints, their speeds and how far they are behind their commands, and the tool."""
+
+LAST_ACTION = Term("last_action", "1", lambda _, now: now.last_action, _action_bounds)
+
+STATE = (
+    *ARM,
+    GOAL,
+    Term("way", "m", _way, way_bounds),
+    Term("way_near", "1", _way_near, lambda _: within(np.ones(3))),
+    LAST_ACTION,
+)
+"""The arm, the goal, the way to it from the tool and the same drawn together, and the last action."""
+
+JOINT_WAY = Term("joint_way", "rad or m", _joint_way, _joint_way_bounds)
+
+TOOL_AXES = Term("tool_axes", "1", lambda _, now: _axes(now.tool_quaternion), lambda _: within(np.ones(6)))
+
+POSE = (
+    *STATE,
+    TOOL_AXES,
+    Term("goal_axes", "1", _goal_axes, lambda _: within(np.ones(6))),
+    Term("turn", "rad", _turn, lambda _: within(np.full(3, 2.0))),
+    Term("turn_near", "1", _turn_near, lambda _: within(np.ones(3))),
+    JOINT_WAY,
+)
+"""The same with both orientations, the turn between them, and the way of the joints to a solution of the goal."""
+
+TRACK = (*STATE, Term("goal_velocity", "m/s", _goal_velocity, _goal_velocity_bounds, _goal_velocity_constant))
+"""The same as `STATE`, and how fast the goal moves."""
+
+CLUTTER = (
+    *STATE,
+    JOINT_WAY,
+    Term("clearance", "1", _clearance, _clearance_bounds),
+    Term("scene", "1", _scene, lambda _: (np.zeros(BASIS**3, np.float32), np.ones(BASIS**3, np.float32))),
+)
+"""The same as `STATE`, how far the joints are from where they have the goal, and the bodies beside the arm.
+
+These are observed by what is nearest to each capsule of the arm, which is what a policy must not touch, and by how near
+they are to the points of a grid (Prokudin et al., "Efficient learning on point clouds with basis point sets", ICCV
+2019), which tells ways round apart. Neither depends on their order, number or kind.
+"""
+
+
+ACHIEVED_AND_DESIRED = (
+    Term(GOALS[0], "m", _achieved, _or_pose(_tool_bounds)),
+    Term(GOALS[1], "m", _desired, _or_pose(_goal_bounds), _desired_constant),
+)
+"""Where the tool is, and where it is asked to be: positions, or poses with a quaternion wxyz."""

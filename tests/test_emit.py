@@ -1,0 +1,196 @@
+"""Functions printed as straight code: they compute what JAX does, in Python and in C, and take any input."""
+
+from __future__ import annotations
+
+import ctypes
+import shutil
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax import ShapeDtypeStruct
+
+from faults.c_sources import SANITIZED, hostile_inputs, same_decisions
+from faults.controllers import written
+from reachlab.deploy import c_source
+from reachlab.deploy.c_library import FLAGS, compiler
+from reachlab.deploy.onboard.controller import Controller
+from reachlab.emit.braced import c_declarations, c_function
+from reachlab.emit.program import Program, constants_of
+from reachlab.emit.python import to_python
+from reachlab.emit.tracing import trace
+
+SIZES = (3, 40)
+"""Numbers of an input: of few each is a variable, of many they are an array."""
+
+MATRIX = np.random.default_rng(0).normal(size=(40, 20)).astype(np.float32)
+
+
+def powers(a: Any, b: Any) -> Any:
+    return jnp.abs(a) ** b + a**3 + 1 / (2 + a**2) + jnp.exp(a) - jnp.log1p(0.0) + jnp.log(jnp.abs(b) + 0.1)
+
+
+def angles(a: Any, b: Any) -> Any:
+    waves = jnp.sin(a) * jnp.cos(b) + jnp.tan(0.3 * a) + jnp.arctan2(a, b) + jnp.arctan(b)
+    return waves + jnp.arcsin(jnp.clip(a, -1, 1)) + jnp.arccos(jnp.clip(b, -0.9, 0.9)) + jnp.tanh(a)
+
+
+def choices(a: Any, b: Any) -> Any:
+    inside = (a > b) & (a != 0.5) | ~(b >= 0.2)
+    return jnp.where(inside, jnp.maximum(a, b), jnp.minimum(a, b)) + jnp.sign(a) + jnp.isfinite(b) * jnp.floor(3 * a)
+
+
+def wholes(a: Any, b: Any) -> Any:
+    number = jnp.round(4 * a).astype(jnp.int32)
+    return number % 3 + number // 2 + jnp.ceil(b) + jnp.mod(a, 0.7) + jax.nn.sigmoid(a)
+
+
+def places(a: Any, b: Any) -> Any:
+    chosen = jnp.argmax(a)
+    there = jax.lax.dynamic_slice(b, (chosen,), (2,))
+    return jnp.concatenate([there, a[jnp.argmin(b)][None], a[::-1][:2], b.at[1].set(7.0)[:2], jnp.cumsum(a)[-1:]])
+
+
+def loops(a: Any, b: Any) -> Any:
+    def halve(_: int, limits: Any) -> Any:
+        low, high = limits
+        middle = (low + high) / 2
+        return jnp.where(middle < b, middle, low), jnp.where(middle < b, high, middle)
+
+    low, high = jax.lax.fori_loop(0, 5, halve, (a, a + 1.0))
+    count, total = jax.lax.while_loop(
+        lambda carry: (carry[0] < 9) & (carry[1].sum() < 20.0),
+        lambda carry: (carry[0] + 1, carry[1] + jnp.abs(a)),
+        (jnp.zeros((), jnp.int32), jnp.abs(b)),
+    )
+    sums, kept = jax.lax.scan(lambda total, x: (total + x, total * x), jnp.zeros(()), a)
+    return low + high + total + count + sums + kept.sum() + jax.lax.cond(a[0] > 0, jnp.sin, jnp.cos, b)
+
+
+def products(a: Any, b: Any) -> Any:
+    layer = jnp.tanh(jnp.concatenate([a, b, jnp.zeros(80)])[:40] @ MATRIX)
+    small = jnp.einsum("bij,bj->bi", jnp.stack([jnp.outer(a[:2], b[:2])] * 2), jnp.stack([a[:2], b[:2]]))
+    return jnp.concatenate([layer, small.ravel()])
+
+
+def random_of_a_key(a: Any, b: Any) -> Any:
+    return a * jax.random.uniform(jax.random.key(3), a.shape) + b
+
+
+FUNCTIONS: dict[str, Callable[[Any, Any], Any]] = {
+    one.__name__: one for one in (powers, angles, choices, wholes, places, loops, products, random_of_a_key)
+}
+
+
+def program_of(name: str, size: int) -> Program:
+    shape = ShapeDtypeStruct((size,), jnp.float32)
+    return trace(
+        "f", lambda a, b: {"result": jnp.asarray(FUNCTIONS[name](a, b), jnp.float32)}, {"a": shape, "b": shape}
+    )
+
+
+def in_python(program: Program) -> Callable[..., Any]:
+    names: dict[str, Any] = {"CONSTANTS": {k: v.ravel() for k, v in constants_of([program]).items()}}
+    exec(to_python([program]), names)
+    return names["f"]
+
+
+def in_c(program: Program, build: Path) -> Callable[..., Any]:
+    frame = (Path(c_source.__file__).parent / "c" / "reachlab_policy.c").read_text()
+    head = frame[frame.index("#include <limits.h>") : frame.index("{{functions}}")].replace("reachlab_real", "double")
+    given = ", ".join(f"const {one}" for one in c_declarations(program.inputs))
+    size = len(program.outputs[0].atoms)
+    call = f"void call({given}, real result[{size}]) {{ f(a, b, result); }}"
+    (build / "f.c").write_text(f"{head}\n{c_function(program)}\nvoid call({given}, real result[{size}]);\n{call}\n")
+    library = build / "f.so"
+    subprocess.run([str(compiler()), *FLAGS, "-o", str(library), str(build / "f.c"), "-lm"], check=True)
+    called = ctypes.CDLL(str(library)).call
+
+    def function(a: list[float], b: list[float]) -> tuple[list[float]]:
+        result = (ctypes.c_double * size)()
+        called((ctypes.c_double * len(a))(*a), (ctypes.c_double * len(b))(*b), result)
+        return (list(result),)
+
+    return function
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_what_is_printed_computes_what_jax_does(name: str, size: int, tmp_path: Path) -> None:
+    program, random = program_of(name, size), np.random.default_rng(1)
+    printed = [in_python(program), *([in_c(program, tmp_path)] if compiler() else [])]
+    for _ in range(20):
+        a, b = random.normal(size=(2, size)).astype(np.float32)
+        expected = np.asarray(FUNCTIONS[name](jnp.asarray(a), jnp.asarray(b)))
+        results = [np.array(one(a.tolist(), b.tolist())[0]) for one in printed]
+        assert results[0] == pytest.approx(expected, rel=2e-5, abs=2e-5)
+        for other in results[1:]:
+            assert other == pytest.approx(results[0], rel=1e-12, abs=1e-12)
+
+
+def test_what_a_result_does_not_need_is_not_printed() -> None:
+    shape = ShapeDtypeStruct((3,), jnp.float32)
+    whole = trace("f", lambda a, b: {"result": a + 0.0 * jnp.exp(b)}, {"a": shape, "b": shape})
+    assert len(whole.body) == 0
+    twice = trace("f", lambda a, b: {"result": jnp.sin(a) * jnp.sin(a) + b}, {"a": shape, "b": shape})
+    assert to_python([twice]).count("= sin(") == 3
+
+
+# --- the C sources of an export -------------------------------------------------------------------
+
+needs_compiler = pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return written(tmp_path_factory.mktemp("precise") / "policy", "precise")
+
+
+@needs_compiler
+def test_c_decides_as_python_does_and_keeps_every_limit_whatever_it_is_given(folder: Path) -> None:
+    assert same_decisions(folder, 1500).wrong == []
+    assert hostile_inputs(folder, 3000).wrong == []
+
+
+@needs_compiler
+def test_the_example_in_c_prints_the_commands_of_a_log(folder: Path, tmp_path: Path) -> None:
+    controller = Controller(folder)
+    controller.reset(controller.home)
+    q, qd, commands = controller.home, 0 * controller.home, []
+    for number in range(120):
+        goal = [0.5, 0.2, 0.4] if number < 60 else [0.45, -0.2, 0.5]
+        command = controller.step(q, qd, goal, number * controller.period)
+        commands.append(command)
+        q, qd = command, (command - q) / controller.period
+    controller.save_log(tmp_path / "log.jsonl")
+    sources = [str(folder / name) for name in ("main.c", "reachlab_policy.c")]
+    subprocess.run([str(compiler()), *SANITIZED, "-o", str(tmp_path / "policy"), *sources, "-lm"], check=True)
+    done = subprocess.run(
+        [str(tmp_path / "policy"), str(tmp_path / "log.jsonl")], capture_output=True, text=True, check=True
+    )
+    assert done.stderr == ""
+    printed = np.array([[float(number) for number in line.split()] for line in done.stdout.splitlines()])
+    assert printed == pytest.approx(np.array(commands), abs=1e-9)
+
+
+@needs_compiler
+def test_the_header_is_one_of_cpp_too(folder: Path, tmp_path: Path) -> None:
+    if (cpp := shutil.which("c++")) is None:
+        pytest.skip("needs a C++ compiler")
+    (tmp_path / "a.cpp").write_text('#include "reachlab_policy.h"\nint main() { return REACHLAB_OK; }\n')
+    words = [cpp, "-Wall", "-Wextra", "-Werror", "-pedantic", "-std=c++11", f"-I{folder}", "-fsyntax-only"]
+    done = subprocess.run([*words, str(tmp_path / "a.cpp")], capture_output=True, text=True, check=False)
+    assert done.stderr == ""
+
+
+@needs_compiler
+def test_single_precision_compiles_without_a_warning(folder: Path, tmp_path: Path) -> None:
+    source, library = str(folder / "reachlab_policy.c"), str(tmp_path / "f.so")
+    words = [str(compiler()), *FLAGS, "-DREACHLAB_FLOAT", "-o", library, source, "-lm"]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert done.stderr == ""

@@ -1,0 +1,107 @@
+"""Tasks in which a hand grips, lets go or strikes: their scripts, what a command drives, and how firmly is held."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from params import tried
+from reachlab.agents.acting import make_act
+from reachlab.envs.core import Env
+from reachlab.envs.functions import EnvState
+from reachlab.envs.presets import configure
+from reachlab.envs.random_streams import REPORT_STREAM, episode_keys
+from reachlab.envs.setup import configure_env
+from reachlab.robots.loading import load_robot
+from reachlab.settings.validation import InputError
+from reachlab.tasks.handling import SHAPES, Handling
+from reachlab.tasks.out_of_reach import SPREAD
+from reachlab.tasks.slide import Slide
+from reachlab.tasks.tabletop import reach_on_table, working_box
+from reachlab.tasks.walls import LET_GO
+
+EPISODES = 128
+
+LEAST = {"lift": 0.97, "place": 0.96, "slide": 0.8}
+"""Least share of successes of each script, nominal."""
+
+
+def played(task: str, robot: str = "panda", **settings: Any) -> tuple[Env, EnvState, EnvState, np.ndarray]:
+    """An environment, its states at the start and after the script's episodes, and which were successes."""
+    env = Env(configure(task, robot=robot, **{"randomise": (), **settings}), EPISODES)
+    start = state = env.init(episode_keys(3, REPORT_STREAM, 0, EPISODES))
+    act, key, success = make_act(env, "ik"), jax.random.key(0), np.zeros(EPISODES, bool)
+    for _ in range(env.config.rules.max_steps):
+        state, transition, key = act(None, state, key)
+        success = np.asarray(transition.terms["success"])
+    return env, start, state, success
+
+
+@pytest.mark.parametrize("task", LEAST)
+@pytest.mark.parametrize("robot", tried(["panda", "ur5e"], ["panda"]))
+def test_scripts_do_what_is_asked(task: str, robot: str) -> None:
+    env, start, state, success = played(task, robot)
+    assert success.mean() >= LEAST[task] - 0.15 * (robot != "panda")
+    moved = np.linalg.norm(np.asarray(state.arm.bodies.position - start.arm.bodies.position)[:, -1], axis=1)
+    assert (moved[success] > 0.03).all(), "no episode is solved before it begins"
+    if task == "place":
+        away = np.linalg.norm(
+            np.asarray(state.arm.bodies.position)[:, -1] - np.asarray(state.arm.tool_position), axis=1
+        )
+        assert (away[success] > LET_GO).all()
+    if task == "slide":
+        far = np.linalg.norm(np.asarray(state.goal.position)[:, :2], axis=1)
+        assert far.min() >= reach_on_table(env.setup.robot) + Slide.beyond[0] - 1e-5
+
+
+def test_what_varies_is_held_too() -> None:
+    assert played("lift", randomise=("objects",))[-1].mean() >= 0.96
+
+
+@pytest.mark.parametrize("shape", ["cylinder", "ball"])
+def test_other_shapes_are_gripped(shape: str) -> None:
+    assert shape in SHAPES
+    assert played("lift", object_shape=shape)[-1].mean() >= 0.9
+
+
+def test_a_ball_is_not_pushed() -> None:
+    with pytest.raises(InputError, match="a ball that is pushed rolls on"):
+        configure_env("push", object_shape="ball")
+
+
+def test_a_command_drives_the_fingers_together_and_no_faster_than_they_are() -> None:
+    env = Env(configure("lift", robot="panda", randomise=()), 2)
+    state = env.init(episode_keys(3, REPORT_STREAM, 0, 2))
+    gripper = env.setup.robot.gripper
+    assert gripper is not None
+    assert env.setup.robot.actuators[-1] == "gripper"
+    assert np.asarray(state.command).shape == (2, 8)
+    np.testing.assert_allclose(np.asarray(state.arm.opening), gripper.widest, atol=1e-3)
+    closes = np.zeros((2, 8), np.float32)
+    closes[0, -1] = -1.0
+    openings = []
+    for _ in range(20):
+        state, _ = env.step(state, closes, instead=state.command + jnp.asarray(closes) * gripper.speed * 0.02)
+        openings.append(np.asarray(state.arm.opening)[:, 0])
+    assert openings[-1][0] == pytest.approx(gripper.widest - 20 * 0.02 * gripper.speed, abs=0.004)
+    assert openings[-1][1] == pytest.approx(gripper.widest, abs=1e-3)
+
+
+def test_the_part_of_the_table_is_moved_outward_where_an_arm_needs_it() -> None:
+    for name, moves in (("panda", False), ("iiwa14", True)):
+        robot = load_robot(name, gripper="parallel")
+        low, high = working_box(robot)
+        middle = np.mean(robot.workspace, axis=0)[0]
+        assert ((low[0] + high[0]) / 2 > middle + 0.01) == moves
+
+
+def test_friction_of_a_puck_varies_little_and_its_grip_is_that_of_fingers() -> None:
+    env = Env(configure("slide", robot="panda", randomise=("objects",)), 1)
+    scene = env.setup.task.scene(env.setup)
+    assert scene.friction_spread == (1 - SPREAD, 1 + SPREAD)
+    assert scene.grip > 5 * scene.friction
+    assert Handling.object_friction == 0.6

@@ -1,0 +1,133 @@
+"""A task of a user's own, by the command line alone: from a file, and from an installed package."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+import pytest
+
+import reachlab
+from conformance import CHECKS, Subject
+from reachlab.cli import main as cli
+from reachlab.settings import extensions
+from reachlab.settings.validation import InputError
+
+RAIL = Path(__file__).parents[1] / "examples" / "rail.py"
+
+TINY = "--num-envs 8 --rollout-steps 8 --total-steps 128 --hidden 8 --report-episodes 4 --max-steps 20"
+
+
+@pytest.mark.usefixtures("entered")
+def test_the_task_conforms() -> None:
+    subject = Subject(
+        task="rail", robot="iiwa14", sim="kinematic", observation="ball", action="joint_residual", reward="dense"
+    )
+    for check in CHECKS:
+        check(subject)
+    subject.env.close()
+
+
+@pytest.mark.usefixtures("entered")
+def test_its_controller_follows_the_ball_and_its_setting_moves_it() -> None:
+    reports = {}
+    for speed in (0.1, 1.5):
+        env = reachlab.Env(reachlab.configure("rail", rail_speed=speed, max_steps=200, robot="panda"), 50)
+        reports[speed] = reachlab.evaluate(env, "ik", seed=1, episodes=50)
+    assert reports[0.1].success_rate == 1
+    slow, fast = (reports[speed].final_error_mm["median"] for speed in (0.1, 1.5))
+    assert slow is not None
+    assert fast is not None
+    assert 2 * slow < fast
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with the task's file, where no extension is known yet."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    place = tmp_path / "work"
+    place.mkdir()
+    (place / "rail.py").write_text(RAIL.read_text())
+    monkeypatch.chdir(place)
+    return place
+
+
+def reachlab_command(*words: str) -> subprocess.CompletedProcess[str]:
+    """The command in a process of its own, in which nothing was imported."""
+    return subprocess.run([sys.executable, "-m", "reachlab", *words], capture_output=True, text=True, check=False)
+
+
+@pytest.mark.slow
+def test_a_file_is_imported_and_runs_remember_it(folder: Path) -> None:
+    trained = reachlab_command("train", "--import", "rail.py", "--task", "rail", *TINY.split(), "--out", "run")
+    assert trained.returncode == 0, trained.stderr
+    assert json.loads((folder / "run" / "config.json").read_text())["imports"] == [str(folder / "rail.py")]
+    told = reachlab_command("eval", "run", "--agent", "trained", "ik", "--episodes", "4", "--json")
+    assert [report["task"] for report in json.loads(told.stdout)] == ["rail", "rail"]
+    assert reachlab_command("video", "run", "--episodes", "1").returncode == 0
+    assert reachlab_command("view", "run", "--save", "page.html", "--episodes", "1").returncode == 0
+    (folder / "space.toml").write_text("[space]\nrail_speed = [0.05, 0.2]\n")
+    swept = reachlab_command(
+        *["sweep", "space.toml", "--import", "rail.py", "--task", "rail", "--trials", "2", "--out", "sweep"],
+        *TINY.split(),
+    )
+    assert swept.returncode == 0, swept.stderr
+    assert reachlab_command("export", "run", "--out", "exported").returncode == 0
+    assert (folder / "exported" / "step.py").exists()
+
+
+def test_an_extension_that_a_run_names_is_not_imported_before_its_user_did(folder: Path) -> None:
+    (folder / "evil.py").write_text("raise SystemExit('imported')")
+    with pytest.raises(InputError, match=r"was not imported here before.*name it with --import"):
+        extensions.import_remembered((str(folder / "evil.py"),))
+    (folder / "plain.py").write_text("NUMBER = 1")
+    extensions.import_extension("plain.py")
+    del sys.modules["plain"], extensions.IMPORTED[-1]
+    extensions.import_remembered((str(folder / "plain.py"),))
+    del sys.modules["plain"], extensions.IMPORTED[-1]
+    (folder / "plain.py").write_text("NUMBER = 2")
+    with pytest.raises(InputError, match="or has changed since"):
+        extensions.import_remembered((str(folder / "plain.py"),))
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        (None, "extension 'mine.py' is not there"),
+        ("1 / 0", "extension 'mine.py' cannot be imported: ZeroDivisionError: division by zero"),
+    ],
+)
+def test_an_extension_that_cannot_be_imported_is_refused_in_one_sentence(
+    folder: Path, text: str | None, sentence: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if text:
+        (folder / "mine.py").write_text(text)
+    assert cli.main(["list", "tasks", "--import", "mine.py"]) == cli.WRONG_INPUT
+    said = capsys.readouterr().err
+    assert sentence in said
+    assert said.count("\n") == 1
+
+
+def test_a_file_that_is_called_as_a_module_in_use_is_refused(folder: Path) -> None:
+    (folder / "json.py").write_text("NUMBER = 1")
+    with pytest.raises(InputError, match=r"'json\.py' is called as module 'json' is, which is in use: rename it"):
+        extensions.import_extension("json.py")
+
+
+def test_extensions_of_installed_packages_are_imported(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
+    del folder
+    entries = [EntryPoint("mine", "colorsys", extensions.GROUP), EntryPoint("broken", "gone.missing", extensions.GROUP)]
+    asked: list[str] = []
+
+    def installed(group: str) -> list[EntryPoint]:
+        asked.append(group)
+        return entries
+
+    monkeypatch.setattr(extensions, "entry_points", installed)
+    with pytest.raises(InputError, match=r"extension 'gone.missing' cannot be imported: ModuleNotFoundError"):
+        extensions.import_installed.__wrapped__()
+    assert asked == ["reachlab.extensions"]
+    assert "colorsys" in sys.modules
