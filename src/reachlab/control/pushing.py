@@ -21,7 +21,7 @@ TIP = GRIPPERS["parallel"].tip[0]
 BEHIND = 0.016
 """From the place where finger tips would touch to that from which a push begins [m]."""
 
-ASIDE, FAR_BEHIND, INSIDE = 0.018, 0.05, 0.02
+ASIDE, FAR_BEHIND, INSIDE = 0.018, 0.05, 0.045
 """A push goes on while the finger tips are so little aside of its line, so near behind the object and no further in
 it [m]."""
 
@@ -35,8 +35,12 @@ PUSH, PUSH_GAIN, PUSH_BRAKE = 0.6, 10.0, 2.0
 STEER = 2.0
 """Of the finger tips' way aside a push takes back so much of its own speed for every 3 cm."""
 
-LATCH, DONE = 0.015, 0.006
-"""Distances from the goal from which on the line of a push no longer turns to it, and at which a push has ended [m]."""
+LATCH, DONE, AGAIN = 0.015, 0.006, 0.009
+"""Distances from the goal from which on the line of a push no longer turns to it, at which a push has ended, and at
+which a hand that rests begins another [m]."""
+
+STILL = 0.02
+"""A hand rests where no joint is faster [rad/s]."""
 
 STRAY = 0.5
 """Cosine of the angle between that line and the one to the goal below which the object has to be pushed anew."""
@@ -77,7 +81,9 @@ def push(drive: Drive, now: Situation) -> Array:
     pushing = jnp.concatenate([pushing, state.down[:, None]], axis=-1)
     velocity = jnp.where(state.ready[:, None], pushing, run_up(now, state))
     away = norm((now.goal.position - now.bodies.position[:, -1])[:, :2])
-    done = (away < DONE) & (~state.ready | (state.left < 0.001))
+    # A hand that rests against the object lets it creep: it goes on resting.
+    rests = jnp.abs(now.qd).max(axis=-1) < STILL
+    done = (away < jnp.where(rests, AGAIN, DONE)) & (~state.ready | (state.left < 0.001))
     turn = across(drive, now, jnp.arctan2(state.line[:, 1], state.line[:, 0]))
     return jnp.where(done[:, None], 0.0, towards(drive, now, velocity, turn))
 
@@ -103,6 +109,9 @@ def planned(now: Situation) -> Push:
     reach = half[:, 0] * jnp.abs(jnp.cos(turn)) + half[:, 1] * jnp.abs(jnp.sin(turn))
     reach = jnp.where(now.bodies.round[:, -1], half[:, 0], reach) + TIP
     gap = -along - reach
+    # Tips are never in an object: one that seems to be there was seen late, and is before them.
+    ahead = jnp.where((gap > -INSIDE) & (jnp.abs(aside) < ASIDE) & low, jnp.maximum(-gap - 0.004, 0.0), 0.0)
+    left, along, gap = jnp.maximum(left - ahead, 0.0), along - ahead, gap + ahead
     ready = (gap > -INSIDE) & (gap < FAR_BEHIND) & (jnp.abs(aside) < ASIDE) & low
     ready &= (left > 0.0005) | (away < DONE)
     # Over the object's edge nothing is pushed, but stood on.

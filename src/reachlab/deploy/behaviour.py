@@ -145,6 +145,7 @@ def measured_state(functions: EnvFunctions, like: EnvState, given: Mapping[str, 
         clock=jnp.zeros(1, jnp.int32),
         motion=None,
         sensed=None,
+        sight=None,
     )
     return replace(state, errors=setup.task.errors(setup, functions.situation(state)))
 

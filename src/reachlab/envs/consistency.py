@@ -37,7 +37,7 @@ NAMES: dict[str, tuple[str, Mapping[str, object]]] = {
 }
 """Settings that are names of tables, or lists of them, and what they are called."""
 
-RANDOMISED = ("dynamics", "delay", "view", "objects")
+RANDOMISED = ("dynamics", "delay", "view", "objects", "sight")
 """Parts that can vary from episode to episode; see `RunConfig.randomise`."""
 
 log = logging.getLogger(__name__)
@@ -78,8 +78,9 @@ def _contradictions(config: RunConfig, changed: set[str]) -> Iterator[str]:
         )
     for name in config.randomise:
         choose("randomise", name, RANDOMISED)
-    if "objects" in config.randomise and "object" not in rules.gives:
-        yield f"randomise objects needs an object, as in task push, and {config.task!r} has none."
+    for name in ("objects", "sight"):
+        if name in config.randomise and "object" not in rules.gives:
+            yield f"randomise {name} needs an object, as in task push, and {config.task!r} has none."
     if "view" in config.randomise and not observation.pictured:
         yield (
             "randomise view has an effect only with an observation with a picture, as image:"

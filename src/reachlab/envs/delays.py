@@ -8,7 +8,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from reachlab.envs.random_streams import delay_keys
+from reachlab.control.bodies import Bodies
+from reachlab.envs.random_streams import delay_keys, sight_keys
 from reachlab.sims.simulator import SimState
 
 JITTER = 0.01
@@ -16,6 +17,12 @@ JITTER = 0.01
 
 LOST = 0.05
 """Share of the measurements that do not come: then the one before is all that is known."""
+
+LATEST, UNSEEN = 3, 0.1
+"""By how many steps a sight of bodies is late at most, and what share of them do not come."""
+
+KEPT = 8
+"""Steps for which bodies are kept: so many sights in a row are hardly ever lost."""
 
 
 @jax.tree_util.register_dataclass
@@ -40,3 +47,34 @@ def sense(before: Sensed, arm: SimState, keys: Array, clock: Array, period: floa
     q = jnp.where(lost, before.q, arm.q + older * (before.past_q - arm.q))
     qd = jnp.where(lost, before.qd, arm.qd + older * (before.past_qd - arm.qd))
     return Sensed(q, qd, arm.q, arm.qd)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Sight:
+    """What is beside the arms as it was in the last steps `[B, KEPT, K]`, the latest first, and which is known `[B]`."""
+
+    past: Bodies
+    age: Array
+
+    @classmethod
+    def of(cls, bodies: Bodies) -> Sight:
+        """Sight of bodies `[B, K]` that have been at rest."""
+        past = jax.tree.map(lambda x: jnp.repeat(x[:, None], KEPT, axis=1), bodies)
+        return cls(past, jnp.zeros(len(bodies.kind), jnp.int32))
+
+    def after(self, bodies: Bodies, keys: Array, clock: Array) -> Sight:
+        """Sight after a step `[B]` of the episodes with `keys [B]` that brought bodies `[B, K]` to where they are.
+
+        One is late by one to `LATEST` steps. Of what comes out of turn the latest is known.
+        """
+        random = jax.vmap(lambda key: jax.random.uniform(key, (2,)))(sight_keys(keys, clock))
+        late = 1 + (LATEST * random[:, 0]).astype(jnp.int32)
+        age = jnp.where(random[:, 1] < UNSEEN, self.age + 1, jnp.minimum(self.age + 1, late))
+        past = jax.tree.map(lambda x, old: jnp.concatenate([x[:, None], old[:, :-1]], axis=1), bodies, self.past)
+        return Sight(past, jnp.minimum(age, KEPT - 1))
+
+    @property
+    def known(self) -> Bodies:
+        """Bodies `[B, K]` as far as they are known."""
+        return jax.tree.map(lambda x: jax.vmap(lambda rows, age: rows[age])(x, self.age), self.past)

@@ -12,7 +12,7 @@ from jax import Array
 from reachlab.control.bodies import Bodies, turned
 from reachlab.control.motion_limits import Motion, MotionLimits
 from reachlab.control.situation import Goal, Situation
-from reachlab.envs.delays import Sensed, sense
+from reachlab.envs.delays import Sensed, Sight, sense
 from reachlab.envs.random_streams import (
     CHAIN_STREAM,
     OBJECT_STREAM,
@@ -55,6 +55,7 @@ class EnvState:
         key: random key of each environment `[B]`.
         motion: of the commands, whose position is `command`; None where they are not shaped.
         sensed: what is known of the joints; None where measurements come at once.
+        sight: what is known of the bodies; None where they are seen at once.
     """
 
     arm: SimState
@@ -67,6 +68,7 @@ class EnvState:
     key: Array
     motion: Motion | None = None
     sensed: Sensed | None = None
+    sight: Sight | None = None
 
     @property
     def distance(self) -> Array:
@@ -180,6 +182,7 @@ class EnvFunctions:
             key=begin.key,
             motion=None if self.limits is None else self.limits.at_rest(rest, jnp),
             sensed=Sensed(arm.q, arm.qd, arm.q, arm.qd) if "delay" in self.randomise else None,
+            sight=Sight.of(arm.bodies) if "sight" in self.randomise else None,
         )
 
     def command(self, state: EnvState, action: Array, instead: Array | None) -> tuple[Array, Array, Motion | None]:
@@ -211,8 +214,9 @@ class EnvFunctions:
         now = Situation(moved.q, moved.qd, *tool, goal, command, action, bodies, moved.contact, tool, moved.opening)
         outcome = judge(setup, before.errors, before.progress, now, clock)
         sensed = None if before.sensed is None else sense(before.sensed, before.arm, before.key, clock, setup.period)
+        sight = None if before.sight is None else before.sight.after(bodies, before.key, clock)
         terms = REWARDS[setup.rules.reward](setup.rules, outcome)
-        seen = None if self.pictured else observations.observe(setup, self.measured(now, before.key, clock, sensed))
+        seen = None if self.pictured else observations.observe(setup, self.measured(now, before.key, clock, sensed, sight))
         transition = Transition(
             observation=seen,
             reward=sum(terms.values(), jnp.zeros_like(outcome.gap)),
@@ -226,7 +230,7 @@ class EnvFunctions:
         bodies = bodies if setup.task.scene(setup).moved else moved.bodies
         arm = SimState(moved.q, moved.qd, *tool, bodies, moved.contact, moved.opening)
         errors, progress, key = outcome.errors, outcome.progress, before.key
-        return EnvState(arm, goal, command, action, errors, progress, clock, key, motion, sensed), transition
+        return EnvState(arm, goal, command, action, errors, progress, clock, key, motion, sensed, sight), transition
 
     def observe(self, state: EnvState, picture: BatchArray | None = None) -> Observed:
         """Observation of a state; one that holds a picture is given it."""
@@ -237,11 +241,15 @@ class EnvFunctions:
         arm = state.arm
         beside = arm.bodies, arm.contact, arm.tool, arm.opening
         now = Situation(arm.q, arm.qd, *arm.tool, state.goal, state.command, state.last_action, *beside)
-        return self.measured(now, state.key, state.clock, state.sensed)
+        return self.measured(now, state.key, state.clock, state.sensed, state.sight)
 
-    def measured(self, now: Situation, keys: Array, clock: Array, sensed: Sensed | None) -> Situation:
+    def measured(
+        self, now: Situation, keys: Array, clock: Array, sensed: Sensed | None, sight: Sight | None
+    ) -> Situation:
         """A situation as it is measured, and the goal as far as it is known."""
         now = now._replace(goal=self.setup.task.known(self.setup, now.goal))
+        if sight is not None:
+            now = now._replace(bodies=sight.known)
         if "objects" in self.randomise:
             now = now._replace(bodies=jax.vmap(misplaced)(keys, now.bodies))
         if sensed is None and "dynamics" not in self.randomise:

@@ -20,9 +20,10 @@ PARTS = 4
 VIEW_STREAM, NOISE_STREAM, AGENT_STREAM, CHAIN_STREAM, SCENE_STREAM, DELAY_STREAM, OBJECT_STREAM, PLACE_STREAM = (
     2**32 - 1 - i for i in range(8)
 )
+SIGHT_STREAM = 2**32 - 9
 """Streams of an episode's key beside these parts: its view, the noise of its measurements, what its agent samples,
-where the next episode begins, its bodies, how late its measurements are, which objects it has and where they are
-measured."""
+where the next episode begins, its bodies, how late its measurements are, which objects it has, where they are
+measured and how late."""
 
 
 def stream_key(seed: int | Array, stream: int) -> Array:
@@ -53,6 +54,11 @@ def noise_keys(keys: Array, clock: Array) -> Array:
 def delay_keys(keys: Array, clock: Array) -> Array:
     """The same of how late the measurements are."""
     return _step_keys(keys, clock, DELAY_STREAM)
+
+
+def sight_keys(keys: Array, clock: Array) -> Array:
+    """The same of how late bodies are seen."""
+    return _step_keys(keys, clock, SIGHT_STREAM)
 
 
 def _step_keys(keys: Array, clock: Array, stream: int) -> Array:

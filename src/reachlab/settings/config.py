@@ -157,7 +157,7 @@ class RunConfig(Checked):
     noise of 0.5 mrad and 0.01 rad/s. `delay`: measurements are a control period old and up to 10 ms more, and 5 % of
     them do not come. `view`: light, colours and the camera's pose within 2 cm and 2 degrees. `objects`: their mass from
     0.3 to 3 times, friction from 0.3 to 1, size within 25 %; all an episode they are measured up to 5 mm and 5 degrees
-    off."""
+    off. `sight`: they are seen one to three steps late, and a tenth of the sights do not come."""
     imports: Annotated[tuple[str, ...], Length(64)] = ()
     """Extensions that the run needs, modules or files; see `extensions.import_extension`."""
     rules: TaskSettings = field(default_factory=TaskSettings)
