@@ -32,6 +32,10 @@ down behind it [m]."""
 PUSH, PUSH_GAIN, PUSH_BRAKE = 0.6, 10.0, 2.0
 """Of the tool while it pushes, as in `hand`. Friction of 0.3 stops an object that slides ahead with 3 m/s²."""
 
+DOWN_GAIN, LEVEL = 6.0, 0.02
+"""Of the tool on its way to that height: speed over distance [1/s]. So far from it a push is at half its speed, and half
+as far at its full one [m]."""
+
 STEER = 2.0
 """Of the finger tips' way aside a push takes back so much of its own speed for every 3 cm."""
 
@@ -75,6 +79,8 @@ def push(drive: Drive, now: Situation) -> Array:
     """
     state = planned(now)
     speed = jnp.minimum(jnp.minimum(PUSH, PUSH_GAIN * state.left), jnp.sqrt(2 * PUSH_BRAKE * state.left))
+    # Tips that come down while they push make a cube tumble that sticks to them.
+    speed = speed * jnp.clip(1.5 - jnp.abs(state.down) / (DOWN_GAIN * LEVEL), 0.2, 1.0)
     speed = jnp.minimum(speed + 8 * jnp.maximum(state.gap - 0.003, 0.0), TRAVEL)
     normal = _normal(state.line)
     pushing = state.line * speed[:, None] - normal * ((STEER * speed + 0.05) * state.aside / 0.03)[:, None]
@@ -116,7 +122,7 @@ def planned(now: Situation) -> Push:
     ready &= (left > 0.0005) | (away < DONE)
     # Over the object's edge nothing is pushed, but stood on.
     ready &= (now.tool_position[:, 2] < now.goal.position[:, 2] + half[:, 2] - OVERLAP + BEYOND) | (gap > CLEAR)
-    down = 6 * (now.goal.position[:, 2] - half[:, 2] + LOW - now.tool_position[:, 2])
+    down = DOWN_GAIN * (now.goal.position[:, 2] - half[:, 2] + LOW - now.tool_position[:, 2])
     return Push(line, left, along, aside, gap, ready, down)
 
 

@@ -216,7 +216,9 @@ class EnvFunctions:
         sensed = None if before.sensed is None else sense(before.sensed, before.arm, before.key, clock, setup.period)
         sight = None if before.sight is None else before.sight.after(bodies, before.key, clock)
         terms = REWARDS[setup.rules.reward](setup.rules, outcome)
-        seen = None if self.pictured else observations.observe(setup, self.measured(now, before.key, clock, sensed, sight))
+        seen = (
+            None if self.pictured else observations.observe(setup, self.measured(now, before.key, clock, sensed, sight))
+        )
         transition = Transition(
             observation=seen,
             reward=sum(terms.values(), jnp.zeros_like(outcome.gap)),
