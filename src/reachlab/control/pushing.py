@@ -33,8 +33,8 @@ PUSH, PUSH_GAIN, PUSH_BRAKE = 0.6, 10.0, 2.0
 """Of the tool while it pushes, as in `hand`. Friction of 0.3 stops an object that slides ahead with 3 m/s²."""
 
 DOWN_GAIN, LEVEL = 6.0, 0.02
-"""Of the tool on its way to that height: speed over distance [1/s]. So far from it a push is at half its speed, and half
-as far at its full one [m]."""
+"""Of the tool on its way to that height: speed over distance [1/s]. So far from it a push is at half its speed, and
+half as far at its full one [m]."""
 
 STEER = 2.0
 """Of the finger tips' way aside a push takes back so much of its own speed for every 3 cm."""

@@ -78,9 +78,8 @@ def _contradictions(config: RunConfig, changed: set[str]) -> Iterator[str]:
         )
     for name in config.randomise:
         choose("randomise", name, RANDOMISED)
-    for name in ("objects", "sight"):
-        if name in config.randomise and "object" not in rules.gives:
-            yield f"randomise {name} needs an object, as in task push, and {config.task!r} has none."
+    if "object" not in rules.gives and (of_objects := {"objects", "sight"}.intersection(config.randomise)):
+        yield f"randomise {min(of_objects)} needs an object, as in task push, and {config.task!r} has none."
     if "view" in config.randomise and not observation.pictured:
         yield (
             "randomise view has an effect only with an observation with a picture, as image:"

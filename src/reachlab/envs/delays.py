@@ -52,7 +52,7 @@ def sense(before: Sensed, arm: SimState, keys: Array, clock: Array, period: floa
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Sight:
-    """What is beside the arms as it was in the last steps `[B, KEPT, K]`, the latest first, and which is known `[B]`."""
+    """What is beside the arms as it was in the last steps `[B, KEPT, K]`, the latest first; which is known `[B]`."""
 
     past: Bodies
     age: Array
