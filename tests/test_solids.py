@@ -9,7 +9,7 @@ import pytest
 from reachlab.render.scene import scene_spec
 from reachlab.robots.catalogue import ROBOTS
 from reachlab.robots.loading import load_robot
-from reachlab.robots.shapes.solids import SHAPES
+from reachlab.robots.shapes.solids import SOLID
 from reachlab.watch.solids import Solid, solids
 
 TETRAHEDRON = '<asset><mesh name="corner" vertex="0 0 0 0.3 0 0 0 0.3 0 0 0 0.3"/></asset>'
@@ -38,7 +38,7 @@ def volume(solid: Solid) -> float:
     return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
 
 
-@pytest.mark.parametrize("kind", SHAPES)
+@pytest.mark.parametrize("kind", SOLID)
 def test_a_mesh_is_closed_faces_outwards_and_has_the_geoms_volume(kind: mujoco.mjtGeom) -> None:
     geom, expected = GEOMS[kind]
     (solid,) = solids_of(f"{geom} {POSE}")

@@ -66,6 +66,12 @@ class Bodies:
         return jnp.where(self.kind >= Shape.CYLINDER, 0.0, self.size[..., 0])
 
     @property
+    def mujoco_size(self) -> Array:
+        """MuJoCo's `geom_size` `[..., K, 3]` m: as `size`, but of a cylinder its radius and half its length."""
+        cylinder = (self.kind == Shape.CYLINDER)[..., None]
+        return jnp.where(cylinder, jnp.roll(self.size, -1, axis=-1), self.size)
+
+    @property
     def extent(self) -> Array:
         """Half sides `[..., K, 3]` m of the box around it."""
         return self.half + self.radius[..., None]

@@ -261,10 +261,10 @@ class Env:
         if len(touched) and np.asarray(state.arm.contact)[index].any():
             q = np.asarray(state.arm.q)[index]
             touched = np.asarray(self._clearances(q[None], here))[0] < TOUCHING
-        half, radius = np.asarray(here.half), np.asarray(here.radius)
-        moves = np.arange(len(half)) >= len(half) - self.setup.task.scene(self.setup).objects
-        parts = (here.position, here.quaternion, half, radius.tolist(), here.present.tolist(), touched.tolist())
-        return tuple(Block(*one) for one in zip(*parts, moves.tolist(), strict=True))
+        kind, size = here.kind.tolist(), np.asarray(here.mujoco_size)
+        moves = np.arange(len(kind)) >= len(kind) - self.setup.task.scene(self.setup).objects
+        parts = (here.position, here.quaternion, kind, size, here.present.tolist(), touched.tolist(), moves.tolist())
+        return tuple(Block(*one) for one in zip(*parts, strict=True))
 
     def reached(self, state: EnvState, index: int = 0) -> bool:
         """Whether a goal is reached now: the tool is near enough and, where the task asks for it, was held there."""

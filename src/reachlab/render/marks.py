@@ -55,13 +55,13 @@ class Axes:
 
 @dataclass(frozen=True)
 class Block:
-    """A body: a box, a capsule or a ball.
+    """A body.
 
     Attributes:
         position: its middle `[3]` [m].
         quaternion: its orientation `[4]`, wxyz.
-        half: half sizes of a box `[3]` [m]; of a capsule that of its axis in z alone, of a ball none.
-        radius: of a capsule or a ball [m].
+        kind: its shape, a number of MuJoCo's `mjtGeom`.
+        size: MuJoCo's sizes of it `[3]` [m].
         present: it is there; a scene has room for more.
         touched: the arm touches it, and must not.
         is_object: it is to be moved.
@@ -69,16 +69,11 @@ class Block:
 
     position: np.ndarray
     quaternion: np.ndarray
-    half: np.ndarray
-    radius: float
+    kind: int
+    size: np.ndarray
     present: bool = True
     touched: bool = False
     is_object: bool = False
-
-    @property
-    def is_box(self) -> bool:
-        """Whether it is a box."""
-        return bool(self.half[0] > 0)
 
     @property
     def colour(self) -> Colour:

@@ -27,7 +27,7 @@ from reachlab.render.marks import (
     Block,
     Marks,
 )
-from reachlab.render.scene import HEIGHT, WIDTH, distance_needed, front, in_front, scene_spec
+from reachlab.render.scene import HEIGHT, WIDTH, distance_needed, front, in_front, outline, scene_spec
 from reachlab.robots.robot import Robot
 from reachlab.settings.validation import InputError
 
@@ -70,10 +70,9 @@ class Camera:
         self._view.lookat[:] = in_front(robot, LOOKS_AT)
         around, up = np.radians([self._view.azimuth, self._view.elevation])
         ahead = np.array([np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)])
-        seen = distance_needed(
-            robot, self._model, self._view.lookat, ahead, self._model.vis.global_.fovy, width / height
-        )
-        self._view.distance = max(DISTANCE * robot.scale, seen)
+        lens = {"ahead": ahead, "field": self._model.vis.global_.fovy, "aspect": width / height}
+        self._needed = lambda points: distance_needed(points - self._view.lookat, **lens)
+        self._distance = max(DISTANCE * robot.scale, self._needed(outline(robot, self._model)))
 
     def picture(self, q: np.ndarray, target: np.ndarray, marks: Marks | None = None) -> np.ndarray:
         """Picture `[height, width, 3]` uint8 of joints, `Robot.posture` or the arm's alone, and a target `[3]`."""
@@ -81,6 +80,7 @@ class Camera:
         self._show_target(marks)
         self._data.qpos[self._joints[: len(q)]] = q
         self._data.mocap_pos[0] = target
+        self._view.distance = max(self._distance, self._needed(np.asarray(target)[None]))
         mujoco.mj_forward(self._model, self._data)
         self._context.make_current()
         mujoco.mjv_updateScene(
@@ -111,14 +111,11 @@ class Camera:
         model.geom_rgba[self._near] = [*marks.colour, BALL_OPACITY * (marks.success_distance > radius)]
 
     def _show_block(self, block: Block) -> None:
-        kinds = mujoco.mjtGeom
-        long = kinds.mjGEOM_CAPSULE if block.half[2] else kinds.mjGEOM_SPHERE
-        size = block.half if block.is_box else np.array([block.radius, block.half[2], 0.0])
         turn, colour = np.empty(9), np.array((*block.colour, 1.0), "f4")
         mujoco.mju_quat2Mat(turn, np.asarray(block.quaternion, float))
         shape = self._scene.geoms[self._scene.ngeom]
-        kind = kinds.mjGEOM_BOX if block.is_box else long
-        mujoco.mjv_initGeom(shape, kind, size.astype(float), block.position.astype(float), turn, colour)
+        size, position = block.size.astype(float), block.position.astype(float)
+        mujoco.mjv_initGeom(shape, block.kind, size, position, turn, colour)
         self._scene.ngeom += 1
 
     def _show_axes(self, axes: Axes) -> None:

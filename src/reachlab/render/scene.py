@@ -89,19 +89,8 @@ def in_front(robot: Robot, point: tuple[float, ...]) -> np.ndarray:
     return robot.scale * turn @ point + (ground - robot.scale * turn @ GROUND)
 
 
-def distance_needed(
-    robot: Robot, model: mujoco.MjModel, middle: np.ndarray, ahead: np.ndarray, field: float, aspect: float
-) -> float:
-    """Distance from which all of the arm at home and its workspace are seen [m].
-
-    Args:
-        robot: the arm.
-        model: its compiled scene.
-        middle: point `[3]` m in the middle of the picture.
-        ahead: where the camera looks, a unit vector `[3]`.
-        field: from the picture's lower to its upper edge [deg].
-        aspect: its width over its height.
-    """
+def outline(robot: Robot, model: mujoco.MjModel) -> np.ndarray:
+    """Points `[k, 3]` m around all of the arm at home, of a model of its scene, and of its workspace."""
     data = mujoco.MjData(model)
     data.qpos[model.jnt_qposadr[: robot.chain.n]] = robot.home
     mujoco.mj_kinematics(model, data)
@@ -111,10 +100,24 @@ def distance_needed(
         if model.body_weldid[model.geom_bodyid[geom]]:
             centre, half = model.geom_aabb[geom].reshape(2, 3)
             points += list(data.geom_xpos[geom] + (centre + corners * half) @ data.geom_xmat[geom].reshape(3, 3).T)
-    right = np.array([ahead[1], -ahead[0], 0.0]) / np.linalg.norm(ahead[:2])
-    relative, tall = np.array(points) - middle, FILLED * np.tan(np.radians(field / 2))
-    sideways, upright = np.abs(relative @ right) / (tall * aspect), np.abs(relative @ np.cross(right, ahead)) / tall
-    return float((np.maximum(sideways, upright) - relative @ ahead).max())
+    return np.array(points)
+
+
+def distance_needed(points: np.ndarray, ahead: np.ndarray, field: float, aspect: float) -> float:
+    """Distance from which points `[k, 3]` m from the picture's middle are seen [m].
+
+    Args:
+        points: what is to be seen.
+        ahead: where the camera looks, a unit vector `[3]`.
+        field: from the picture's lower to its upper edge [deg].
+        aspect: its width over its height.
+    """
+    right, tall = (
+        np.array([ahead[1], -ahead[0], 0.0]) / np.linalg.norm(ahead[:2]),
+        FILLED * np.tan(np.radians(field / 2)),
+    )
+    sideways, upright = np.abs(points @ right) / (tall * aspect), np.abs(points @ np.cross(right, ahead)) / tall
+    return float((np.maximum(sideways, upright) - points @ ahead).max())
 
 
 def drawn_spec(robot: Robot) -> mujoco.MjSpec:

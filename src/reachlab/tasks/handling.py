@@ -25,7 +25,7 @@ class Handling(TaskSettings):
 
     preset: ClassVar[Preset] = Preset(
         sim="mujoco",
-        randomise=("objects",),
+        randomise=("objects", "sight"),
         physics=SimConfig(control_period=0.02, gravity_compensation=True),
         loop=LoopConfig(total_steps=1_000_000, stop_early=False, report_episodes=2000, num_envs=256, rollout_steps=32),
         learner=LearnerConfig(

@@ -36,7 +36,7 @@ def _record(env: Env, agent: str, policy: Policy | None, seed: int, episodes: in
     steps = max(1, round(1 / FRAME_RATE / period))
     server = start_server(LOCAL, 0)
     try:
-        stage, player = Stage(server, env.setup.robot, env.setup.rules.success_distance), Player(env, seed)
+        stage, player = Stage(server, env.setup), Player(env, seed)
         recording = server.get_scene_serializer()
         for number in range(episodes):
             player.begin(number)

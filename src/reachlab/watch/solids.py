@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from reachlab.render.marks import Block
-from reachlab.robots.shapes.solids import SHAPES, SHOWN_GROUPS, Mesh, ball, box, mesh_of
+from reachlab.robots.shapes.solids import SHOWN_GROUPS, SOLID, Mesh, mesh_of
 
 Colour = tuple[float, float, float, float]
 """Red, green, blue and opacity, each 0 to 1."""
@@ -30,14 +29,9 @@ def solids(model: mujoco.MjModel) -> list[Solid]:
     for geom in range(model.ngeom):
         colour = _colour(model, geom)
         kind = mujoco.mjtGeom(model.geom_type[geom])
-        if model.geom_group[geom] in SHOWN_GROUPS and colour[3] > 0 and kind in SHAPES:
+        if model.geom_group[geom] in SHOWN_GROUPS and colour[3] > 0 and kind in SOLID:
             parts.setdefault((int(model.geom_bodyid[geom]), colour), []).append(mesh_of(model, geom))
     return [Solid(body, colour, *_joined(meshes)) for (body, colour), meshes in parts.items()]
-
-
-def block_mesh(block: Block) -> Mesh:
-    """The mesh of a body, in its own frame."""
-    return box(block.half) if block.is_box else ball(block.radius, float(block.half[2]))
 
 
 def _colour(model: mujoco.MjModel, geom: int) -> Colour:

@@ -10,11 +10,12 @@ import numpy as np
 
 from reachlab.render import view_randomisation as views
 from reachlab.render.marks import PATH, TARGET_AXES, TOOL_AXES, TRAIL, Block, Colour, Marks
-from reachlab.render.scene import TABLE_CENTRE, TABLE_SIZE, distance_needed, in_front, scene_spec
-from reachlab.robots.robot import Robot
+from reachlab.render.scene import TABLE_CENTRE, TABLE_SIZE, distance_needed, in_front, outline, scene_spec
+from reachlab.robots.shapes.solids import SHAPES
+from reachlab.tasks.task import TaskSetup
 from reachlab.watch.captions import angle_text
 from reachlab.watch.moment import Moment
-from reachlab.watch.solids import Solid, block_mesh, solids
+from reachlab.watch.solids import Solid, solids
 
 if TYPE_CHECKING:
     import viser
@@ -73,10 +74,14 @@ class Stage:
         bodies: as many as a scene has room for, once a moment was shown.
     """
 
-    def __init__(self, server: viser.ViserServer, robot: Robot, success_distance: float) -> None:
-        """Stage with the arm at home; the target shows with the first moment, in a ball of the success distance [m]."""
+    def __init__(self, server: viser.ViserServer, setup: TaskSetup) -> None:
+        """Stage with a task's arm at home; the target shows with the first moment, in a ball of the success distance.
+
+        All places that the task asks for are in view.
+        """
+        robot, goals = setup.robot, np.stack(setup.task.goal_box(setup))
         self._scene, self._robot = server.scene, robot
-        self._model = scene_spec(robot, success_distance).compile()
+        self._model = scene_spec(robot, setup.rules.success_distance).compile()
         self._data = mujoco.MjData(self._model)
         self._joints = self._model.jnt_qposadr
         self.path: viser.LineSegmentsHandle | None = None
@@ -85,7 +90,7 @@ class Stage:
         self.camera: viser.CameraFrustumHandle | None = None
         self.bodies: list[viser.MeshHandle] = []
         self._blocks: tuple[Block, ...] = ()
-        self._set_view(server)
+        self._set_view(server, goals)
         self._frames = [self._scene.add_frame(self._name(body), show_axes=False) for body in range(self._model.nbody)]
         parts = [(solid.body, self._add(number, solid)) for number, solid in enumerate(solids(self._model))]
         edges = np.array(robot.workspace_edges(), np.float32)
@@ -140,12 +145,13 @@ class Stage:
         """Draw shadows, or not."""
         self._scene.configure_default_lights(cast_shadow=cast)
 
-    def _set_view(self, server: viser.ViserServer) -> None:
+    def _set_view(self, server: viser.ViserServer, goals: np.ndarray) -> None:
         camera, robot = server.initial_camera, self._robot
         position, looks_at = in_front(robot, VIEW_FROM), in_front(robot, VIEW_TO)
         back = position - looks_at
         distance = float(np.linalg.norm(back))
-        needed = distance_needed(robot, self._model, looks_at, -back / distance, np.degrees(FIELD_OF_VIEW), ASPECT)
+        points = np.concatenate([outline(robot, self._model), goals]) - looks_at
+        needed = distance_needed(points, -back / distance, np.degrees(FIELD_OF_VIEW), ASPECT)
         camera.position = position if needed <= distance else looks_at + needed / distance * back
         camera.look_at, camera.fov = looks_at, FIELD_OF_VIEW
         self._scene.world_axes.visible = False
@@ -210,9 +216,11 @@ class Stage:
         for number, block in enumerate(blocks):
             if number == len(self.bodies):
                 name, colour = f"/body/{number}", _bytes(block.colour)
-                self.bodies.append(self._scene.add_mesh_simple(name, *block_mesh(block), color=colour))
-            elif not np.array_equal((*block.half, block.radius), (*before[number].half, before[number].radius)):
-                self.bodies[number].vertices, self.bodies[number].faces = block_mesh(block)
+                self.bodies.append(
+                    self._scene.add_mesh_simple(name, *SHAPES[mujoco.mjtGeom(block.kind)](block.size), color=colour)
+                )
+            elif not np.array_equal(block.size, before[number].size):
+                self.bodies[number].vertices, self.bodies[number].faces = SHAPES[mujoco.mjtGeom(block.kind)](block.size)
             shape = self.bodies[number]
             shape.position, shape.wxyz, shape.visible = block.position, block.quaternion, block.present
             shape.color = _bytes(block.colour)

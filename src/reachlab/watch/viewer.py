@@ -71,7 +71,7 @@ class Viewer:
         self._policies: dict[int, Policy] = {}
         self._playing: int | None = None
         self._server = start_server(host, port)
-        self.stage = Stage(self._server, env.setup.robot, env.setup.rules.success_distance)
+        self.stage = Stage(self._server, env.setup)
         self._turns = env.setup.rules.asks_orientation
         self.panel = Panel(
             self._server.gui, agent, checkpoints, tuple(COMMANDS), pictured=env.pictured, axes=self._turns

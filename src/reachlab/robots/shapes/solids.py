@@ -22,8 +22,9 @@ Mesh = tuple[np.ndarray, np.ndarray]
 
 
 def mesh_of(model: mujoco.MjModel, geom: int) -> Mesh:
-    """The mesh of a geom, of a type in `SHAPES`, in the frame of its body."""
-    vertices, faces = SHAPES[mujoco.mjtGeom(model.geom_type[geom])](model, geom)
+    """The mesh of a geom, of a type in `SOLID`, in the frame of its body."""
+    kind = mujoco.mjtGeom(model.geom_type[geom])
+    vertices, faces = SHAPES[kind](model.geom_size[geom]) if kind in SHAPES else _mesh(model, geom)
     turn = np.empty(9)
     mujoco.mju_quat2Mat(turn, model.geom_quat[geom])
     return vertices @ turn.reshape(3, 3).T + model.geom_pos[geom], faces
@@ -51,13 +52,13 @@ def ball(radius: float, half: float = 0.0) -> Mesh:
     return _revolved(radius * np.cos(angles), radius * np.sin(angles) + half * np.sign(angles))
 
 
-def _ellipsoid(model: mujoco.MjModel, geom: int) -> Mesh:
+def _ellipsoid(half: np.ndarray) -> Mesh:
     vertices, faces = ball(1.0)
-    return vertices * model.geom_size[geom], faces
+    return vertices * half, faces
 
 
-def _cylinder(model: mujoco.MjModel, geom: int) -> Mesh:
-    radius, half, _ = model.geom_size[geom]
+def _cylinder(size: np.ndarray) -> Mesh:
+    radius, half, _ = size
     return _revolved(radius * np.array([0, 1, 1, 1, 1, 0]), half * np.array([-1, -1, -1, 1, 1, 1]))
 
 
@@ -79,15 +80,17 @@ def _mesh(model: mujoco.MjModel, geom: int) -> Mesh:
     return model.mesh_vert[model.mesh_vertadr[mesh] + corners[:, 0]].astype(float), faces.reshape(-1, 3)
 
 
-SHAPES: dict[mujoco.mjtGeom, Callable[[mujoco.MjModel, int], Mesh]] = {
-    mujoco.mjtGeom.mjGEOM_SPHERE: lambda model, geom: ball(model.geom_size[geom, 0]),
-    mujoco.mjtGeom.mjGEOM_CAPSULE: lambda model, geom: ball(*model.geom_size[geom, :2]),
+SHAPES: dict[mujoco.mjtGeom, Callable[[np.ndarray], Mesh]] = {
+    mujoco.mjtGeom.mjGEOM_SPHERE: lambda size: ball(size[0]),
+    mujoco.mjtGeom.mjGEOM_CAPSULE: lambda size: ball(*size[:2]),
     mujoco.mjtGeom.mjGEOM_ELLIPSOID: _ellipsoid,
     mujoco.mjtGeom.mjGEOM_CYLINDER: _cylinder,
-    mujoco.mjtGeom.mjGEOM_BOX: lambda model, geom: box(model.geom_size[geom]),
-    mujoco.mjtGeom.mjGEOM_MESH: _mesh,
+    mujoco.mjtGeom.mjGEOM_BOX: box,
 }
-"""Meshes of geoms by their type, in the geom's own frame."""
+"""Meshes of shapes by their type and MuJoCo's `geom_size [3]` m, in their own frame."""
+
+SOLID = {*SHAPES, mujoco.mjtGeom.mjGEOM_MESH}
+"""Types of geoms that have a mesh."""
 
 
 def links_of_bodies(model: mujoco.MjModel) -> np.ndarray:
@@ -109,6 +112,6 @@ def solid_geoms(model: mujoco.MjModel, n: int) -> list[list[int]]:
     drawn = np.isin(model.geom_group, SHOWN_GROUPS) & (model.geom_contype == 0) & (model.geom_conaffinity == 0)
     for body, link in enumerate(links_of_bodies(model)):
         geoms = [int(geom) for geom in np.flatnonzero(model.geom_bodyid == body)]
-        geoms = [geom for geom in geoms if mujoco.mjtGeom(model.geom_type[geom]) in SHAPES]
+        geoms = [geom for geom in geoms if mujoco.mjtGeom(model.geom_type[geom]) in SOLID]
         links[link] += [geom for geom in geoms if drawn[geom]] or geoms
     return links
