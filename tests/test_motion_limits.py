@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,7 +12,7 @@ import pytest
 from reachlab.control.bodies import absent
 from reachlab.control.motion_limits import STOP_TIME, Motion, MotionLimits
 from reachlab.envs.core import Env
-from reachlab.envs.delays import JITTER, LOST, Sensed, sense
+from reachlab.envs.delays import JITTER, LATEST, LOST, UNSEEN, Sensed, Sight, sense
 from reachlab.envs.presets import configure
 from reachlab.envs.random_streams import TRAINING_STREAM, episode_keys
 from reachlab.robots.loading import load_robot
@@ -138,6 +140,23 @@ def test_measurements_are_a_period_old_and_some_do_not_come() -> None:
     assert oldest <= q[~lost].min() < oldest + 0.05
     assert 2.95 < q[~lost].max() <= 3.0
     assert np.asarray(told.past_q) == pytest.approx(3.0)
+
+
+def test_bodies_are_seen_late_in_their_order_and_some_sights_do_not_come() -> None:
+    count = 4000
+    keys, ages = episode_keys(0, TRAINING_STREAM, 0, count), []
+    bodies = absent(count, 1)
+    sight = Sight.of(bodies)
+    for step in range(1, 12):
+        now = replace(bodies, position=jnp.full((count, 1, 3), float(step)))
+        sight = sight.after(now, keys, jnp.full(count, step))
+        ages.append(step - np.asarray(sight.known.position)[:, 0, 0])
+    # What is known never goes back in time.
+    assert (np.diff(ages[3:], axis=0) <= 1).all()
+    late, share = ages[-1], UNSEEN
+    assert late.min() == 1
+    assert (late == 1).mean() == pytest.approx((1 - share) / LATEST, abs=0.03)
+    assert 0 < (late > LATEST).mean() < share
 
 
 def test_a_policy_sees_where_the_arm_was_and_rewards_where_it_is() -> None:
