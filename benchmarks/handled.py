@@ -24,6 +24,9 @@ HANDLED = ("push", "lift", "place", "slide")
 
 EPISODES, SEED, BATCH = 2000, 6000, 250
 
+VARIED = {"": (), ", varied": ("objects",), ", varied and seen late": ("objects", "sight")}
+"""What varies, by what is said of it."""
+
 NEAR = 0.01
 """What success within a centimetre is, where it is within two by the task's rules [m]."""
 
@@ -35,9 +38,9 @@ def handled() -> Iterator[Row]:
     """The rows of suite `handled`: what was counted/task, robot, agent and what varies."""
     for task in HANDLED:
         for robot in ROBOTS:
-            for varied in ((), ("objects",)):
+            for name, varied in VARIED.items():
                 config = configure(task, robot=robot, randomise=varied)
-                yield from _judged(config, f"{task}, {robot}{', varied' * bool(varied)}")
+                yield from _judged(config, f"{task}, {robot}{name}")
     yield from _physics()
 
 

@@ -11,6 +11,7 @@ import pytest
 
 from params import tried
 from reachlab.agents.acting import make_act
+from reachlab.control.bodies import Shape
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState
 from reachlab.envs.presets import configure
@@ -56,6 +57,18 @@ def test_scripts_do_what_is_asked(task: str, robot: str) -> None:
     if task == "slide":
         far = np.linalg.norm(np.asarray(state.goal.position)[:, :2], axis=1)
         assert far.min() >= reach_on_table(env.setup.robot) + Slide.beyond[0] - 1e-5
+
+
+def test_a_puck_is_drawn_round_and_its_goal_is_in_the_picture() -> None:
+    env = Env(configure("slide", robot="panda", randomise=()), EPISODES)
+    state = env.init(episode_keys(0, REPORT_STREAM, 0, EPISODES))
+    (puck,) = env.blocks(state)
+    radius = env.setup.rules.object_size
+    assert puck.kind == Shape.CYLINDER
+    assert puck.size[:2] == pytest.approx([radius, radius / 3])
+    farthest = int(np.linalg.norm(np.asarray(state.goal.position), axis=1).argmax())
+    red, green, blue = env.render(state, farthest).astype(int).transpose(2, 0, 1)
+    assert ((red > 120) & (green < 60) & (blue < 70)).sum() > 30
 
 
 def test_what_varies_is_held_too() -> None:

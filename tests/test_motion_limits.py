@@ -156,7 +156,8 @@ def test_bodies_are_seen_late_in_their_order_and_some_sights_do_not_come() -> No
     late, share = ages[-1], UNSEEN
     assert late.min() == 1
     assert (late == 1).mean() == pytest.approx((1 - share) / LATEST, abs=0.03)
-    assert 0 < (late > LATEST).mean() < share
+    older = share * (share + (1 - share) / LATEST) * (share + (1 - share) * (1 - 1 / LATEST))
+    assert (late > LATEST).mean() == pytest.approx(older, abs=0.008)
 
 
 def test_a_policy_sees_where_the_arm_was_and_rewards_where_it_is() -> None:

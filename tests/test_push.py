@@ -130,7 +130,7 @@ def test_objects_that_vary_lie_on_the_table_and_are_measured_beside_where_they_a
 # --- the task -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("randomise", tried([(), ("objects",)], [("objects",)]))
+@pytest.mark.parametrize("randomise", tried([(), ("objects",), ("objects", "sight")], [("objects", "sight")]))
 @pytest.mark.parametrize("robot", tried(ROBOTS, ["panda"]))
 def test_the_controller_pushes_objects_to_their_goals(robot: str, randomise: tuple[str, ...]) -> None:
     env = Env(configure("push", robot=robot, randomise=randomise), TRIALS)

@@ -260,8 +260,8 @@ def test_a_target_that_is_turned_by_its_handle_is_reached(poses: Viewer) -> None
 @pytest.mark.slow
 def test_where_the_arm_has_no_such_pose_the_target_stays_and_the_panel_says_so(poses: Viewer) -> None:
     before = poses.player.moment
-    poses.handle.position = poses.box[1]
-    back = Rotation.align_vectors(-poses.box[1:], np.array([[0.0, 0.0, 1.0]]))[
+    poses.handle.position = poses.stage.goals[1]
+    back = Rotation.align_vectors(-poses.stage.goals[1:], np.array([[0.0, 0.0, 1.0]]))[
         0
     ]  # the wrist behind the farthest corner
     poses.handle.wxyz = back.as_quat(scalar_first=True)
@@ -294,7 +294,7 @@ def test_a_target_that_moves_shows_its_trail_until_it_is_taken_off_its_path(
         assert "RMS" in viewer.panel.said
         COMMANDS["Pause"](viewer)
         np.testing.assert_allclose(viewer.handle.position, viewer.player.moment.target, atol=0.02)
-        viewer.handle.position = place = viewer.box.mean(axis=0)
+        viewer.handle.position = place = viewer.stage.goals.mean(axis=0)
         for _ in range(50):
             viewer.frame(FRAME)
         np.testing.assert_allclose(viewer.player.moment.target, place, atol=1e-6)

@@ -147,7 +147,7 @@ class Hand:
         return not player.on_path and not np.allclose(player.moment.target, before, atol=1e-3)
 
     def _drag(self, target: np.ndarray) -> None:
-        low, high = self._shown.box
+        low, high = self._shown.stage.goals
         axes, sight = self._axes(), target - stage.VIEW_FROM
         # An arrow along the line of sight is short in the page, and behind others.
         across = np.linalg.norm(np.cross(axes, sight / np.linalg.norm(sight)), axis=1)

@@ -25,6 +25,9 @@ ASIDE, FAR_BEHIND, INSIDE = 0.018, 0.05, 0.045
 """A push goes on while the finger tips are so little aside of its line, so near behind the object and no further in
 it [m]."""
 
+SEEN = 0.004
+"""So far in an object tips are taken to be in one that is measured beside where it is, not in one seen late [m]."""
+
 OVERLAP, CLEAR = 0.008, 0.002
 """Least height of what the finger tips and the object have in common while they push, and distance of tips that come
 down behind it [m]."""
@@ -116,7 +119,7 @@ def planned(now: Situation) -> Push:
     reach = jnp.where(now.bodies.round[:, -1], half[:, 0], reach) + TIP
     gap = -along - reach
     # Tips are never in an object: one that seems to be there was seen late, and is before them.
-    ahead = jnp.where((gap > -INSIDE) & (jnp.abs(aside) < ASIDE) & low, jnp.maximum(-gap - 0.004, 0.0), 0.0)
+    ahead = jnp.where((gap > -INSIDE) & (jnp.abs(aside) < ASIDE) & low, jnp.maximum(-gap - SEEN, 0.0), 0.0)
     left, along, gap = jnp.maximum(left - ahead, 0.0), along - ahead, gap + ahead
     ready = (gap > -INSIDE) & (gap < FAR_BEHIND) & (jnp.abs(aside) < ASIDE) & low
     ready &= (left > 0.0005) | (away < DONE)

@@ -137,9 +137,7 @@ class FreeBodies:
         for pairs in self._pairs:
             self._friction[:, pairs, :2] = share[:, :, None] * self._rubbing[pairs, :2]
         cylinder = self._shape == Shape.CYLINDER
-        self._size[:, self._geoms] = (
-            np.roll(size, -1, axis=-1) if cylinder else size
-        )  # MuJoCo's has radius, half length
+        self._size[:, self._geoms] = np.asarray(bodies.mujoco_size)[:, -self.count :]
         self._box[:, self._geoms, 3:] = size if self._shape != Shape.BALL else size[..., :1]
         self._bound[:, self._geoms] = np.linalg.norm(size[..., 1:] if cylinder else size, axis=-1)
         self._mass[:, self._bodies] = mass

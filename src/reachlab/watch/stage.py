@@ -15,6 +15,7 @@ from reachlab.robots.shapes.solids import SHAPES
 from reachlab.tasks.task import TaskSetup
 from reachlab.watch.captions import angle_text
 from reachlab.watch.moment import Moment
+from reachlab.watch.player import target_box
 from reachlab.watch.solids import Solid, solids
 
 if TYPE_CHECKING:
@@ -71,6 +72,7 @@ class Stage:
         label: the text below the target.
         balls: the target, and around it the ball in which the tool is near enough.
         camera: the observation camera with its picture, once there is one.
+        goals: corners `[2, 3]` m of the box that holds all places that the task asks for.
         bodies: as many as a scene has room for, once a moment was shown.
     """
 
@@ -79,7 +81,7 @@ class Stage:
 
         All places that the task asks for are in view.
         """
-        robot, goals = setup.robot, np.stack(setup.task.goal_box(setup))
+        robot, self.goals = setup.robot, target_box(setup)
         self._scene, self._robot = server.scene, robot
         self._model = scene_spec(robot, setup.rules.success_distance).compile()
         self._data = mujoco.MjData(self._model)
@@ -90,7 +92,7 @@ class Stage:
         self.camera: viser.CameraFrustumHandle | None = None
         self.bodies: list[viser.MeshHandle] = []
         self._blocks: tuple[Block, ...] = ()
-        self._set_view(server, goals)
+        self._set_view(server)
         self._frames = [self._scene.add_frame(self._name(body), show_axes=False) for body in range(self._model.nbody)]
         parts = [(solid.body, self._add(number, solid)) for number, solid in enumerate(solids(self._model))]
         edges = np.array(robot.workspace_edges(), np.float32)
@@ -145,12 +147,12 @@ class Stage:
         """Draw shadows, or not."""
         self._scene.configure_default_lights(cast_shadow=cast)
 
-    def _set_view(self, server: viser.ViserServer, goals: np.ndarray) -> None:
+    def _set_view(self, server: viser.ViserServer) -> None:
         camera, robot = server.initial_camera, self._robot
         position, looks_at = in_front(robot, VIEW_FROM), in_front(robot, VIEW_TO)
         back = position - looks_at
         distance = float(np.linalg.norm(back))
-        points = np.concatenate([outline(robot, self._model), goals]) - looks_at
+        points = np.concatenate([outline(robot, self._model), self.goals]) - looks_at
         needed = distance_needed(points, -back / distance, np.degrees(FIELD_OF_VIEW), ASPECT)
         camera.position = position if needed <= distance else looks_at + needed / distance * back
         camera.look_at, camera.fov = looks_at, FIELD_OF_VIEW

@@ -14,7 +14,7 @@ from reachlab.agents.policy import Policy
 from reachlab.envs.core import Env
 from reachlab.settings.validation import InputError, choose
 from reachlab.watch.panel import PLAYABLE, Panel
-from reachlab.watch.player import TRAINED, Player, target_box
+from reachlab.watch.player import TRAINED, Player
 from reachlab.watch.server import await_picture, start_server
 from reachlab.watch.stage import FRAME_RATE, PAUSE, Stage, errors_text
 
@@ -102,8 +102,7 @@ class Viewer:
         """Compile what playing takes and show the first held-out target of a seed."""
         self.player = Player(self._env, seed)
         self.player.prepare_hand()
-        self.box = target_box(self._env.setup)
-        self.handle = self.stage.add_handle((self.box[1] > self.box[0]).tolist(), turns=self._turns)
+        self.handle = self.stage.add_handle((self.stage.goals[1] > self.stage.goals[0]).tolist(), turns=self._turns)
 
         async def drag(event: viser.TransformControlsEvent) -> None:
             self._dragged = event.phase != "end"
@@ -225,7 +224,7 @@ class Viewer:
         hand = self._handle_pose()
         if not np.array_equal(hand, self._hand) or (self._dragged and self.player.on_path):
             self._hand = hand
-            self._reachable = self.player.move_target(np.clip(hand[:3], *self.box), hand[3:])
+            self._reachable = self.player.move_target(np.clip(hand[:3], *self.stage.goals), hand[3:])
             self._show()
             self._tell()
         elif not self._dragged:
