@@ -55,7 +55,7 @@ CORES := Haswell $(if $(shell grep -m1 -w avx512f /proc/cpuinfo 2>/dev/null),Sky
 DERIVED := tests/test_kernels.py tests/test_shipped.py tests/test_workspace.py tests/test_capsules.py
 kernels: $(VENV)/installed-dev
 	for core in $(CORES); do \
-		XDG_CACHE_HOME=build/cache-$$core OPENBLAS_CORETYPE=$$core \
+		XDG_CACHE_HOME=$(CURDIR)/build/cache-$$core OPENBLAS_CORETYPE=$$core \
 		XLA_FLAGS="--xla_cpu_max_isa=AVX2 --xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0" \
 		$(PYTEST) -m "not slow" $(DERIVED) || exit 1; done
 

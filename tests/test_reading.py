@@ -16,6 +16,7 @@ from reachlab.robots.loading import load_robot
 from reachlab.runs.directory import read_config
 from reachlab.scale.space import read_space
 from reachlab.settings.config import RunConfig
+from reachlab.settings.reading import cache_folder
 from reachlab.settings.validation import InputError
 
 READERS: dict[str, Callable[[Path], object]] = {
@@ -41,3 +42,11 @@ def test_what_is_no_plain_file_is_refused_at_once(name: str, kind: str, tmp_path
     makers[kind]()
     with pytest.raises(InputError, match=re.escape(str(file))):
         READERS[name](file)
+
+
+def test_a_relative_cache_folder_counts_as_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    default = cache_folder()
+    for given in ("", "here/cache"):
+        monkeypatch.setenv("XDG_CACHE_HOME", given)
+        assert cache_folder() == default

@@ -14,8 +14,9 @@ MOST_MODEL = 2**30
 
 
 def cache_folder() -> Path:
-    """The user's folder for what can be computed again."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "reachlab"
+    """The user's folder for what can be computed again; a relative `XDG_CACHE_HOME` is none, as its rules say."""
+    chosen = Path(os.environ.get("XDG_CACHE_HOME", ""))
+    return (chosen if chosen.is_absolute() else Path.home() / ".cache") / "reachlab"
 
 
 def read_regular(file: Path, most: int, head: int | None = None) -> tuple[bytes, int]:
