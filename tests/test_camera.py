@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,7 @@ import pytest
 from gymnasium.spaces import Box, Dict
 
 from reachlab.agents.policy import Policy
+from reachlab.control.bodies import absent
 from reachlab.control.situation import Goal
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState, Transition
@@ -28,12 +30,12 @@ from reachlab.learn.rollout import host_collector
 from reachlab.learn.train import train
 from reachlab.render import observation_camera
 from reachlab.render.observation_camera import ObservationCamera
-from reachlab.render.view_randomisation import FIELD_OF_VIEW, SAMPLES, SHIFT, TURN, Views, make_views
+from reachlab.render.view_randomisation import FIELD_OF_VIEW, SAMPLES, SHIFT, TURN, Views, camera_pose, make_views
 from reachlab.robots.loading import load_robot
 from reachlab.settings.config import LoopConfig
 from reachlab.settings.validation import InputError
 from reachlab.sims import SIMULATORS
-from reachlab.sims.simulator import make_simulator
+from reachlab.sims.simulator import SimState, make_simulator
 from reachlab.tasks.observations import OBSERVATIONS
 from reachlab.tasks.schema import SIZE
 from situations import begin
@@ -45,6 +47,25 @@ TARGETS = np.array([[0.3, 0.2, -0.0083], [0.6, -0.2, -0.0083], [0.5, 0.05, -0.00
 
 def nominal(num_envs: int) -> Views:
     return make_views(np.zeros((num_envs, SAMPLES)), ROBOT)
+
+
+def arms(q: np.ndarray) -> SimState:
+    """Arms with joints `[B, n]` and nothing beside them."""
+    still, none = np.zeros((len(q), 7), np.float32), np.zeros((len(q), 0), np.float32)
+    state = SimState(
+        q=jnp.asarray(q),
+        qd=jnp.asarray(still),
+        tool_position=jnp.asarray(still[:, :3]),
+        tool_quaternion=jnp.asarray(still[:, 3:]),
+        bodies=absent(len(q), 0),
+        contact=jnp.asarray(none, bool),
+        opening=jnp.asarray(none),
+    )
+    return jax.tree.map(np.asarray, state)
+
+
+def goals(places: np.ndarray) -> Goal:
+    return jax.tree.map(np.asarray, Goal.at(jnp.asarray(places)))
 
 
 def at_home(num_envs: int) -> np.ndarray:
@@ -103,7 +124,7 @@ def test_the_target_is_shown_where_it_is(sim: str) -> None:
         pytest.skip(str(error))
     q, goal, views = at_home(len(TARGETS)), Goal.at(jnp.asarray(TARGETS)), nominal(len(TARGETS))
     simulator.reset(None, begin(q, goal), None)
-    pictures = simulator.render_observations(q, goal, views, np.arange(len(TARGETS)))
+    pictures = simulator.render_observations(arms(q), goals(TARGETS), views, np.arange(len(TARGETS)))
     assert pictures.shape == (len(TARGETS), SIZE, SIZE)
     assert pictures.dtype == np.uint8
     empty = np.median(pictures, axis=0)
@@ -117,22 +138,52 @@ def test_the_target_is_shown_where_it_is(sim: str) -> None:
 def test_the_arm_is_shown_to_move(camera: ObservationCamera) -> None:
     q = at_home(2)
     q[1, 3] -= 0.4
-    one, other = camera.pictures(q, TARGETS[[0, 0]], nominal(2))
+    one, other = camera.pictures(arms(q), goals(TARGETS[[0, 0]]), nominal(2))
     assert (np.abs(one.astype(int) - other) > 20).sum() > 50
 
 
 def test_a_picture_depends_on_nothing_but_its_environment(camera: ObservationCamera) -> None:
     q, views = at_home(4), make_views(np.random.default_rng(0).uniform(-1, 1, (4, SAMPLES)), ROBOT)
-    together, again = camera.pictures(q, TARGETS, views), camera.pictures(q, TARGETS, views)
+    together, again = (camera.pictures(arms(q), goals(TARGETS), views) for _ in range(2))
     alone = ObservationCamera(ROBOT, threads=1)
-    parts = [alone.pictures(q[i : i + 1], TARGETS[i : i + 1], Views(*(x[i : i + 1] for x in views))) for i in range(4)]
+    each = [jax.tree.map(operator.itemgetter(slice(i, i + 1)), (arms(q), goals(TARGETS), views)) for i in range(4)]
+    parts = [alone.pictures(*one) for one in each]
     alone.close()
     assert np.array_equal(together, again)
     assert np.array_equal(together, np.concatenate(parts))
 
 
+@pytest.mark.parametrize("sim", ["mujoco", "pybullet"])
+def test_an_object_and_its_place_are_shown_where_they_are(sim: str) -> None:
+    config = configure("push", robot="panda", observation="image", action="joint_delta", sim=sim, randomise=())
+    env = Env(config, 1)
+    state = env.init(env_keys(3, 1))
+    here = env.setup.task.goal_box(env.setup)
+    middle, aside = jnp.asarray(np.mean(here, axis=0)[None]), jnp.array([[0.0, 0.12, 0.0]])
+
+    def seen(place: jax.Array, goal: jax.Array) -> np.ndarray:
+        bodies = replace(state.arm.bodies, position=place[:, None])
+        moved = replace(state, arm=replace(state.arm, bodies=bodies), goal=replace(state.goal, position=goal))
+        picture = env.render_observation(moved)
+        assert picture is not None
+        return picture[0].astype(int)
+
+    position, rotation = camera_pose(env.setup.robot, objects=True)
+    scale = SIZE / 2 / np.tan(np.radians(FIELD_OF_VIEW / 2))
+    both = seen(middle + aside, middle - aside)
+    elsewhere = {"object": seen(middle, middle - aside), "goal": seen(middle + aside, middle)}
+    for other, place in zip(elsewhere.values(), (middle + aside, middle - aside), strict=True):
+        changed = np.argwhere(np.abs(both - other) > 25)
+        right, up, back = (np.asarray(place)[0] - position) @ rotation
+        expected = SIZE / 2 + scale / -back * np.array([-up, right])
+        near = np.linalg.norm(changed - expected, axis=1) < 10
+        assert near.sum() > 8
+        assert changed[near].mean(axis=0) == pytest.approx(expected, abs=2.5)
+    env.close()
+
+
 def test_no_environments_are_no_pictures(camera: ObservationCamera) -> None:
-    assert camera.pictures(at_home(0), TARGETS[:0], nominal(0)).shape == (0, SIZE, SIZE)
+    assert camera.pictures(arms(at_home(0)), goals(TARGETS[:0]), nominal(0)).shape == (0, SIZE, SIZE)
 
 
 def test_every_episode_has_its_own_view_where_views_are_random() -> None:
@@ -174,9 +225,9 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     counts: list[int] = []
     draw = ObservationCamera.pictures
 
-    def counted(self: ObservationCamera, q: np.ndarray, target: np.ndarray, views: Views) -> np.ndarray:
-        counts.append(len(q))
-        return draw(self, q, target, views)
+    def counted(self: ObservationCamera, state: SimState, goal: Goal, views: Views) -> np.ndarray:
+        counts.append(len(state.q))
+        return draw(self, state, goal, views)
 
     monkeypatch.setattr(ObservationCamera, "pictures", counted)
     return counts

@@ -86,7 +86,14 @@ def test_a_choice_brings_defaults_which_settings_change(chosen):
 
 @pytest.mark.parametrize("chosen", [{"reward": "sparse"}, {"observation": "image"}], ids=str)
 def test_where_the_target_is_held_actions_are_not_repeated(chosen):
-    assert differing(configure("precise", **chosen), preset("precise")) == set(chosen)
+    assert differing(configure("precise", **chosen, action="joint_delta"), preset("precise", action="joint_delta")) == (
+        set(chosen)
+    )
+
+
+def test_what_observes_pictures_corrects_no_controller_that_knows_more():
+    assert configure("precise", observation="image").rules.action == "joint_delta"
+    assert configure("tutorial", observation="image").rules.action == preset("tutorial").rules.action
 
 
 def test_a_later_rule_outranks_an_earlier_one_and_what_is_chosen_all(monkeypatch):

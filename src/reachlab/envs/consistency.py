@@ -62,8 +62,13 @@ def _contradictions(config: RunConfig, changed: set[str]) -> Iterator[str]:
     observation, task = OBSERVATIONS[rules.observation], rules.task()
     if sentence := rules.contradiction():
         yield sentence
-    given = rules.gives | SIMULATORS[sim].gives | ACTIONS[rules.action].gives
-    needs = {f"observation {rules.observation!r}": observation.needs, f"task {config.task!r}": task.needs}
+    action = ACTIONS[rules.action]
+    given = rules.gives | SIMULATORS[sim].gives | action.gives | observation.gives
+    needs = {
+        f"observation {rules.observation!r}": observation.needs,
+        f"task {config.task!r}": task.needs,
+        f"action {rules.action!r}": action.needs,
+    }
     for who, words in needs.items():
         for word in sorted(words - given):
             yield f"{who} needs {WORDS[word]}."

@@ -21,11 +21,11 @@ from reachlab.envs.sampling import in_parts
 from reachlab.envs.setup import make_setup, settled
 from reachlab.jax_setup import dispatch_inline, first_process, jit
 from reachlab.render.marks import NO_PATH, TARGET_AXES, TOOL_AXES, Axes, Block, Marks
-from reachlab.render.view_randomisation import SAMPLES, develop, make_views
+from reachlab.render.view_randomisation import develop, make_views
 from reachlab.robots.shapes.clearance import capsules_at
 from reachlab.settings.config import MOST_ENVS, RunConfig
 from reachlab.settings.validation import InputError, whole_number
-from reachlab.sims.simulator import BatchArray, Begin, make_simulator
+from reachlab.sims.simulator import BatchArray, Begin, SimState, make_simulator
 from reachlab.tasks.actions import ACTIONS
 from reachlab.tasks.observations import OBSERVATIONS
 from reachlab.tasks.scenes import clearances
@@ -201,17 +201,17 @@ class Env:
         """
         if not self.pictured:
             return None
-        if mask is None:
-            return self.render_situations(state.arm.q, state.goal, state.key)
-        q, samples = np.asarray(state.arm.q), np.asarray(self._view_samples(state.key))
-        chosen, pictures = np.flatnonzero(mask), np.zeros((len(q), SIZE, SIZE), np.uint8)
-        goal = jax.tree.map(lambda x: np.asarray(x)[chosen], state.goal)
-        pictures[chosen] = self._rendered(q[chosen], goal, samples[chosen], chosen)
+        pictures = np.zeros((self.num_envs, SIZE, SIZE), np.uint8)
+        chosen = np.flatnonzero(np.ones(self.num_envs, bool) if mask is None else mask)
+        pictures[chosen] = self.render_situations(replace(state.arm, engine=None), state.goal, state.key, chosen)
         return pictures
 
-    def render_situations(self, q: BatchArray, goal: Goal, keys: Array) -> np.ndarray:
-        """Pictures `[m, SIZE, SIZE]` uint8 of joints `[m, n]` and goals in episodes with `keys [m]`."""
-        return self._rendered(np.asarray(q), goal, np.asarray(self._view_samples(keys)), np.arange(len(q)))
+    def render_situations(self, arm: SimState, goal: Goal, keys: Array, rows: np.ndarray) -> np.ndarray:
+        """Pictures `[m, SIZE, SIZE]` uint8 of those `rows [m]` of arms and goals in episodes with `keys [B]`."""
+        samples, objects = np.asarray(self._view_samples(keys))[rows], self.setup.task.scene(self.setup).objects > 0
+        views = make_views(samples, self.setup.robot, objects=objects)
+        arm, goal = jax.tree.map(lambda x: np.asarray(x)[rows], (arm, goal))
+        return develop(self.simulator.render_observations(arm, goal, views, rows), views)
 
     def check_rendering(self) -> None:
         """Draw a picture, if the observation holds one, to find out whether that can be done.
@@ -220,12 +220,8 @@ class Env:
             InputError: it cannot.
         """
         if self.pictured:
-            home, goal = np.array([self.setup.robot.home]), Goal.at(jnp.zeros((1, 3)))
-            self._rendered(home, goal, np.zeros((1, SAMPLES)), np.zeros(1, int))
-
-    def _rendered(self, q: np.ndarray, goal: Goal, samples: np.ndarray, indices: np.ndarray) -> np.ndarray:
-        views = make_views(samples, self.setup.robot)
-        return develop(self.simulator.render_observations(q, goal, views, indices), views)
+            state = self.init(jax.random.split(jax.random.key(0), self.num_envs))
+            self.render_observation(state, np.arange(self.num_envs) == 0)
 
     # --- for callers ------------------------------------------------------------------------------
 

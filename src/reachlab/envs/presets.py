@@ -12,6 +12,8 @@ from reachlab.settings.preset_record import Preset
 from reachlab.settings.validation import InputError, choose, hints
 from reachlab.sims import SIMULATORS
 from reachlab.tasks import TASKS
+from reachlab.tasks.actions import ACTIONS
+from reachlab.tasks.observations import OBSERVATIONS
 
 CHOICES = ("sim", "observation", "action", "reward")
 """Settings that, like the task, decide the defaults of others."""
@@ -52,6 +54,8 @@ def preset(task: str = "tutorial", **chosen: Any) -> RunConfig:
         ppo=base.ppo,
     )
     config = override(config, **chosen)
+    if "action" not in chosen:
+        config = override(config, action=_own_action(config))
     if config.sim in SIMULATORS:
         config = override(config, **SIMULATORS[config.sim].defaults)
     for rule in base.rules:
@@ -118,4 +122,18 @@ def distillation(teacher: str, taught: RunConfig, **settings: Any) -> DistilRunC
     parts = {entry.name: getattr(taught, entry.name) for entry in dataclasses.fields(RunConfig)}
     settings = {"observation": "image", **DISTILLATION} | settings
     settings.setdefault("anneal_steps", settings["total_steps"])
-    return override(DistilRunConfig(**parts, teacher=teacher, teacher_observation=taught.rules.observation), **settings)
+    config = DistilRunConfig(
+        **parts,
+        teacher=teacher,
+        teacher_observation=taught.rules.observation,
+        teacher_action=taught.rules.action,
+    )
+    config = override(config, **settings)
+    return override(config, action=settings.get("action", _own_action(config)))
+
+
+def _own_action(config: RunConfig) -> str:
+    """The action of a configuration, without a controller that knows what a picture is there to show."""
+    name, observation = config.rules.action, OBSERVATIONS.get(config.rules.observation)
+    action = ACTIONS.get(name)
+    return name if not (action and observation) or action.needs <= observation.gives else action.whole or name

@@ -16,7 +16,7 @@ import numpy as np
 import optax
 from jax import Array
 
-from reachlab.agents.policy import Parameters, Policy, distribution, features
+from reachlab.agents.policy import Inputs, Parameters, Policy, distribution, features
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState, Transition
 from reachlab.envs.random_streams import LEARNER_STREAM, TRAINING_STREAM, episode_keys, stream_key
@@ -31,10 +31,8 @@ from reachlab.settings.config import DistilRunConfig, RunConfig
 from reachlab.settings.json_form import override
 from reachlab.settings.validation import InputError
 from reachlab.sims import SIMULATORS
-from reachlab.tasks.observations import OBSERVATIONS, observe, remembered_situation
-
-PLACES = 6
-"""The first features are taught where goal and tool are: three numbers each."""
+from reachlab.tasks import actions
+from reachlab.tasks.observations import OBSERVATIONS
 
 
 @jax.tree_util.register_dataclass
@@ -87,12 +85,13 @@ def _initial_state(env: Env, config: RunConfig, seed: int | Array, teacher: Poli
     key, for_policy = jax.random.split(stream_key(seed, LEARNER_STREAM))
     policy = jit(lambda key: make_initial_policy(config, env, key))(for_policy)
     if teacher is None:
-        knowing = Env(override(config, observation=config.teacher_observation, randomise=()), 1)
+        known = {"observation": config.teacher_observation, "action": config.teacher_action, "randomise": ()}
+        knowing = Env(override(config, **known), 1)
         teacher = make_initial_policy(knowing.config, knowing, for_policy)
         knowing.close()
     state = env.init(episode_keys(seed, TRAINING_STREAM, 0, config.loop.num_envs))
     learner = make_learner(_optimiser(config), policy)
-    return DistilState(learner, state, key, make_buffer(state, config.dagger.capacity), teacher)
+    return DistilState(learner, state, key, make_buffer(state, env.schema.vector_size, config.dagger.capacity), teacher)
 
 
 def _optimiser(config: DistilRunConfig) -> optax.GradientTransformation:
@@ -104,8 +103,8 @@ class _Lessons:
 
     def __init__(self, env: Env, config: DistilRunConfig) -> None:
         self._env, self._config = env, config
-        taught = override(config, observation=config.teacher_observation).rules
-        self._known = replace(env.setup, rules=taught)
+        rules = override(config, observation=config.teacher_observation, action=config.teacher_action).rules
+        self._known = replace(env.functions, setup=replace(env.setup, rules=rules), randomise=())
         self._pictures = Pictures(env, config.dagger.capacity)
         self._decide, self._add, self._learn = jit(self._decision), jit(add), jit(self._update)
         self._finite = jit(_finite)
@@ -129,8 +128,8 @@ class _Lessons:
         guided = int(buffer.count) < self._config.dagger.guided * loop.rollout_steps * loop.num_envs
         for now in jax.random.split(key, loop.rollout_steps):
             picture = self._env.render_observation(episodes)
-            label, action, policy = self._decide(state.teacher, policy, episodes, picture, now, guided)
-            buffer = self._add(buffer, episodes, label)
+            label, action, vector, policy = self._decide(state.teacher, policy, episodes, picture, now, guided)
+            buffer = self._add(buffer, replace(episodes, arm=replace(episodes.arm, engine=None)), vector, label)
             self._pictures.add(cast("np.ndarray", picture))
             # The action is repeated: nobody learns from pictures that hardly differ.
             episodes = self._begun_anew(*self._env.step(episodes, action, loop.action_repeat), tally)
@@ -149,15 +148,23 @@ class _Lessons:
 
     def _decision(
         self, teacher: Policy, policy: Policy, state: EnvState, picture: Array, key: Array, guided: bool
-    ) -> tuple[Array, Array, Policy]:
-        """The teacher's action `[B, a]`, the one that is taken, and the student with these observations known."""
+    ) -> tuple[Array, Array, Array, Policy]:
+        """The teacher's action `[B, a]`, the one that is taken, what is seen beside the picture, and the student.
+
+        The student has these observations known. The teacher knows how things are, not how they are measured.
+        """
         observation = self._env.observe(state, picture)
-        label, own = teacher.act(observe(self._known, self._env.situation(state))), policy.act(observation)
-        if self._config.rules.clip_actions:
-            label = jnp.clip(label, *self._env.action_bounds)
+        known = replace(state, sensed=None, sight=None)
+        label, own = teacher.act(self._known.observe(known)), policy.act(observation)
+        label = actions.bounded(self._known.setup, label)
+        if self._config.teacher_action != self._config.rules.action:
+            command = actions.command(self._known.setup, self._known.situation(known), label)
+            label = jnp.clip((command - state.command) / actions.joint_scale(self._env.setup), *self._env.action_bounds)
+        vector = self._env.schema.split(observation)[1]
+        vector = jnp.zeros((len(label), 0)) if vector is None else vector
         noise = self._config.dagger.noise * policy.half * jax.random.normal(key, label.shape)
         action = jnp.clip(jnp.where(guided, label, own) + noise, *self._env.action_bounds)
-        return label, action, policy.observed(observation)
+        return label, action, vector, policy.observed(observation)
 
     def _study(self, learner: Learner, buffer: DaggerBuffer, key: Array) -> tuple[Learner, dict[str, Array]]:
         """Learner after the gradient steps of an iteration, and the means of their losses."""
@@ -174,14 +181,17 @@ class _Lessons:
         self, learner: Learner, buffer: DaggerBuffer, rows: Array, pictures: Array
     ) -> tuple[Learner, dict[str, Array]]:
         policy, optimiser = learner.policy, _optimiser(self._config)
-        goal, tool, label = buffer.goal[rows], buffer.tool[rows], buffer.label[rows]
-        observation = observe(self._env.setup, remembered_situation(pictures, tool))
-        inputs, wanted = policy.inputs(observation), (label - policy.centre) / policy.half
-        places = jnp.concatenate([_in_workspace(self._env.setup.robot, point) for point in (goal, tool)], axis=-1)
+        arm, goal, vector, label = jax.tree.map(
+            lambda x: x[rows], (buffer.arm, buffer.goal, buffer.vector, buffer.label)
+        )
+        inputs = Inputs(pictures, policy.normaliser(vector) if vector.shape[-1] else None)
+        wanted = (label - policy.centre) / policy.half
+        points = jnp.concatenate([goal.position[:, None], arm.tool_position[:, None], arm.bodies.position], axis=1)
+        places = _in_workspace(self._env.setup.robot, points).reshape(len(points), -1)
 
         def loss(parameters: Parameters) -> tuple[Array, dict[str, Array]]:
             action = distribution(parameters, inputs).mean - wanted
-            place = features(parameters, inputs)[..., :PLACES] - places
+            place = features(parameters, inputs)[..., : places.shape[-1]] - places
             errors = {"action_error": jnp.square(action).mean(), "place_error": jnp.square(place).mean()}
             return errors["action_error"] + self._config.dagger.place_weight * errors["place_error"], errors
 

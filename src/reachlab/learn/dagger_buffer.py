@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +12,7 @@ from jax import Array
 from reachlab.control.situation import Goal
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState
+from reachlab.sims.simulator import SimState
 from reachlab.tasks.schema import SIZE
 
 DRAWN_AT_ONCE = 1024
@@ -24,50 +25,45 @@ class DaggerBuffer:
     """The last `N` samples, the oldest overwritten first.
 
     Attributes:
-        q: joints `[N, n]` [rad or m].
-        goal: `[N, 3]` [m].
-        tool: position of the tool `[N, 3]` [m].
+        arm: arms and what is beside them `[N, ...]`, without what an engine keeps.
+        goal: what was asked for `[N, ...]`.
         key: random key of the episode `[N]`, which decides its view.
+        vector: what was observed beside the picture `[N, k]`.
         label: the teacher's action `[N, a]`.
         count: samples so far `[]`.
     """
 
-    q: Array
-    goal: Array
-    tool: Array
+    arm: SimState
+    goal: Goal
     key: Array
+    vector: Array
     label: Array
     count: Array
 
 
-def make_buffer(state: EnvState, capacity: int) -> DaggerBuffer:
-    """Empty buffer of `capacity` samples of such a state."""
+def make_buffer(state: EnvState, vector_size: int, capacity: int) -> DaggerBuffer:
+    """Empty buffer of `capacity` samples of such a state, and of so many numbers beside the picture."""
 
     def empty(like: Array) -> Array:
+        if jnp.issubdtype(like.dtype, jax.dtypes.prng_key):
+            return jnp.broadcast_to(jax.random.key(0), (capacity,))
         return jnp.zeros((capacity, *like.shape[1:]), like.dtype)
 
-    return DaggerBuffer(
-        q=empty(state.arm.q),
-        goal=empty(state.goal.position),
-        tool=empty(state.arm.tool_position),
-        key=jnp.broadcast_to(jax.random.key(0), (capacity,)),
-        label=empty(state.last_action),
-        count=jnp.zeros((), jnp.int32),
-    )
+    vector = jnp.zeros((1, vector_size))
+    parts = _shown(state), state.goal, state.key, vector, state.last_action
+    return DaggerBuffer(*jax.tree.map(empty, parts), count=jnp.zeros((), jnp.int32))
 
 
-def add(buffer: DaggerBuffer, state: EnvState, label: Array) -> DaggerBuffer:
-    """Buffer with the situations of a state and their labels `[B, a]` added."""
-    num_envs, capacity = label.shape[0], buffer.q.shape[0]
+def add(buffer: DaggerBuffer, state: EnvState, vector: Array, label: Array) -> DaggerBuffer:
+    """Buffer with the situations of a state, the vectors `[B, k]` observed in them and labels `[B, a]` added."""
+    num_envs, capacity = label.shape[0], buffer.label.shape[0]
     rows = (buffer.count + jnp.arange(num_envs)) % capacity
-    return DaggerBuffer(
-        q=buffer.q.at[rows].set(state.arm.q),
-        goal=buffer.goal.at[rows].set(state.goal.position),
-        tool=buffer.tool.at[rows].set(state.arm.tool_position),
-        key=buffer.key.at[rows].set(state.key),
-        label=buffer.label.at[rows].set(label),
-        count=buffer.count + num_envs,
-    )
+    new = DaggerBuffer(_shown(state), state.goal, state.key, vector, label, buffer.count)
+    return jax.tree.map(lambda old, one: old.at[rows].set(one) if old.ndim else old + num_envs, buffer, new)
+
+
+def _shown(state: EnvState) -> SimState:
+    return replace(state.arm, engine=None)
 
 
 class Pictures:
@@ -89,10 +85,8 @@ class Pictures:
         if self._count == (count := int(buffer.count)):
             return
         for first in range(0, min(count, len(self._pictures)), DRAWN_AT_ONCE):
-            rows = slice(first, min(first + DRAWN_AT_ONCE, count, len(self._pictures)))
-            self._pictures[rows] = self._env.render_situations(
-                buffer.q[rows], Goal.at(buffer.goal[rows]), buffer.key[rows]
-            )
+            rows = np.arange(first, min(first + DRAWN_AT_ONCE, count, len(self._pictures)))
+            self._pictures[rows] = self._env.render_situations(buffer.arm, buffer.goal, buffer.key, rows)
         self._count = count
 
     def __getitem__(self, rows: np.ndarray) -> np.ndarray:

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import itertools
+import operator
 import os
 from concurrent.futures import ThreadPoolExecutor
 
+import jax
 import mujoco
 import numpy as np
 
+from reachlab.control.situation import Goal
 from reachlab.render.offscreen import gl_context
 from reachlab.render.scene import add_table, drawn_spec
 from reachlab.render.view_randomisation import ARM_GREYS, DARKEST, FIELD_OF_VIEW, LUMA, Views
 from reachlab.robots.robot import Robot
+from reachlab.sims.simulator import SimState
 from reachlab.tasks.schema import SIZE
 
 SLICES, STACKS, QUADS = 10, 6, 1
@@ -23,12 +28,20 @@ GROUND_SIZE = (4.0, 4.0, 0.01)
 GROUND_PLACE = (0.0, 0.0, -0.66)
 """Middle of the drawn ground [m]."""
 
-TARGET_SHAPES: tuple[tuple[mujoco.mjtGeom, tuple[float, ...], tuple[float, ...], tuple[float, ...]], ...] = (
+Shapes = tuple[tuple[mujoco.mjtGeom, tuple[float, ...], tuple[float, ...], tuple[float, ...]], ...]
+"""Primitives: type, size [m], position in their body's frame [m] and quaternion."""
+
+TOOL_TARGET: Shapes = (
     (mujoco.mjtGeom.mjGEOM_CYLINDER, (0.0155, 0.06), (0.0, -0.004, 0.0), (1.0, 1.0, 0.0, 0.0)),
     (mujoco.mjtGeom.mjGEOM_BOX, (0.044, 0.006, 0.015), (0.0, 0.039, 0.0), (1.0, 0.0, 0.0, 0.0)),
 )
-"""The tutorial's object 000 as primitives: type, size [m], position in its base frame [m] and quaternion. A bar of
-3 cm by 12 cm, with a crossbar of 9 cm."""
+"""The tutorial's object 000: a bar of 3 cm by 12 cm, with a crossbar of 9 cm."""
+
+CROSS: Shapes = (
+    (mujoco.mjtGeom.mjGEOM_BOX, (0.07, 0.01, 0.0005), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)),
+    (mujoco.mjtGeom.mjGEOM_BOX, (0.01, 0.07, 0.0005), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)),
+)
+"""A mark under the place of an object: its arms are longer than an object is wide."""
 
 MAX_GEOMS = 500
 """Shapes that a picture may hold."""
@@ -37,26 +50,27 @@ MAX_GEOMS = 500
 class ObservationCamera:
     """Draws the pictures that a policy observes of a robot and its target, a share of them on each core."""
 
-    def __init__(self, robot: Robot, threads: int = 0) -> None:
+    def __init__(self, robot: Robot, target: Shapes = TOOL_TARGET, threads: int = 0) -> None:
         """Camera on a robot, with `threads` threads, 0 for one a core; they are started for the first picture."""
-        self._robot = robot
+        self._robot, self._target = robot, target
         self._threads = threads or _cores()
         self._pools: list[ThreadPoolExecutor] = []
         self._painters: list[_Painter] = []
 
-    def pictures(self, q: np.ndarray, target: np.ndarray, views: Views) -> np.ndarray:
-        """Pictures `[B, SIZE, SIZE]` uint8 of joints `q [B, n]` and targets `[B, 3]`, each in its own view.
+    def pictures(self, state: SimState, goal: Goal, views: Views) -> np.ndarray:
+        """Pictures `[B, SIZE, SIZE]` uint8 of arms, what is beside them and their goals, each in its own view.
 
         Raises:
             InputError: there is no OpenGL to draw with.
         """
         if not self._painters:
             self._open()
-        out = np.empty((len(q), SIZE, SIZE), np.uint8)
-        bounds = np.linspace(0, len(q), len(self._pools) + 1).astype(int)
+        out = np.empty((len(views.arm), SIZE, SIZE), np.uint8)
+        bounds = np.linspace(0, len(out), len(self._pools) + 1).astype(int)
+        shares = [slice(*pair) for pair in itertools.pairwise(bounds) if pair[0] < pair[1]]
         jobs = [
-            pool.submit(painter.paint, q[a:b], target[a:b], Views(*(x[a:b] for x in views)), out[a:b])
-            for pool, painter, a, b in zip(self._pools, self._painters, bounds[:-1], bounds[1:], strict=True)
+            pool.submit(painter.paint, *jax.tree.map(operator.itemgetter(rows), (state, goal, views, out)))
+            for pool, painter, rows in zip(self._pools, self._painters, shares, strict=False)
         ]
         for job in jobs:
             job.result()
@@ -65,7 +79,7 @@ class ObservationCamera:
     def _open(self) -> None:
         # An OpenGL context belongs to the thread that draws with it.
         self._pools = [ThreadPoolExecutor(1) for _ in range(self._threads)]
-        self._painters = [pool.submit(_Painter, self._robot).result() for pool in self._pools]
+        self._painters = [pool.submit(_Painter, self._robot, self._target).result() for pool in self._pools]
 
     def close(self) -> None:
         """Free the OpenGL contexts; they are made again when needed."""
@@ -79,14 +93,13 @@ class ObservationCamera:
 class _Painter:
     """One thread's share: a scene, and an OpenGL context of its own."""
 
-    def __init__(self, robot: Robot) -> None:
+    def __init__(self, robot: Robot, target: Shapes) -> None:
         # Mesa's software renderer would start threads of its own for each context.
         os.environ.setdefault("LP_NUM_THREADS", "0")
         self._context = gl_context(SIZE, SIZE)
         self._context.make_current()
-        self._model = _model(robot)
+        self._robot, self._model = robot, _model(robot, target)
         self._data = mujoco.MjData(self._model)
-        self._joints = self._model.jnt_qposadr[: robot.chain.n]
         parts = [self._model.geom(name).id for name in (TABLE, GROUND)]
         self._table, self._ground = parts
         self._target = np.flatnonzero(self._model.geom_bodyid == self._model.body(TARGET).id)
@@ -101,16 +114,20 @@ class _Painter:
         self._option.sitegroup[:] = 0
         self._view.type, self._view.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, 0
 
-    def paint(self, q: np.ndarray, target: np.ndarray, views: Views, out: np.ndarray) -> None:
-        """Fill `out [m, SIZE, SIZE]` with the pictures of joints `q [m, n]` and targets `[m, 3]`."""
+    def paint(self, state: SimState, goal: Goal, views: Views, out: np.ndarray) -> None:
+        """Fill `out [m, SIZE, SIZE]` with the pictures of `m` arms."""
         from scipy.spatial.transform import Rotation
 
         model, data, scene = self._model, self._data, self._scene
-        if not len(q):
-            return
         self._context.make_current()
         quaternions = Rotation.from_matrix(views.rotation).as_quat(scalar_first=True)
-        arm = self._arm_greys(views.arm)
+        arm, actuated = self._arm_greys(views.arm), np.concatenate([state.q, state.opening], axis=1)
+        bodies, places = state.bodies, np.array(goal.position)
+        kinds, sizes, present = bodies.kind.tolist(), np.asarray(bodies.mujoco_size, float), np.asarray(bodies.present)
+        turns = Rotation.from_quat(bodies.quaternion.reshape(-1, 4), scalar_first=True).as_matrix()
+        turns = turns.reshape(*present.shape, 9)
+        if present.shape[1]:
+            places[:, 2] -= np.asarray(bodies.extent)[:, -1, 2]  # the mark lies under the object
         viewport, pixels = mujoco.MjrRect(0, 0, SIZE, SIZE), np.empty((SIZE, SIZE, 3), np.uint8)
         for i, picture in enumerate(out):
             model.cam_pos[0], model.cam_quat[0] = views.position[i], quaternions[i]
@@ -120,11 +137,17 @@ class _Painter:
             colours[self._arm, :3] = arm[i, :, None]
             colours[self._table, :3], colours[self._ground, :3] = views.table[i], views.ground[i]
             colours[self._target, :3] = views.target[i]
-            data.qpos[self._joints] = q[i]
-            data.mocap_pos[0] = target[i]
+            posture = self._robot.posture(actuated[i])
+            data.qpos[model.jnt_qposadr[: len(posture)]] = posture
+            data.mocap_pos[0] = places[i]
             mujoco.mj_kinematics(model, data)
             mujoco.mj_camlight(model, data)
             mujoco.mjv_updateScene(model, data, self._option, None, self._view, mujoco.mjtCatBit.mjCAT_ALL, scene)
+            for k in np.flatnonzero(present[i]):
+                shape = scene.geoms[scene.ngeom]
+                place, colour = bodies.position[i, k].astype(float), np.array([views.body[i]] * 3 + [1.0], np.float32)
+                mujoco.mjv_initGeom(shape, kinds[i][k], sizes[i, k], place, turns[i, k], colour)
+                scene.ngeom += 1
             mujoco.mjr_render(viewport, scene, self._draw)
             mujoco.mjr_readPixels(pixels, None, viewport, self._draw)
             picture[:] = pixels[::-1, :, 0]  # OpenGL begins below; all is grey
@@ -143,8 +166,8 @@ TABLE, GROUND, TARGET = "reachlab_table", "reachlab_ground", "reachlab_target"
 """Names in the drawn model: shapes, and the target's body."""
 
 
-def _model(robot: Robot) -> mujoco.MjModel:
-    """The robot on a table, with the tutorial's object, a camera and a lamp; everything is grey."""
+def _model(robot: Robot, shapes: Shapes) -> mujoco.MjModel:
+    """The robot on a table, with a target of these shapes, a camera and a lamp; everything is grey."""
     spec = drawn_spec(robot)
     world, quality = spec.worldbody, spec.visual.quality
     quality.numslices, quality.numstacks, quality.numquads = SLICES, STACKS, QUADS
@@ -159,7 +182,7 @@ def _model(robot: Robot) -> mujoco.MjModel:
         name=GROUND, type=box, size=robot.scale * np.array(GROUND_SIZE), pos=robot.placed(GROUND_PLACE), **drawn
     )
     target = world.add_body(name=TARGET, mocap=True)
-    for kind, size, position, quaternion in TARGET_SHAPES:
+    for kind, size, position, quaternion in shapes:
         lengths = {"size": robot.scale * np.array([*size, 0.0][:3]), "pos": robot.scale * np.array(position)}
         target.add_geom(type=kind, quat=quaternion, **lengths, **drawn)
     world.add_camera(fovy=FIELD_OF_VIEW)

@@ -13,6 +13,10 @@ LOOKS_AT, DISTANCE, PITCH = (0.55, 0.0, 0.05), 0.7, -70.0
 """Point in the middle of the picture [m], how far the camera is from it [m], and how it looks down [deg]; it looks
 against the x axis (PyBullet's yaw of 90°). The tutorial's."""
 
+LOW_PITCH, ABOVE, SEEN = -25.0, 0.08, 0.9
+"""How it looks down at objects on a table [deg], how high above the table it looks, beside the tutorial's arm [m], and
+its distance [widths of the workspace]. From above the hand would hide what it pushes."""
+
 FIELD_OF_VIEW, NEAR, FAR = 60.0, 0.1, 100.0
 """Angle from the picture's lower to its upper edge [deg], near and far plane [m]. The tutorial's."""
 
@@ -31,6 +35,9 @@ LAMP_DIRECTION, LAMP_TILT = (-0.3, 0.2, -1.0), 0.6
 
 TABLE, GROUND, TARGET = (0.9, 0.3), (0.7, 0.4), (0.16, 0.14)
 """Greys of table, ground and target (the blue of the tutorial's object), and how far they vary [share of white]."""
+
+BODY = (0.45, 0.15)
+"""Grey of the bodies beside the arm, and how far it varies in random views [share of white]."""
 
 ARM_SPREAD = 0.5
 """How far the grey of each of the arm's parts varies in random views [share of white]."""
@@ -60,6 +67,7 @@ SAMPLED = {
     "shade": 2,
     "grain": 1,
     "grain_corner": 2,
+    "body": 1,
 }
 """What varies in a random view, and how many random numbers each takes, in the order in which they are sampled."""
 
@@ -75,7 +83,7 @@ class Views(NamedTuple):
         rotation: the picture's right, its up and what is behind the camera, as columns `[B, 3, 3]`.
         ambient, lamp: light `[B]` [share of white].
         lamp_direction: where the lamp shines `[B, 3]`.
-        table, ground, target: greys `[B]` [share of white].
+        table, ground, target, body: greys `[B]` [share of white].
         arm: what is added to the greys of the arm's parts `[B, ARM_GREYS]`.
         shade: how much brighter the picture is at its right and its lower edge than in the middle `[B, 2]` [share].
         grain: spread of the grain `[B]` [of 255].
@@ -94,17 +102,18 @@ class Views(NamedTuple):
     shade: np.ndarray
     grain: np.ndarray
     grain_corner: np.ndarray
+    body: np.ndarray
 
 
-def make_views(samples: np.ndarray, robot: Robot) -> Views:
-    """Views on a robot of `samples [B, SAMPLES]` in -1 to 1; zeros are the tutorial's view."""
+def make_views(samples: np.ndarray, robot: Robot, *, objects: bool = False) -> Views:
+    """Views on a robot of `samples [B, SAMPLES]` in -1 to 1; zeros are the view of `camera_pose`."""
     from scipy.spatial.transform import Rotation
 
     ends = np.cumsum(list(SAMPLED.values()))
     parts = np.split(np.asarray(samples, np.float64), ends[:-1], axis=1)
     sampled = dict(zip(SAMPLED, parts, strict=True))
     single = {name: part[:, 0] for name, part in sampled.items() if SAMPLED[name] == 1}
-    position, rotation = tutorial_pose(robot)
+    position, rotation = camera_pose(robot, objects=objects)
     turn = Rotation.from_rotvec(TURN * sampled["turn"], degrees=True).as_matrix()
 
     def grey(nominal: tuple[float, float], name: str) -> np.ndarray:
@@ -123,6 +132,7 @@ def make_views(samples: np.ndarray, robot: Robot) -> Views:
         shade=SHADE * sampled["shade"],
         grain=GRAIN * np.abs(single["grain"]),
         grain_corner=((sampled["grain_corner"] + 1) / 2 * SIZE).astype(int),
+        body=grey(BODY, "body"),
     )
 
 
@@ -141,14 +151,20 @@ def develop(pictures: np.ndarray, views: Views) -> np.ndarray:
     return out
 
 
-def tutorial_pose(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
-    """Position `[3]` m and rotation `[3, 3]` of the tutorial's camera, so far away that it sees the arm's workspace."""
-    pitch = np.radians(PITCH)
-    back = np.array([np.cos(pitch), 0.0, -np.sin(pitch)])
-    right = np.array([0.0, 1.0, 0.0])
+def camera_pose(robot: Robot, *, objects: bool = False) -> tuple[np.ndarray, np.ndarray]:
+    """Position `[3]` m and rotation `[3, 3]` of the camera.
+
+    It is the tutorial's, so far away that it sees the arm's workspace; objects it sees from in front, under the hand.
+    """
     sides, usual = (np.subtract(high, low)[:2] for low, high in (robot.workspace, TUTORIAL_WORKSPACE))
-    distance = DISTANCE * float(max(robot.scale, *(sides / usual)))
-    return robot.placed(LOOKS_AT) + distance * back, np.stack([right, np.cross(back, right), back], axis=1)
+    if objects:
+        middle, pitch, distance = np.mean(robot.workspace, axis=0), LOW_PITCH, SEEN * sides[1]
+        middle[2] = robot.table_top + ABOVE * robot.scale
+    else:
+        middle, pitch, distance = robot.placed(LOOKS_AT), PITCH, DISTANCE * max(robot.scale, *(sides / usual))
+    back = np.array([np.cos(np.radians(pitch)), 0.0, -np.sin(np.radians(pitch))])
+    right = np.array([0.0, 1.0, 0.0])
+    return middle + distance * back, np.stack([right, np.cross(back, right), back], axis=1)
 
 
 def greys(pictures: np.ndarray) -> np.ndarray:

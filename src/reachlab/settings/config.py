@@ -200,7 +200,7 @@ class DaggerConfig(Checked):
     capacity: Annotated[int, Range(1, 10**6)] = 60_000
     """Pictures that are kept to learn from, of 7 kB each."""
     place_weight: NonNegative = 4.0
-    """Weight of predicting where target and tool are, beside that of predicting the action."""
+    """Weight of predicting where target, tool and bodies are, beside that of predicting the action."""
 
 
 @dataclass(frozen=True)
@@ -214,4 +214,6 @@ class DistilRunConfig(RunConfig):
     """Run directory of the teacher."""
     teacher_observation: str = "target+tool"
     """What the teacher observes."""
+    teacher_action: str = "tool_delta"
+    """What the teacher's actions move."""
     dagger: DaggerConfig = field(default_factory=DaggerConfig)

@@ -19,7 +19,7 @@ from reachlab.settings.validation import InputError
 from reachlab.sims import SIMULATORS
 from reachlab.sims.pybullet_arm import write_arm
 from reachlab.sims.pybullet_world import World, import_pybullet
-from reachlab.sims.simulator import Kind
+from reachlab.sims.simulator import Kind, SimState
 from reachlab.tasks.schema import SIZE
 
 W = TypeVar("W", bound=World)
@@ -70,10 +70,10 @@ class Clients(Generic[W]):
             position += self._offset * np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], 1)
         return Pose(cast("Array", position), cast("Array", quaternion))
 
-    def render_observations(self, q: np.ndarray, goal: Goal, views: Views, indices: np.ndarray) -> np.ndarray:
+    def render_observations(self, state: SimState, goal: Goal, views: Views, indices: np.ndarray) -> np.ndarray:
         """See `Simulator.render_observations`; the object is drawn where it lies, and colours are PyBullet's own."""
         del goal
-        out = np.empty((len(q), SIZE, SIZE), np.uint8)
+        q, out = np.asarray(state.q), np.empty((len(indices), SIZE, SIZE), np.uint8)
         for i, index in enumerate(indices):
             self._open_worlds[index].set_joints(q[i])
             out[i] = self._open_worlds[index].observation(Views(*(x[i] for x in views)))

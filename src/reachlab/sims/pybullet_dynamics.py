@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from reachlab.control.bodies import Shape
+from reachlab.render.observation_camera import CROSS
 from reachlab.robots.derive.isolation import own_servos
 from reachlab.robots.robot import PybulletModel, Robot
 from reachlab.sims.objects import ROLLING, TURNING
@@ -39,7 +40,10 @@ and finger tips make it that of the grip; they meet a table and walls of their o
 MEETS = {FIXED: OBJECTS, OBJECTS: FIXED | OBJECTS | TIPS, TIPS: OBJECTS | FIXED_TO_TIPS, FIXED_TO_TIPS: TIPS}
 """What each group can touch."""
 
-PAINT = (0.85, 0.45, 0.2, 1.0)
+PAINT, MARK = (0.85, 0.45, 0.2, 1.0), (0.1, 0.1, 0.1, 1.0)
+
+DRAWN_TABLE = 0.006
+"""So much higher than the table that is touched is the one that is drawn, PyBullet's, beside the tutorial's arm [m]."""
 
 
 class Motors(NamedTuple):
@@ -95,6 +99,7 @@ class ObjectWorld(World):
         self._motors, self._all = motors, list(range(len(motors.torque)))
         self._walls: list[int] = []
         self._objects: list[int] = []
+        self._cross: list[int] = []
         self._mass, self._friction = scene.mass, scene.friction
         bullet = self.bullet
         kinds = {Shape.BALL: bullet.GEOM_SPHERE, Shape.CYLINDER: bullet.GEOM_CYLINDER, Shape.BOX: bullet.GEOM_BOX}
@@ -161,6 +166,17 @@ class ObjectWorld(World):
             turn = (*turn, w)
             bullet.resetBasePositionAndOrientation(body, numbers[:3], turn)
             bullet.resetBaseVelocity(body, numbers[7:10], bullet.rotateVector(turn, numbers[10:]))
+
+    def mark(self, place: np.ndarray) -> None:
+        """Draw a cross at a place `[3]` m; nothing touches it."""
+        bullet = self.bullet
+        if not self._cross:
+            half = [size for _, size, *_ in CROSS]
+            shapes = [bullet.createVisualShape(bullet.GEOM_BOX, halfExtents=one, rgbaColor=MARK) for one in half]
+            self._cross = [bullet.createMultiBody(0.0, -1, shape) for shape in shapes]
+        for body in self._cross:
+            over = place + np.array([0.0, 0.0, DRAWN_TABLE * self._scale])
+            bullet.resetBasePositionAndOrientation(body, over, (0, 0, 0, 1))
 
     def now(self) -> list[float]:
         """The row of what is in motion."""

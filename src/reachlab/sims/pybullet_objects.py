@@ -115,8 +115,15 @@ class ObjectSimulator(Clients[ObjectWorld]):
         self._put(self._wanted(state), state.bodies)
         return self._open_worlds[index].picture()
 
-    def render_observations(self, q: np.ndarray, goal: Goal, views: Views, indices: np.ndarray) -> np.ndarray:
-        """See `Simulator.render_observations`; objects are drawn where they lie."""
-        pictures = super().render_observations(q, goal, views, indices)
+    def render_observations(self, state: SimState, goal: Goal, views: Views, indices: np.ndarray) -> np.ndarray:
+        """See `Simulator.render_observations`; below the place of an object is a cross."""
+        actuated = np.concatenate([state.q, state.opening], axis=1)
+        joints = np.array([self._robot.posture(row) for row in actuated])
+        rows = np.concatenate([joints, 0 * joints, self._moving(state.bodies)], axis=1, dtype=np.float64)
+        marks = np.array(goal.position) - [0, 0, 1] * np.asarray(state.bodies.extent)[:, -1]
+        for index, row, mark in zip(indices, rows, marks, strict=True):
+            self._open_worlds[index].put(row)
+            self._open_worlds[index].mark(mark)
+        pictures = super().render_observations(state, goal, views, indices)
         self._rows = np.full_like(self._rows, np.nan)
         return pictures

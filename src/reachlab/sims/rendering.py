@@ -11,11 +11,12 @@ import numpy as np
 
 from reachlab.control.situation import Goal
 from reachlab.render.marks import Marks
-from reachlab.render.observation_camera import ObservationCamera
+from reachlab.render.observation_camera import CROSS, TOOL_TARGET, ObservationCamera
 from reachlab.render.offscreen import Camera
 from reachlab.render.view_randomisation import Views
 from reachlab.robots.robot import Robot
 from reachlab.sims.simulator import SimState
+from reachlab.tasks.task import EMPTY, Scene
 
 
 @functools.cache
@@ -30,10 +31,11 @@ def _painter() -> ThreadPoolExecutor:
 class Drawn:
     """The part of a simulator that draws."""
 
-    def __init__(self, robot: Robot, *settings: Any, **named: Any) -> None:
+    def __init__(self, robot: Robot, *settings: Any, scene: Scene = EMPTY, **named: Any) -> None:
         """Nothing is loaded before the first picture; the settings are what else the simulator was made with."""
-        self._made_with = (robot, *settings), named
-        self._robot, self._observation_camera = robot, ObservationCamera(robot)
+        self._made_with = (robot, *settings), {"scene": scene, **named}
+        self._robot = robot
+        self._observation_camera = ObservationCamera(robot, CROSS if scene.objects else TOOL_TARGET)
         self._painter = _painter()
         self._camera: Camera | None = None
 
@@ -50,10 +52,10 @@ class Drawn:
         q, point = self._robot.posture(actuated), np.asarray(goal.position[index])
         return self._painter.submit(self._camera.picture, q, point, marks).result()
 
-    def render_observations(self, q: np.ndarray, goal: Goal, views: Views, indices: np.ndarray) -> np.ndarray:
+    def render_observations(self, state: SimState, goal: Goal, views: Views, indices: np.ndarray) -> np.ndarray:
         """See `Simulator.render_observations`."""
         del indices
-        return self._observation_camera.pictures(q, np.asarray(goal.position), views)
+        return self._observation_camera.pictures(state, goal, views)
 
     def close(self) -> None:
         """See `Simulator.close`."""

@@ -127,10 +127,11 @@ class Simulator(Protocol):
         """Picture of one arm for people, `[height, width, 3]` uint8, with marks where the simulator draws them."""
         ...
 
-    def render_observations(self, q: np.ndarray, goal: Goal, views: Views, indices: np.ndarray) -> np.ndarray:
+    def render_observations(self, state: SimState, goal: Goal, views: Views, indices: np.ndarray) -> np.ndarray:
         """Pictures of the observation camera, `[m, SIZE, SIZE]` uint8.
 
-        Of joints `q [m, n]`, goals and views; `indices [m]` are the numbers of their environments.
+        Of arms with what is beside them, goals and views, all of NumPy; `indices [m]` are the numbers of their
+        environments.
         """
         ...
 

@@ -31,6 +31,7 @@ WORDS = {
     "gripper": "a gripper that opens and closes, as in task lift",
     "gripping": "an action of the gripper too, as joint_delta",
     "dynamics": "arms that differ, as in simulator mujoco",
+    "places": "an observation that says where things are, as state; from pictures an action acts alone, as joint_delta",
     "picture": "an observation with a picture, as image",
 }
 """What observations, actions, agents, simulators and tasks may need or give, and how it is called."""

@@ -30,6 +30,8 @@ class Action:
         towards: the action `[B, a]` with which the task's controller acts, in a situation and in what it believes of
             that situation.
         gives: `turning`, where it can bring the tool into any orientation; `gripping`, where it moves the gripper.
+        needs: what else there has to be, of `reachlab.tasks.WORDS`.
+        whole: of a correction of what the controller does, the name of the action that corrects nothing.
     """
 
     summary: str
@@ -37,6 +39,8 @@ class Action:
     command: Callable[[TaskSetup, Situation, Array], Array]
     towards: Callable[[TaskSetup, Situation, Situation], Array]
     gives: frozenset[str] = frozenset({"turning", "gripping"})
+    needs: frozenset[str] = frozenset()
+    whole: str | None = None
 
 
 def _tool_box(setup: TaskSetup) -> Bounds:
@@ -136,6 +140,8 @@ ACTIONS: dict[str, Action] = {
         _joint_box,
         _correct_joints,
         _correction_towards,
+        needs=frozenset({"places"}),
+        whole="joint_delta",
     ),
 }
 """Action designs by name."""

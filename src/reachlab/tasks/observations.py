@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-import jax.numpy as jnp
-from jax import Array
-
-from reachlab.control.bodies import absent
-from reachlab.control.situation import Goal, Situation
-from reachlab.robots.kinematics.forward import Pose
+from reachlab.control.situation import Situation
 from reachlab.tasks.object_terms import GRIPPED, OBJECT, STRUCK
 from reachlab.tasks.schema import Observation, Observed
 from reachlab.tasks.task import TaskSetup
@@ -72,22 +67,3 @@ def observe(setup: TaskSetup, now: Situation) -> Observed:
     """Observation of a situation, in the form that `Schema` describes."""
     design = OBSERVATIONS[setup.rules.observation]
     return design.schema(setup).join({term.name: term.value(setup, now) for term in design.terms})
-
-
-def remembered_situation(picture: Array, tool_position: Array) -> Situation:
-    """Situation of which nothing is known but what an observation with a picture may hold."""
-    unknown = jnp.full((), jnp.nan)
-    return Situation(
-        q=unknown,
-        qd=unknown,
-        tool_position=tool_position,
-        tool_quaternion=unknown,
-        goal=Goal.at(unknown[None]),
-        command=unknown,
-        last_action=unknown,
-        bodies=absent(0),
-        contact=unknown,
-        achieved=Pose(tool_position, unknown),
-        opening=unknown,
-        picture=picture,
-    )

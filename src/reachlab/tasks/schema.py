@@ -161,6 +161,11 @@ class Observation:
         """Whether the camera's picture is in it."""
         return any(term.picture for term in self.terms)
 
+    @property
+    def gives(self) -> frozenset[str]:
+        """What is known by it, of `reachlab.tasks.WORDS`: `places`, where all of them are told."""
+        return frozenset() if self.pictured else frozenset({"places"})
+
     def schema(self, setup: TaskSetup) -> Schema:
         """Its schema on an arm."""
         return Schema(tuple(_field(term, setup) for term in self.terms))

@@ -83,6 +83,7 @@ class Stage:
         """
         robot, self.goals = setup.robot, target_box(setup)
         self._scene, self._robot = server.scene, robot
+        self._objects = setup.task.scene(setup).objects > 0
         self._model = scene_spec(robot, setup.rules.success_distance).compile()
         self._data = mujoco.MjData(self._model)
         self._joints = self._model.jnt_qposadr
@@ -195,7 +196,7 @@ class Stage:
         if self.camera is None:
             from scipy.spatial.transform import Rotation
 
-            position, rotation = views.tutorial_pose(self._robot)
+            position, rotation = views.camera_pose(self._robot, objects=self._objects)
             down_and_ahead = rotation * (1, -1, -1)
             self.camera = self._scene.add_camera_frustum(
                 "/camera",
