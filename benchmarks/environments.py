@@ -31,7 +31,7 @@ ACTIONS = 64
 ROUNDS = 3
 """Timings, of which the best counts, since other work on the machine comes and goes."""
 
-PRECISE_ENVS, PRECISE_STEPS = 256, 101
+DYNAMIC_ENVS, DYNAMIC_STEPS = 256, 101
 """Environments under full dynamics, and steps of an episode with the one that begins it."""
 
 
@@ -45,7 +45,8 @@ def environments() -> Iterator[Row]:
     for num_envs in BATCHES:
         measure = batch_steps(gymnasium.make_vec(ENVIRONMENT, num_envs=num_envs), EPISODE)
         yield row(f"gym_steps_per_second/{num_envs}", max(measure() for _ in range(ROUNDS)), "1/s")
-    yield precise_steps()
+    yield dynamics_steps("precise")
+    yield from (dynamics_steps(task, robot="panda") for task in ("push", "lift"))
 
 
 def single_steps(**settings: Any) -> Callable[[], float]:
@@ -81,20 +82,20 @@ def batch_steps(env: VectorEnv[Any, Any, Any], steps: int) -> Callable[[], float
     return measure
 
 
-def precise_steps() -> Row:
-    """Steps a second of task `precise`, and their share of the engine's alone, given the same joint commands.
+def dynamics_steps(task: str, **settings: Any) -> Row:
+    """Steps a second of a task under full dynamics, and their share of the engine's alone, given the same commands.
 
     Both are timed in turns, since other work on the machine comes and goes; the best of each counts.
     """
-    batch = gymnasium.make_vec(ENVIRONMENT, num_envs=PRECISE_ENVS, task="precise")
+    batch = gymnasium.make_vec(ENVIRONMENT, num_envs=DYNAMIC_ENVS, task=task, **settings)
     actions = sampled_actions(batch.action_space)
-    env = Env(configure("precise", randomise=()), PRECISE_ENVS)
-    bare = bare_engine(env, [actions[number % ACTIONS] for number in range(PRECISE_STEPS)])
-    measure = batch_steps(batch, PRECISE_STEPS)
+    env = Env(configure(task, randomise=(), **settings), DYNAMIC_ENVS)
+    bare = bare_engine(env, [actions[number % ACTIONS] for number in range(DYNAMIC_STEPS)])
+    measure = batch_steps(batch, DYNAMIC_STEPS)
     rates = [(bare(), measure()) for _ in range(ROUNDS * ROUNDS)]
     engine, through = (max(column) for column in zip(*rates, strict=True))
     share = round(through / engine, 3)
-    return row(f"gym_steps_per_second/precise {PRECISE_ENVS}", through, "1/s", share_of_bare=share)
+    return row(f"gym_steps_per_second/{task} {DYNAMIC_ENVS}", through, "1/s", share_of_bare=share)
 
 
 def sampled_actions(space: Space[Any]) -> list[Any]:

@@ -24,6 +24,7 @@ from reachlab.evaluation.report import FRESH_SEED, evaluate
 from reachlab.jax_setup import jit
 from reachlab.learn.train import train
 from reachlab.robots.catalogue import ROBOTS
+from reachlab.robots.derive.isolation import own_servos
 from reachlab.robots.kinematics.forward import forward_kinematics
 from reachlab.robots.loading import load_robot
 from reachlab.robots.robot import PybulletModel, Robot
@@ -244,23 +245,24 @@ def mujoco_speed() -> Iterator[Row]:
 def bare_engine(env: Env, actions: Sequence[np.ndarray] | np.ndarray) -> Callable[[], float]:
     """Measures the steps a second of the engine alone, moving the arms of an environment as it would itself.
 
-    The arms start where its first episodes do, and are given the joint commands that actions `[B, a]`, one a step, led
-    to in the environment: an arm that moves takes the engine an eighth longer than one that is held still.
+    Arms and objects start where its first episodes do, and are given the commands that actions `[B, a]`, one a step,
+    led to in the environment: an arm that moves takes the engine an eighth longer than one that is held still.
     """
-    state = env.init(env_keys(0, env.num_envs))
-    start_q, commands = np.asarray(state.arm.q), []
+    robot, state = env.setup.robot, env.init(env_keys(0, env.num_envs))
+    model = physics_model(robot, env.config.physics, env.setup.task.scene(env.setup))
+    servos, batch = own_servos(model), Batch(model, nsim=env.num_envs)
+    first = np.asarray(state.arm.engine).view(np.float64)[:, : batch.state.shape[1]]
+    ctrl, commands = batch.bind("ctrl"), []
     for action in actions:
         state, _ = env.step(state, action)
-        commands.append(np.asarray(state.command))
-    batch = Batch(physics_model(env.setup.robot, env.config.physics), nsim=env.num_envs)
-    qpos, ctrl, rest = batch.bind("qpos"), batch.bind("ctrl"), batch.state.copy()
+        commands.append(np.array([robot.posture(row) for row in np.asarray(state.command)]))
+    columns = [servos[joint] for joint in range(commands[0].shape[1])]
 
     def measure() -> float:
-        batch.state[:] = rest
-        qpos[:] = start_q
+        batch.state[:] = first
         start = time.perf_counter()
         for command in commands:
-            ctrl[:] = command
+            ctrl[:, columns] = command
             batch.step(nstep=env.config.physics.physics_steps)
         return len(commands) * env.num_envs / (time.perf_counter() - start)
 

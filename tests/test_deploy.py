@@ -449,9 +449,11 @@ def test_a_command_that_is_lost_on_its_way_breaks_no_limit_and_one_that_is_too_f
 
 
 @pytest.mark.slow
-def test_the_loop_runs_over_ros_2(precise: Path) -> None:
+@pytest.mark.parametrize("task", ["precise", "push"])
+def test_the_loop_runs_over_ros_2(task: str, precise: Path, tmp_path: Path) -> None:
+    policy = precise if task == "precise" else written(tmp_path / "policy", task, robot="panda", shaping=True)
     began = time.monotonic()
-    words = [sys.executable, "-m", "reachlab", "deploy", "check", str(precise), "--over-ros2", "--episodes", "2"]
+    words = [sys.executable, "-m", "reachlab", "deploy", "check", str(policy), "--over-ros2", "--episodes", "2"]
     done = subprocess.run([*words, "--json"], capture_output=True, text=True, check=False)
     assert done.returncode == cli.DONE, done.stderr
     result = json.loads(done.stdout)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import jax
@@ -15,6 +17,8 @@ from faults.controllers import written
 from params import tried
 from reachlab.agents.acting import make_act
 from reachlab.deploy.onboard.controller import Controller
+from reachlab.deploy.ros2 import PolicyNode
+from reachlab.deploy.topics import Topics
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState
 from reachlab.envs.presets import configure
@@ -181,3 +185,59 @@ def test_the_controller_brakes_where_it_does_not_know_the_object(folder: Path, o
         q = other.step(q, 0 * q, goal, 0.02 * number, objects=known)
         assert not other.problem
     assert np.abs(q - other.home).max() > 0
+
+
+def test_an_object_is_by_default_as_large_as_in_training(folder: Path) -> None:
+    commands, goal = [], None
+    for size in ({"half": [0.02] * 3}, {}, {"half": [0.03] * 3}):
+        controller = Controller(folder)
+        controller.reset(controller.home)
+        goal = np.mean(controller.goal_box, axis=0)
+        cube = {"position": goal + np.array([0.1, 0.0, 0.0]), **size}
+        commands.append(controller.step(controller.home, 0 * controller.home, goal, 0.0, objects=[cube]))
+        assert not controller.problem
+    assert np.array_equal(commands[0], commands[1])
+    assert not np.array_equal(commands[0], commands[2])
+
+
+def test_the_node_brakes_until_the_object_is_seen_and_where_that_was_long_ago(folder: Path) -> None:
+    rclpy = pytest.importorskip("rclpy")
+    from geometry_msgs.msg import PoseStamped
+    from rclpy.clock import Clock
+    from sensor_msgs.msg import JointState
+
+    made, said, clock = SimpleNamespace(publish=lambda _: None), list[str](), Clock()
+    node = SimpleNamespace(
+        **dict.fromkeys(("create_publisher", "create_subscription", "create_timer"), lambda *_: made),
+        get_logger=lambda: SimpleNamespace(warning=said.append),
+        get_clock=lambda: clock,
+    )
+    controller = Controller(folder)
+    policy, goal = PolicyNode(node, controller, Topics(), trajectory=False), np.mean(controller.goal_box, axis=0)
+
+    def joints() -> Any:
+        here = controller.motion.position.tolist()
+        return JointState(name=controller.joints, position=here, velocity=[0.0] * len(here))
+
+    def pose(place: np.ndarray, age: float) -> Any:
+        message = PoseStamped()
+        at = message.pose.position
+        at.x, at.y, at.z = place.tolist()
+        message.header.stamp = (clock.now() - rclpy.duration.Duration(seconds=age)).to_msg()
+        return message
+
+    policy._on_joints(joints())
+    policy._on_goal(pose(goal, 0.0))
+    policy._step()
+    assert said[-1].startswith("there are 0 objects")
+    policy._on_object(pose(goal + np.array([0.1, 0.0, 0.0]), 0.08))
+    policy._on_object(pose(goal + np.array([0.112, 0.0, 0.0]), 0.02))
+    assert policy._objects[0]["velocity"] == pytest.approx([0.2, 0.0, 0.0], abs=0.05)
+    for _ in range(40):  # an arm that brakes comes to rest first
+        policy._on_object(pose(goal + np.array([0.1, 0.0, 0.0]), 0.02))
+        policy._on_joints(joints())
+        time.sleep(controller.period)
+    assert "all is well again" in said
+    policy._on_object(pose(goal, 0.5))
+    policy._on_joints(joints())
+    assert said[-1] == "object 1 was measured more than 0.1 s ago"

@@ -28,6 +28,9 @@ AGENTS: dict[str, AgentEntry] = {
         "inverse kinematics in a closed loop: to the target from where the tool is measured, at every step",
         "reachlab.agents.baselines:ik",
     ),
+    "script": AgentEntry(
+        "what the task's controller does, as ik: for objects a script without memory", "reachlab.agents.baselines:ik"
+    ),
     "ik_open": AgentEntry(
         "inverse kinematics without feedback: to the target from where the tool was commanded, whatever is measured",
         "reachlab.agents.baselines:ik_open",

@@ -34,6 +34,7 @@ def describe(env: Env, policy: Policy, step: Behaviour) -> dict[str, Any]:
         "joints": rows,
         "inputs": step.inputs,
         "objects": [int(scene.shape)] * scene.objects,
+        "object_size": list(scene.size),
         "goal": _goal(setup)
         | {"placed": [one.name.removeprefix("placed_") for one in step.place.outputs] if step.place else []},
         "observation": {

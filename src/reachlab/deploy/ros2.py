@@ -18,6 +18,9 @@ from reachlab.settings.validation import InputError, installing
 EARLY = 0.25
 """Share of a control period by which a measurement may come before its time and still begins a control step."""
 
+RECENT = 0.2
+"""Time between two poses of an object from which its velocity follows, at most [s]."""
+
 TICKS = 8
 """How often in a control period the node looks whether it is time for a step without a new measurement."""
 
@@ -77,7 +80,7 @@ class PolicyNode:
 
         self.node, self._controller, self._trajectory = node, controller, trajectory
         self._goal: list[float] | None = None
-        self._goals = topics.goals
+        self._goals, self._objects = topics.goals, list[dict[str, Any]]()
         self._measured: tuple[np.ndarray, np.ndarray] | None = None
         self._due, self._told = 0.0, ""
         self._resets = True  # commands begin where the arm is
@@ -85,6 +88,7 @@ class PolicyNode:
         self._publisher = node.create_publisher(kind, topic, 1)
         node.create_subscription(JointState, topics.joint_states, self._on_joints, qos_profile_sensor_data)
         node.create_subscription(PoseStamped, topics.goals, self._on_goal, 1)
+        node.create_subscription(PoseStamped, topics.objects, self._on_object, qos_profile_sensor_data)
         node.create_subscription(Empty, topics.reset, self._on_reset, 1)
         node.create_subscription(Empty, topics.stop, lambda _: controller.stop(), 1)
         node.create_timer(controller.period / TICKS, self._on_tick)
@@ -98,6 +102,17 @@ class PolicyNode:
         if self._controller.asks_orientation:
             goal += [turn.w, turn.x, turn.y, turn.z]
         self._goal = goal
+
+    def _on_object(self, message: Any) -> None:
+        """Keep where the object was seen, and its velocity from where it was seen before."""
+        place, turn, stamp = message.pose.position, message.pose.orientation, message.header.stamp
+        age = self.node.get_clock().now().nanoseconds / 1e9 - stamp.sec - stamp.nanosec / 1e9
+        position, seen = np.array([place.x, place.y, place.z]), time.monotonic() - max(age, 0.0)
+        velocity, before = np.zeros(3), self._objects
+        if before and 0.0 < (since := seen - before[0]["time"]) < RECENT:
+            velocity = (position - before[0]["position"]) / since
+        quaternion = np.array([turn.w, turn.x, turn.y, turn.z])
+        self._objects = [{"position": position, "quaternion": quaternion, "velocity": velocity, "time": seen}]
 
     def _on_joints(self, message: Any) -> None:
         try:
@@ -122,7 +137,8 @@ class PolicyNode:
         q, qd = measured or (None, None)
         if not self._begin(q):
             return
-        command = controller.step(q, qd, self._goal, now)
+        beside: dict[str, Any] = {"objects": self._objects} if self._objects else {}
+        command = controller.step(q, qd, self._goal, now, **beside)
         waiting = "" if self._goal else f"no goal has come on '{self._goals}', and the arm is held where it is"
         self._tell(controller.problem if controller.braking else waiting)
         self._publish(command)

@@ -34,8 +34,8 @@ def check_over_ros2(folder: Path, *, sim: str | None, episodes: int, seed: int, 
         InputError: ROS 2 is missing, the policy is one that topics cannot carry, or its node does not start.
     """
     config, facts = settings_of(folder, sim), read_facts(folder)
-    if facts["goal"]["moves"] or {"bodies", "object"} & config.rules.gives:
-        raise InputError("goals that move and bodies beside the arm have no topic: check this policy without --ros2.")
+    if facts["goal"]["moves"] or "bodies" in config.rules.gives:
+        raise InputError("goals that move and obstacles have no topic: check this policy without --over-ros2.")
     topics = Topics()
     with ros2() as rclpy:
         plant = Plant(config, seed)
@@ -78,6 +78,7 @@ class RosLink:
         self._joints, self._node = joints, node
         self._states = node.create_publisher(JointState, topics.joint_states, 1)
         self._goals = node.create_publisher(PoseStamped, topics.goals, 1)
+        self._objects = node.create_publisher(PoseStamped, topics.objects, 1)
         self._resets = node.create_publisher(Empty, topics.reset, 1)
         node.create_subscription(Float64MultiArray, topics.commands, self._on_command, 1)
         self._commands: list[np.ndarray] = []
@@ -110,17 +111,24 @@ class RosLink:
 
     def send(self, measurement: Measurement) -> None:
         """Publish a measurement, and the goal where it is new."""
+        if measurement.goal != self._asked:
+            self._asked = measurement.goal
+            self._goals.publish(self._pose(measurement.goal))
+        for one in measurement.objects:
+            self._objects.publish(self._pose([*one["position"], *one["quaternion"]]))
+        self._publish(measurement.q, measurement.qd)
+
+    def _pose(self, numbers: list[float]) -> Any:
+        """A position [m], and a quaternion wxyz where there is one, as a message."""
         from geometry_msgs.msg import PoseStamped
 
-        if measurement.goal != self._asked:
-            self._asked, goal = measurement.goal, PoseStamped()
-            place, turn = goal.pose.position, goal.pose.orientation
-            place.x, place.y, place.z = measurement.goal[:3]
-            if len(measurement.goal) > 3:
-                turn.w, turn.x, turn.y, turn.z = measurement.goal[3:]
-            goal.header.stamp = self._node.get_clock().now().to_msg()
-            self._goals.publish(goal)
-        self._publish(measurement.q, measurement.qd)
+        message = PoseStamped()
+        place, turn = message.pose.position, message.pose.orientation
+        place.x, place.y, place.z = numbers[:3]
+        if len(numbers) > 3:
+            turn.w, turn.x, turn.y, turn.z = numbers[3:]
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        return message
 
     def _publish(self, q: np.ndarray, qd: np.ndarray) -> None:
         from sensor_msgs.msg import JointState

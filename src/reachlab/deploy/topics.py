@@ -13,6 +13,8 @@ class Topics:
     """Measured joints, `sensor_msgs/JointState`, in any order."""
     goals: str = "reachlab/goal"
     """Goals, `geometry_msgs/PoseStamped`, in the frame of the arm's base."""
+    objects: str = "reachlab/object"
+    """Where the object is, `geometry_msgs/PoseStamped`, in the same frame; its header says when it was seen there."""
     commands: str = "forward_position_controller/commands"
     """Joint commands, `std_msgs/Float64MultiArray`, in the order of the policy's joints."""
     reset: str = "reachlab/reset"

@@ -70,9 +70,9 @@ def handled(asked: str, control: Control, **parts: Any) -> Task:
 
 def scene(setup: TaskSetup) -> Scene:
     """The object, as the settings have it."""
-    rules, shape = setup.rules, FORMS[setup.rules.object_shape][0]
-    friction = rules.object_friction
-    return Scene(objects=1, shape=shape, mass=rules.object_mass, friction=friction, grip=friction)
+    rules, (shape, form) = setup.rules, FORMS[setup.rules.object_shape]
+    size, friction = tuple(rules.object_size * side for side in form), rules.object_friction
+    return Scene(objects=1, shape=shape, size=size, mass=rules.object_mass, friction=friction, grip=friction)
 
 
 def goal_box(setup: TaskSetup) -> Bounds:

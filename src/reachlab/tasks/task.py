@@ -45,6 +45,7 @@ class Scene:
         moved: bodies that `Task.move` moves, after the others.
         objects: bodies that move when the gripper touches them, after these; they lie on the table.
         shape: of the objects.
+        size: of an object, see `Bodies.size` [m].
         mass: of an object [kg].
         friction, grip: coefficients of friction of an object on what it lies on, and at the gripper.
         friction_spread: where objects vary, the least and the largest share of it.
@@ -55,6 +56,7 @@ class Scene:
     moved: int = 0
     objects: int = 0
     shape: Shape = Shape.BOX
+    size: tuple[float, ...] = (0.0, 0.0, 0.0)
     mass: float = 0.1
     friction: float = 0.6
     grip: float = 0.6

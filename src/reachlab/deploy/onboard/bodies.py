@@ -34,9 +34,15 @@ FAR = (0.0, 0.0, -10.0)
 
 
 def placed(
-    obstacles: Any, room: int, objects: Any = (), free: Sequence[int] = (), seconds: float = 0.0
+    obstacles: Any,
+    room: int,
+    objects: Any = (),
+    free: Sequence[int] = (),
+    size: Sequence[float] | None = None,
+    *,
+    seconds: float = 0.0,
 ) -> dict[str, list[float]]:
-    """Numbers of `room` bodies by name, of which the last ones are objects of the kinds in `free`.
+    """Numbers of `room` bodies by name, of which the last ones are objects of kinds `free` and, by default, a size.
 
     Obstacles and objects are as `read_bodies` gives them: boxes swept by a ball. Without half sizes one is a ball, with
     that along z alone a capsule. A box is made larger by its radius.
@@ -67,6 +73,11 @@ def placed(
         parts["velocity"] += [0.0] * 6
         parts["size"] += [0.0, 0.0, 0.0]
         parts["kind"].append(BALL)
+    if size is not None:
+        usual = [{"radius": np.array(size[0])} if kind == BALL else {"half": np.array(size)} for kind in free]
+        objects = [
+            one if {"half", "radius"} & set(one) else {**own, **one} for own, one in zip(usual, objects, strict=True)
+        ]
     _add(parts, objects, "object")
     parts["kind"][fixed:] = free
     return parts
