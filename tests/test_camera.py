@@ -16,7 +16,7 @@ import pytest
 from gymnasium.spaces import Box, Dict
 
 from reachlab.agents.policy import Policy
-from reachlab.control.bodies import absent
+from reachlab.control.bodies import Bodies, absent
 from reachlab.control.situation import Goal
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState, Transition
@@ -57,15 +57,16 @@ def arms(q: np.ndarray) -> SimState:
         qd=jnp.asarray(still),
         tool_position=jnp.asarray(still[:, :3]),
         tool_quaternion=jnp.asarray(still[:, 3:]),
-        bodies=absent(len(q), 0),
+        bodies=nothing(len(q)),
         contact=jnp.asarray(none, bool),
         opening=jnp.asarray(none),
     )
     return jax.tree.map(np.asarray, state)
 
 
-def goals(places: np.ndarray) -> Goal:
-    return jax.tree.map(np.asarray, Goal.at(jnp.asarray(places)))
+def nothing(count: int) -> Bodies:
+    """Nothing beside so many arms."""
+    return jax.tree.map(np.asarray, absent(count, 0))
 
 
 def at_home(num_envs: int) -> np.ndarray:
@@ -124,7 +125,7 @@ def test_the_target_is_shown_where_it_is(sim: str) -> None:
         pytest.skip(str(error))
     q, goal, views = at_home(len(TARGETS)), Goal.at(jnp.asarray(TARGETS)), nominal(len(TARGETS))
     simulator.reset(None, begin(q, goal), None)
-    pictures = simulator.render_observations(arms(q), goals(TARGETS), views, np.arange(len(TARGETS)))
+    pictures = simulator.render_observations(arms(q), goal, views, np.arange(len(TARGETS)))
     assert pictures.shape == (len(TARGETS), SIZE, SIZE)
     assert pictures.dtype == np.uint8
     empty = np.median(pictures, axis=0)
@@ -138,15 +139,15 @@ def test_the_target_is_shown_where_it_is(sim: str) -> None:
 def test_the_arm_is_shown_to_move(camera: ObservationCamera) -> None:
     q = at_home(2)
     q[1, 3] -= 0.4
-    one, other = camera.pictures(arms(q), goals(TARGETS[[0, 0]]), nominal(2))
+    one, other = camera.pictures(q, TARGETS[[0, 0]], nothing(2), nominal(2))
     assert (np.abs(one.astype(int) - other) > 20).sum() > 50
 
 
 def test_a_picture_depends_on_nothing_but_its_environment(camera: ObservationCamera) -> None:
     q, views = at_home(4), make_views(np.random.default_rng(0).uniform(-1, 1, (4, SAMPLES)), ROBOT)
-    together, again = (camera.pictures(arms(q), goals(TARGETS), views) for _ in range(2))
+    together, again = (camera.pictures(q, TARGETS, nothing(4), views) for _ in range(2))
     alone = ObservationCamera(ROBOT, threads=1)
-    each = [jax.tree.map(operator.itemgetter(slice(i, i + 1)), (arms(q), goals(TARGETS), views)) for i in range(4)]
+    each = [jax.tree.map(operator.itemgetter(slice(i, i + 1)), (q, TARGETS, nothing(4), views)) for i in range(4)]
     parts = [alone.pictures(*one) for one in each]
     alone.close()
     assert np.array_equal(together, again)
@@ -183,7 +184,7 @@ def test_an_object_and_its_place_are_shown_where_they_are(sim: str) -> None:
 
 
 def test_no_environments_are_no_pictures(camera: ObservationCamera) -> None:
-    assert camera.pictures(arms(at_home(0)), goals(TARGETS[:0]), nominal(0)).shape == (0, SIZE, SIZE)
+    assert camera.pictures(at_home(0), TARGETS[:0], nothing(0), nominal(0)).shape == (0, SIZE, SIZE)
 
 
 def test_every_episode_has_its_own_view_where_views_are_random() -> None:
@@ -225,9 +226,11 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     counts: list[int] = []
     draw = ObservationCamera.pictures
 
-    def counted(self: ObservationCamera, state: SimState, goal: Goal, views: Views) -> np.ndarray:
-        counts.append(len(state.q))
-        return draw(self, state, goal, views)
+    def counted(
+        self: ObservationCamera, actuated: np.ndarray, goal: np.ndarray, bodies: Bodies, views: Views
+    ) -> np.ndarray:
+        counts.append(len(actuated))
+        return draw(self, actuated, goal, bodies, views)
 
     monkeypatch.setattr(ObservationCamera, "pictures", counted)
     return counts

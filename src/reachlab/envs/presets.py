@@ -12,8 +12,6 @@ from reachlab.settings.preset_record import Preset
 from reachlab.settings.validation import InputError, choose, hints
 from reachlab.sims import SIMULATORS
 from reachlab.tasks import TASKS
-from reachlab.tasks.actions import ACTIONS
-from reachlab.tasks.observations import OBSERVATIONS
 
 CHOICES = ("sim", "observation", "action", "reward")
 """Settings that, like the task, decide the defaults of others."""
@@ -54,7 +52,7 @@ def preset(task: str = "tutorial", **chosen: Any) -> RunConfig:
         ppo=base.ppo,
     )
     config = override(config, **chosen)
-    if "action" not in chosen:
+    if "observation" in chosen and "action" not in chosen:
         config = override(config, action=_own_action(config))
     if config.sim in SIMULATORS:
         config = override(config, **SIMULATORS[config.sim].defaults)
@@ -134,6 +132,9 @@ def distillation(teacher: str, taught: RunConfig, **settings: Any) -> DistilRunC
 
 def _own_action(config: RunConfig) -> str:
     """The action of a configuration, without a controller that knows what a picture is there to show."""
+    from reachlab.tasks.actions import ACTIONS
+    from reachlab.tasks.observations import OBSERVATIONS
+
     name, observation = config.rules.action, OBSERVATIONS.get(config.rules.observation)
     action = ACTIONS.get(name)
     return name if not (action and observation) or action.needs <= observation.gives else action.whole or name

@@ -11,12 +11,11 @@ import jax
 import mujoco
 import numpy as np
 
-from reachlab.control.situation import Goal
+from reachlab.control.bodies import Bodies
 from reachlab.render.offscreen import gl_context
 from reachlab.render.scene import add_table, drawn_spec
 from reachlab.render.view_randomisation import ARM_GREYS, DARKEST, FIELD_OF_VIEW, LUMA, Views
 from reachlab.robots.robot import Robot
-from reachlab.sims.simulator import SimState
 from reachlab.tasks.schema import SIZE
 
 SLICES, STACKS, QUADS = 10, 6, 1
@@ -57,8 +56,14 @@ class ObservationCamera:
         self._pools: list[ThreadPoolExecutor] = []
         self._painters: list[_Painter] = []
 
-    def pictures(self, state: SimState, goal: Goal, views: Views) -> np.ndarray:
-        """Pictures `[B, SIZE, SIZE]` uint8 of arms, what is beside them and their goals, each in its own view.
+    def pictures(self, actuated: np.ndarray, goal: np.ndarray, bodies: Bodies, views: Views) -> np.ndarray:
+        """Pictures `[B, SIZE, SIZE]` uint8, each in its own view.
+
+        Args:
+            actuated: joints, and the gripper's opening `[B, m]` [rad or m].
+            goal: places `[B, 3]` [m].
+            bodies: what is beside each arm `[B, K]`, of NumPy.
+            views: see `make_views`.
 
         Raises:
             InputError: there is no OpenGL to draw with.
@@ -69,7 +74,7 @@ class ObservationCamera:
         bounds = np.linspace(0, len(out), len(self._pools) + 1).astype(int)
         shares = [slice(*pair) for pair in itertools.pairwise(bounds) if pair[0] < pair[1]]
         jobs = [
-            pool.submit(painter.paint, *jax.tree.map(operator.itemgetter(rows), (state, goal, views, out)))
+            pool.submit(painter.paint, *jax.tree.map(operator.itemgetter(rows), (actuated, goal, bodies, views, out)))
             for pool, painter, rows in zip(self._pools, self._painters, shares, strict=False)
         ]
         for job in jobs:
@@ -114,15 +119,14 @@ class _Painter:
         self._option.sitegroup[:] = 0
         self._view.type, self._view.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, 0
 
-    def paint(self, state: SimState, goal: Goal, views: Views, out: np.ndarray) -> None:
+    def paint(self, actuated: np.ndarray, goal: np.ndarray, bodies: Bodies, views: Views, out: np.ndarray) -> None:
         """Fill `out [m, SIZE, SIZE]` with the pictures of `m` arms."""
         from scipy.spatial.transform import Rotation
 
         model, data, scene = self._model, self._data, self._scene
         self._context.make_current()
         quaternions = Rotation.from_matrix(views.rotation).as_quat(scalar_first=True)
-        arm, actuated = self._arm_greys(views.arm), np.concatenate([state.q, state.opening], axis=1)
-        bodies, places = state.bodies, np.array(goal.position)
+        arm, places = self._arm_greys(views.arm), np.array(goal)
         kinds, sizes, present = bodies.kind.tolist(), np.asarray(bodies.mujoco_size, float), np.asarray(bodies.present)
         turns = Rotation.from_quat(bodies.quaternion.reshape(-1, 4), scalar_first=True).as_matrix()
         turns = turns.reshape(*present.shape, 9)

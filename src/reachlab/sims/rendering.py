@@ -55,7 +55,8 @@ class Drawn:
     def render_observations(self, state: SimState, goal: Goal, views: Views, indices: np.ndarray) -> np.ndarray:
         """See `Simulator.render_observations`."""
         del indices
-        return self._observation_camera.pictures(state, goal, views)
+        actuated = np.concatenate([state.q, state.opening], axis=1)
+        return self._observation_camera.pictures(actuated, np.asarray(goal.position), state.bodies, views)
 
     def close(self) -> None:
         """See `Simulator.close`."""

@@ -74,10 +74,8 @@ def placed(
         parts["size"] += [0.0, 0.0, 0.0]
         parts["kind"].append(BALL)
     if size is not None:
-        usual = [{"radius": np.array(size[0])} if kind == BALL else {"half": np.array(size)} for kind in free]
-        objects = [
-            one if {"half", "radius"} & set(one) else {**own, **one} for own, one in zip(usual, objects, strict=True)
-        ]
+        usual = {"radius": np.array(size[0])} if BALL in free else {"half": np.array(size)}
+        objects = [one if {"half", "radius"} & set(one) else {**usual, **one} for one in objects]
     _add(parts, objects, "object")
     parts["kind"][fixed:] = free
     return parts
