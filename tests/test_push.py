@@ -200,6 +200,19 @@ def test_an_object_is_by_default_as_large_as_in_training(folder: Path) -> None:
     assert not np.array_equal(commands[0], commands[2])
 
 
+def test_a_policy_that_goes_by_the_velocity_of_an_object_has_to_be_told_it(tmp_path: Path) -> None:
+    controller = Controller(written(tmp_path / "policy", "slide", robot="panda"))
+    controller.reset(controller.home)
+    goal = np.mean(controller.goal_box, axis=0)
+    puck: dict[str, Any] = {"position": [0.5, 0.0, goal[2]]}
+    controller.step(controller.home, 0 * controller.home, goal, 0.0, objects=[puck])
+    assert controller.problem == "object 1 has no velocity, and the policy goes by it: give it in m/s"
+    other = Controller(tmp_path / "policy")
+    other.reset(other.home)
+    other.step(other.home, 0 * other.home, goal, 0.0, objects=[puck | {"velocity": [0.0, 0.0, 0.0]}])
+    assert not other.problem
+
+
 def test_the_node_brakes_until_the_object_is_seen_and_where_that_was_long_ago(folder: Path) -> None:
     rclpy = pytest.importorskip("rclpy")
     from geometry_msgs.msg import PoseStamped

@@ -13,7 +13,7 @@ from jax import Array, ShapeDtypeStruct
 
 from reachlab.agents.policy import Policy
 from reachlab.control.situation import Goal
-from reachlab.emit.program import Program
+from reachlab.emit.program import Program, reads
 from reachlab.emit.tracing import trace
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvFunctions, EnvState
@@ -48,6 +48,10 @@ class Behaviour:
     def programs(self) -> list[Program]:
         """All of them."""
         return [one for one in (self.decide, self.tool, self.place) if one is not None]
+
+    def reads(self, name: str) -> bool:
+        """Whether a decision depends on an input."""
+        return any(one.name == name for statement in self.decide.body for one in reads(statement))
 
 
 def behaviour(env: Env, policy: Policy, constants: Mapping[str, np.ndarray]) -> Behaviour:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from reachlab.agents.policy import Policy
-from reachlab.deploy.behaviour import Behaviour
+from reachlab.deploy.behaviour import BODIES, Behaviour
 from reachlab.deploy.onboard.folder import FORMAT, LIMITS
 from reachlab.envs.core import Env
 from reachlab.robots.robot import CATALOGUE, GRIPPER, Robot
@@ -35,6 +35,7 @@ def describe(env: Env, policy: Policy, step: Behaviour) -> dict[str, Any]:
         "inputs": step.inputs,
         "objects": [int(scene.shape)] * scene.objects,
         "object_size": list(scene.size),
+        "object_velocity": scene.objects > 0 and step.reads(BODIES + "velocity"),
         "goal": _goal(setup)
         | {"placed": [one.name.removeprefix("placed_") for one in step.place.outputs] if step.place else []},
         "observation": {

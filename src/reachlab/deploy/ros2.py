@@ -104,15 +104,15 @@ class PolicyNode:
         self._goal = goal
 
     def _on_object(self, message: Any) -> None:
-        """Keep where the object was seen, and its velocity from where it was seen before."""
+        """Keep where the object was seen, and its velocity if it was seen just before."""
         place, turn, stamp = message.pose.position, message.pose.orientation, message.header.stamp
         age = self.node.get_clock().now().nanoseconds / 1e9 - stamp.sec - stamp.nanosec / 1e9
         position, seen = np.array([place.x, place.y, place.z]), time.monotonic() - max(age, 0.0)
-        velocity, before = np.zeros(3), self._objects
-        if before and 0.0 < (since := seen - before[0]["time"]) < RECENT:
-            velocity = (position - before[0]["position"]) / since
-        quaternion = np.array([turn.w, turn.x, turn.y, turn.z])
-        self._objects = [{"position": position, "quaternion": quaternion, "velocity": velocity, "time": seen}]
+        now = {"position": position, "quaternion": np.array([turn.w, turn.x, turn.y, turn.z]), "time": seen}
+        for before in self._objects:
+            if 0.0 < (since := seen - before["time"]) < RECENT:
+                now["velocity"] = (position - before["position"]) / since
+        self._objects = [now]
 
     def _on_joints(self, message: Any) -> None:
         try:

@@ -40,6 +40,7 @@ def placed(
     free: Sequence[int] = (),
     size: Sequence[float] | None = None,
     *,
+    moving: bool = False,
     seconds: float = 0.0,
 ) -> dict[str, list[float]]:
     """Numbers of `room` bodies by name, of which the last ones are objects of kinds `free` and, by default, a size.
@@ -48,8 +49,8 @@ def placed(
     that along z alone a capsule. A box is made larger by its radius.
 
     Raises:
-        ValueError: one of them is none, there are more obstacles, not all objects, or one was measured too long before
-            `seconds`.
+        ValueError: one of them is none, there are more obstacles, not all objects, or of one it is not known where it
+            is, since it was measured too long before `seconds`, or how it is `moving`.
     """
     if isinstance(obstacles, str) or isinstance(objects, str):
         raise ValueError("obstacles and objects are not lists of dicts of numbers")
@@ -63,6 +64,8 @@ def placed(
             f"there are {len(objects)} objects, and the policy moves {moved}: give where they are measured"
         )
     for number, one in enumerate(objects, 1):
+        if moving and "velocity" not in one:
+            raise ValueError(f"object {number} has no velocity, and the policy goes by it: give it in m/s")
         if seconds - float(one.get("time", seconds)) > OLD:
             raise ValueError(f"object {number} was measured more than {OLD:g} s ago")
     parts: dict[str, list[float]] = {"position": [], "quaternion": [], "velocity": [], "size": [], "kind": []}

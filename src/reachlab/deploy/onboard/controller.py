@@ -74,6 +74,7 @@ class Controller:
         self.home, self.period = np.array(facts["arm"]["home"], float), float(facts["control_period"])
         self._lower, self._upper, self._inputs = limits["lower"], limits["upper"], facts["inputs"]
         self._objects = facts.get("objects", []), facts.get("object_size")
+        self._moving = bool(facts.get("object_velocity", False))
         step = load_step(folder)
         self._decide = step["decide"]
         self._aim = Aim(facts["goal"], len(self.joints), step)
@@ -146,8 +147,8 @@ class Controller:
             obstacles: for a policy that was trained among them, a list of dicts with `position`, and for boxes and
                 capsules `quaternion`, `half` and `radius`, which sweeps them.
             objects: for a policy that moves some, the same of these, by default as large as in training, with their
-                `velocity` `[3]` [m/s] where the policy strikes them, and `time` [s] where they were measured earlier:
-                without them, or with old ones, the arm brakes.
+                `velocity` `[3]` [m/s] where the policy goes by it, as where it strikes them, and `time` [s] where they
+                were measured earlier: without them, or with old ones, the arm brakes.
             picture: the camera's, for a policy that gets one, `[84, 84]` uint8.
             joints: joints at which the tool is at the goal, where they are known; by default they are looked for.
         """
@@ -210,7 +211,9 @@ class Controller:
         if "bodies_kind" in inputs:
             try:
                 obstacles, objects, seconds = bodies
-                around = placed(obstacles, inputs["bodies_kind"][0], objects, *self._objects, seconds=seconds)
+                around = placed(
+                    obstacles, inputs["bodies_kind"][0], objects, *self._objects, moving=self._moving, seconds=seconds
+                )
             except ValueError as error:
                 return rest, str(error)
             given.update({f"bodies_{name}": numbers for name, numbers in around.items()})
