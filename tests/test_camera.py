@@ -30,7 +30,7 @@ from reachlab.learn.rollout import host_collector
 from reachlab.learn.train import train
 from reachlab.render import observation_camera
 from reachlab.render.observation_camera import ObservationCamera
-from reachlab.render.view_randomisation import FIELD_OF_VIEW, SAMPLES, SHIFT, TURN, Views, camera_pose, make_views
+from reachlab.render.view_randomisation import FIELD_OF_VIEW, SAMPLES, SHIFT, TURN, Views, make_views
 from reachlab.robots.loading import load_robot
 from reachlab.settings.config import LoopConfig
 from reachlab.settings.validation import InputError
@@ -143,6 +143,16 @@ def test_the_arm_is_shown_to_move(camera: ObservationCamera) -> None:
     assert (np.abs(one.astype(int) - other) > 20).sum() > 50
 
 
+def test_obstacles_are_shown_and_move_nothing_else(camera: ObservationCamera) -> None:
+    place, views = np.array([0.6, 0.15, 0.05]), nominal(1)
+    ball = replace(absent(1, 1, radius=0.04), position=jnp.asarray(place[None, None]))
+    without = camera.pictures(at_home(1), TARGETS[1:2], nothing(1), views)
+    beside = camera.pictures(at_home(1), TARGETS[1:2], jax.tree.map(np.asarray, ball), views)
+    changed = np.argwhere(without[0] != beside[0])
+    assert len(changed) > 20
+    assert np.linalg.norm(changed - pixel(place, views), axis=1).max() < 8
+
+
 def test_a_picture_depends_on_nothing_but_its_environment(camera: ObservationCamera) -> None:
     q, views = at_home(4), make_views(np.random.default_rng(0).uniform(-1, 1, (4, SAMPLES)), ROBOT)
     together, again = (camera.pictures(q, TARGETS, nothing(4), views) for _ in range(2))
@@ -169,14 +179,12 @@ def test_an_object_and_its_place_are_shown_where_they_are(sim: str) -> None:
         assert picture is not None
         return picture[0].astype(int)
 
-    position, rotation = camera_pose(env.setup.robot, objects=True)
-    scale = SIZE / 2 / np.tan(np.radians(FIELD_OF_VIEW / 2))
+    views = make_views(np.zeros((1, SAMPLES)), env.setup.robot, objects=True)
     both = seen(middle + aside, middle - aside)
     elsewhere = {"object": seen(middle, middle - aside), "goal": seen(middle + aside, middle)}
     for other, place in zip(elsewhere.values(), (middle + aside, middle - aside), strict=True):
         changed = np.argwhere(np.abs(both - other) > 25)
-        right, up, back = (np.asarray(place)[0] - position) @ rotation
-        expected = SIZE / 2 + scale / -back * np.array([-up, right])
+        expected = pixel(np.asarray(place)[0], views)
         near = np.linalg.norm(changed - expected, axis=1) < 10
         assert near.sum() > 8
         assert changed[near].mean(axis=0) == pytest.approx(expected, abs=2.5)

@@ -18,6 +18,7 @@ from reachlab.cli import main as cli
 from reachlab.envs.core import Env
 from reachlab.envs.presets import configure, distillation
 from reachlab.envs.random_streams import REPORT_STREAM, env_keys, episode_keys
+from reachlab.learn.dagger import check_distillation
 from reachlab.learn.dagger_buffer import Pictures, add, make_buffer
 from reachlab.learn.interrupts import Interrupted
 from reachlab.learn.load import load_policy
@@ -125,6 +126,13 @@ def test_whatever_the_picture_actions_are_finite(whole: Path) -> None:
         assert not np.array_equal(spoilt, picture), way
         assert np.isfinite(np.asarray(policy.act(spoilt))).all(), way
     env.close()
+
+
+def test_a_student_is_taught_its_own_action_or_the_whole_of_it(teacher: Path) -> None:
+    with pytest.raises(InputError, match="a student with action 'joint_delta' cannot be taught by 'tool_delta'"):
+        check_distillation(lessons(teacher, action="joint_delta"))
+    taught = configure("push", robot="panda")
+    assert distillation("runs/push", taught).rules.action == "joint_delta"
 
 
 # --- the command line -----------------------------------------------------------------------------

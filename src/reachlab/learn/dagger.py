@@ -32,6 +32,7 @@ from reachlab.settings.json_form import override
 from reachlab.settings.validation import InputError
 from reachlab.sims import SIMULATORS
 from reachlab.tasks import actions
+from reachlab.tasks.actions import ACTIONS
 from reachlab.tasks.observations import OBSERVATIONS
 
 
@@ -67,6 +68,11 @@ def check_distillation(config: RunConfig) -> DistilRunConfig:
     if OBSERVATIONS[config.teacher_observation].pictured:
         raise InputError(
             "a teacher has to know the state, and this one observes pictures: train one with another observation."
+        )
+    if config.rules.action not in (config.teacher_action, whole := ACTIONS[config.teacher_action].whole):
+        raise InputError(
+            f"a student with action {config.rules.action!r} cannot be taught by {config.teacher_action!r}: choose"
+            f" {whole or config.teacher_action}."
         )
     iterations = -(-config.loop.total_steps // config.loop.iteration_steps)
     if config.dagger.guided >= iterations:
@@ -129,7 +135,7 @@ class _Lessons:
         for now in jax.random.split(key, loop.rollout_steps):
             picture = self._env.render_observation(episodes)
             label, action, vector, policy = self._decide(state.teacher, policy, episodes, picture, now, guided)
-            buffer = self._add(buffer, replace(episodes, arm=replace(episodes.arm, engine=None)), vector, label)
+            buffer = self._add(buffer, episodes, vector, label)
             self._pictures.add(cast("np.ndarray", picture))
             # The action is repeated: nobody learns from pictures that hardly differ.
             episodes = self._begun_anew(*self._env.step(episodes, action, loop.action_repeat), tally)

@@ -34,7 +34,7 @@ TOOL_TARGET: Shapes = (
     (mujoco.mjtGeom.mjGEOM_CYLINDER, (0.0155, 0.06), (0.0, -0.004, 0.0), (1.0, 1.0, 0.0, 0.0)),
     (mujoco.mjtGeom.mjGEOM_BOX, (0.044, 0.006, 0.015), (0.0, 0.039, 0.0), (1.0, 0.0, 0.0, 0.0)),
 )
-"""The tutorial's object 000: a bar of 3 cm by 12 cm, with a crossbar of 9 cm."""
+"""The tutorial's object 000, beside its arm: a bar of 3 cm by 12 cm, with a crossbar of 9 cm."""
 
 CROSS: Shapes = (
     (mujoco.mjtGeom.mjGEOM_BOX, (0.07, 0.01, 0.0005), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)),
@@ -49,9 +49,12 @@ MAX_GEOMS = 500
 class ObservationCamera:
     """Draws the pictures that a policy observes of a robot and its target, a share of them on each core."""
 
-    def __init__(self, robot: Robot, target: Shapes = TOOL_TARGET, threads: int = 0) -> None:
-        """Camera on a robot, with `threads` threads, 0 for one a core; they are started for the first picture."""
-        self._robot, self._target = robot, target
+    def __init__(self, robot: Robot, *, objects: bool = False, threads: int = 0) -> None:
+        """Camera on a robot, and on the last of the bodies beside it, if it moves `objects`.
+
+        It has `threads` threads, 0 for one a core; they are started for the first picture.
+        """
+        self._robot, self._objects = robot, objects
         self._threads = threads or _cores()
         self._pools: list[ThreadPoolExecutor] = []
         self._painters: list[_Painter] = []
@@ -84,7 +87,7 @@ class ObservationCamera:
     def _open(self) -> None:
         # An OpenGL context belongs to the thread that draws with it.
         self._pools = [ThreadPoolExecutor(1) for _ in range(self._threads)]
-        self._painters = [pool.submit(_Painter, self._robot, self._target).result() for pool in self._pools]
+        self._painters = [pool.submit(_Painter, self._robot, self._objects).result() for pool in self._pools]
 
     def close(self) -> None:
         """Free the OpenGL contexts; they are made again when needed."""
@@ -98,12 +101,12 @@ class ObservationCamera:
 class _Painter:
     """One thread's share: a scene, and an OpenGL context of its own."""
 
-    def __init__(self, robot: Robot, target: Shapes) -> None:
+    def __init__(self, robot: Robot, objects: bool) -> None:
         # Mesa's software renderer would start threads of its own for each context.
         os.environ.setdefault("LP_NUM_THREADS", "0")
         self._context = gl_context(SIZE, SIZE)
         self._context.make_current()
-        self._robot, self._model = robot, _model(robot, target)
+        self._robot, self._model, self._objects = robot, _model(robot, objects=objects), objects
         self._data = mujoco.MjData(self._model)
         parts = [self._model.geom(name).id for name in (TABLE, GROUND)]
         self._table, self._ground = parts
@@ -130,7 +133,7 @@ class _Painter:
         kinds, sizes, present = bodies.kind.tolist(), np.asarray(bodies.mujoco_size, float), np.asarray(bodies.present)
         turns = Rotation.from_quat(bodies.quaternion.reshape(-1, 4), scalar_first=True).as_matrix()
         turns = turns.reshape(*present.shape, 9)
-        if present.shape[1]:
+        if self._objects:
             places[:, 2] -= np.asarray(bodies.extent)[:, -1, 2]  # the mark lies under the object
         viewport, pixels = mujoco.MjrRect(0, 0, SIZE, SIZE), np.empty((SIZE, SIZE, 3), np.uint8)
         for i, picture in enumerate(out):
@@ -170,8 +173,8 @@ TABLE, GROUND, TARGET = "reachlab_table", "reachlab_ground", "reachlab_target"
 """Names in the drawn model: shapes, and the target's body."""
 
 
-def _model(robot: Robot, shapes: Shapes) -> mujoco.MjModel:
-    """The robot on a table, with a target of these shapes, a camera and a lamp; everything is grey."""
+def _model(robot: Robot, *, objects: bool) -> mujoco.MjModel:
+    """The robot on a table, with a target, for objects a cross, a camera and a lamp; everything is grey."""
     spec = drawn_spec(robot)
     world, quality = spec.worldbody, spec.visual.quality
     quality.numslices, quality.numstacks, quality.numquads = SLICES, STACKS, QUADS
@@ -186,8 +189,9 @@ def _model(robot: Robot, shapes: Shapes) -> mujoco.MjModel:
         name=GROUND, type=box, size=robot.scale * np.array(GROUND_SIZE), pos=robot.placed(GROUND_PLACE), **drawn
     )
     target = world.add_body(name=TARGET, mocap=True)
+    shapes, scale = (CROSS, 1.0) if objects else (TOOL_TARGET, robot.scale)
     for kind, size, position, quaternion in shapes:
-        lengths = {"size": robot.scale * np.array([*size, 0.0][:3]), "pos": robot.scale * np.array(position)}
+        lengths = {"size": scale * np.array([*size, 0.0][:3]), "pos": scale * np.array(position)}
         target.add_geom(type=kind, quat=quaternion, **lengths, **drawn)
     world.add_camera(fovy=FIELD_OF_VIEW)
     for light in spec.lights:

@@ -11,7 +11,7 @@ import numpy as np
 
 from reachlab.control.situation import Goal
 from reachlab.render.marks import Marks
-from reachlab.render.observation_camera import CROSS, TOOL_TARGET, ObservationCamera
+from reachlab.render.observation_camera import ObservationCamera
 from reachlab.render.offscreen import Camera
 from reachlab.render.view_randomisation import Views
 from reachlab.robots.robot import Robot
@@ -35,7 +35,7 @@ class Drawn:
         """Nothing is loaded before the first picture; the settings are what else the simulator was made with."""
         self._made_with = (robot, *settings), {"scene": scene, **named}
         self._robot = robot
-        self._observation_camera = ObservationCamera(robot, CROSS if scene.objects else TOOL_TARGET)
+        self._observation_camera = ObservationCamera(robot, objects=scene.objects > 0)
         self._painter = _painter()
         self._camera: Camera | None = None
 
