@@ -8,11 +8,17 @@ import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import cast
 
+import jax
 import numpy as np
 from PIL import Image
 
 from reachlab import load_robot
+from reachlab.agents.acting import make_act
+from reachlab.envs.core import Env
+from reachlab.envs.presets import configure
+from reachlab.envs.random_streams import REPORT_STREAM, episode_keys
 from reachlab.render.offscreen import portrait
 from reachlab.robots.catalogue import ROBOTS
 
@@ -25,6 +31,9 @@ FINER = 2
 """Pictures are drawn so many times as large, for smooth edges."""
 
 COLUMNS = 3
+
+SHOWN, OBSERVED, LARGER = 6002, (20, 15, 15, 15, 15), 2
+"""Seed of the episode that a camera sees, steps between its pictures, and how many times as large they are shown."""
 
 SEEDS = range(3)
 
@@ -61,6 +70,23 @@ def _lift(folder: Path) -> None:
     _run(folder, f"video panda/lift --episodes 3 --out {IMAGES / 'lift.webp'}")
 
 
+def _objects(_folder: Path) -> None:
+    """What a policy of pictures would see of a cube that is pushed by the script, in two simulators."""
+    rows = []
+    for sim in ("mujoco", "pybullet"):
+        env = Env(configure("push", robot="panda", observation="image", sim=sim, randomise=()), 1)
+        state, act, pictures = env.init(episode_keys(SHOWN, REPORT_STREAM, 0, 1)), make_act(env, "script"), []
+        for _ in range(len(OBSERVED)):
+            pictures.append(cast("np.ndarray", env.render_observation(state))[0])
+            for _ in range(OBSERVED[len(pictures) - 1]):
+                state, _, _ = act(None, state, jax.random.key(0))
+        env.close()
+        rows.append(np.hstack(pictures))
+    whole = Image.fromarray(np.vstack(rows))
+    size = LARGER * whole.width, LARGER * whole.height
+    whole.resize(size, Image.Resampling.NEAREST).save(IMAGES / "camera-push.png", optimize=True)
+
+
 def _plots(folder: Path) -> None:
     """Two rewards, three seeds each, 400,000 steps; nothing helps but the reward: an action is not held."""
     runs = []
@@ -90,6 +116,7 @@ PICTURES: dict[str, Callable[[Path], None]] = {
     "video": _video,
     "push": _push,
     "lift": _lift,
+    "objects": _objects,
     "plots": _plots,
     "sweep": _sweep,
 }
