@@ -135,6 +135,8 @@ def _own_action(config: RunConfig) -> str:
     from reachlab.tasks.actions import ACTIONS
     from reachlab.tasks.observations import OBSERVATIONS
 
-    name, observation = config.rules.action, OBSERVATIONS.get(config.rules.observation)
-    action = ACTIONS.get(name)
-    return name if not (action and observation) or action.needs <= observation.gives else action.whole or name
+    name = config.rules.action
+    action, observation = ACTIONS.get(name), OBSERVATIONS.get(config.rules.observation)
+    if action and action.whole and observation and not action.needs <= observation.gives:
+        return action.whole
+    return name

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from dataclasses import dataclass, replace
 
 import jax
@@ -85,8 +86,9 @@ class Pictures:
         if self._count == (count := int(buffer.count)):
             return
         for first in range(0, min(count, len(self._pictures)), DRAWN_AT_ONCE):
-            rows = np.arange(first, min(first + DRAWN_AT_ONCE, count, len(self._pictures)))
-            self._pictures[rows] = self._env.render_situations(buffer.arm, buffer.goal, buffer.key, rows)
+            rows = slice(first, min(first + DRAWN_AT_ONCE, count, len(self._pictures)))
+            arm, goal, key = jax.tree.map(operator.itemgetter(rows), (buffer.arm, buffer.goal, buffer.key))
+            self._pictures[rows] = self._env.render_situations(arm, goal, key, np.arange(rows.stop - rows.start))
         self._count = count
 
     def __getitem__(self, rows: np.ndarray) -> np.ndarray:

@@ -6,6 +6,7 @@ import itertools
 import operator
 import os
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import jax
 import mujoco
@@ -129,10 +130,7 @@ class _Painter:
         model, data, scene = self._model, self._data, self._scene
         self._context.make_current()
         quaternions = Rotation.from_matrix(views.rotation).as_quat(scalar_first=True)
-        arm, places = self._arm_greys(views.arm), np.array(goal)
-        kinds, sizes, present = bodies.kind.tolist(), np.asarray(bodies.mujoco_size, float), np.asarray(bodies.present)
-        turns = Rotation.from_quat(bodies.quaternion.reshape(-1, 4), scalar_first=True).as_matrix()
-        turns = turns.reshape(*present.shape, 9)
+        arm, places, beside = self._arm_greys(views.arm), np.array(goal), _shapes(bodies)
         if self._objects:
             places[:, 2] -= np.asarray(bodies.extent)[:, -1, 2]  # the mark lies under the object
         viewport, pixels = mujoco.MjrRect(0, 0, SIZE, SIZE), np.empty((SIZE, SIZE, 3), np.uint8)
@@ -150,10 +148,9 @@ class _Painter:
             mujoco.mj_kinematics(model, data)
             mujoco.mj_camlight(model, data)
             mujoco.mjv_updateScene(model, data, self._option, None, self._view, mujoco.mjtCatBit.mjCAT_ALL, scene)
-            for k in np.flatnonzero(present[i]):
-                shape = scene.geoms[scene.ngeom]
-                place, colour = bodies.position[i, k].astype(float), np.array([views.body[i]] * 3 + [1.0], np.float32)
-                mujoco.mjv_initGeom(shape, kinds[i][k], sizes[i, k], place, turns[i, k], colour)
+            for shape in beside[i]:
+                grey = np.array([views.body[i]] * 3 + [1.0], np.float32)
+                mujoco.mjv_initGeom(scene.geoms[scene.ngeom], *shape, grey)
                 scene.ngeom += 1
             mujoco.mjr_render(viewport, scene, self._draw)
             mujoco.mjr_readPixels(pixels, None, viewport, self._draw)
@@ -167,6 +164,22 @@ class _Painter:
         """Free the OpenGL context."""
         self._draw.free()
         self._context.free()
+
+
+def _shapes(bodies: Bodies) -> list[list[tuple[Any, ...]]]:
+    """Of each of `m` arms the bodies beside it that are there: kind, size, place and rotation."""
+    from scipy.spatial.transform import Rotation
+
+    count, room = bodies.kind.shape
+    if not room:  # an arm alone is drawn as fast as it can be
+        return [[] for _ in range(count)]
+    turns = Rotation.from_quat(bodies.quaternion.reshape(-1, 4), scalar_first=True).as_matrix().reshape(count, room, 9)
+    sizes, places = np.asarray(bodies.mujoco_size, float), np.asarray(bodies.position, float)
+    present, kinds = np.asarray(bodies.present), bodies.kind.tolist()
+    return [
+        [(kinds[i][k], sizes[i, k], places[i, k], turns[i, k]) for k in np.flatnonzero(present[i])]
+        for i in range(count)
+    ]
 
 
 TABLE, GROUND, TARGET = "reachlab_table", "reachlab_ground", "reachlab_target"
