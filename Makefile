@@ -107,15 +107,18 @@ bench: $(VENV)/installed
 bench-viewer: $(VENV)/installed-dev
 	TF_CPP_MIN_LOG_LEVEL=3 PYTHONPATH=tests $(BIN)/python -m browser.viewer $(TASKS)
 
-# The bundle of three.js in the live page: it is part of the repository, and made anew only for another version of it.
+# What of other projects is in the live page: it is part of the repository, and made anew only for other versions.
 BROWSER := src/reachlab/deploy/browser
+PACK := import sys, zlib; sys.stdout.buffer.write(zlib.compress(sys.stdin.buffer.read(), 9))
 three:
 	rm -rf build/three && mkdir -p build/three && cp $(BROWSER)/three.entry.js build/three/
-	cd build/three && npm install --silent --no-save three@0.187.0 esbuild@0.28.2
+	cd build/three && npm install --silent --no-save three@0.187.0 esbuild@0.28.2 @mujoco/mujoco@3.14.0
 	cd build/three && npx esbuild three.entry.js --bundle --minify --format=iife --global-name=THREE \
 		--legal-comments=none --log-level=warning --outfile=three.min.js
 	cp build/three/three.min.js $(BROWSER)/three.min.js
 	cp build/three/node_modules/three/LICENSE $(BROWSER)/three.LICENSE
+	for part in wasm js; do $(PYTHON) -c "$(PACK)" < build/three/node_modules/@mujoco/mujoco/mujoco.$$part \
+		> $(BROWSER)/mujoco.$$part.zlib || exit 1; done
 
 $(VENV)/bin/python $(GYMNAX_VENV)/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "reachlab needs Python 3.11 or newer; this is " + sys.version.split()[0] + ". Name another: make PYTHON=python3.12")'

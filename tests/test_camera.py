@@ -30,12 +30,13 @@ from reachlab.learn.rollout import host_collector
 from reachlab.learn.train import train
 from reachlab.render import observation_camera
 from reachlab.render.observation_camera import ObservationCamera
-from reachlab.render.view_randomisation import FIELD_OF_VIEW, SAMPLES, SHIFT, TURN, Views, make_views
+from reachlab.render.view_randomisation import SAMPLES, SHIFT, TURN, Views, make_views
 from reachlab.robots.loading import load_robot
 from reachlab.settings.config import LoopConfig
 from reachlab.settings.validation import InputError
 from reachlab.sims import SIMULATORS
 from reachlab.sims.simulator import SimState, make_simulator
+from reachlab.tasks.camera import FIELD_OF_VIEW
 from reachlab.tasks.observations import OBSERVATIONS
 from reachlab.tasks.schema import SIZE
 from situations import begin

@@ -19,7 +19,7 @@ from reachlab.envs.presets import configure
 from reachlab.envs.setup import make_setup
 from reachlab.render.offscreen import portrait
 from reachlab.render.scene import drawn_spec, in_front, scene_spec
-from reachlab.render.view_randomisation import FIELD_OF_VIEW, SAMPLES, make_views
+from reachlab.render.view_randomisation import SAMPLES, make_views
 from reachlab.robots.catalogue import ROBOTS
 from reachlab.robots.files.gripper import GRASP
 from reachlab.robots.robot import TUTORIAL_WORKSPACE
@@ -27,6 +27,7 @@ from reachlab.runs.directory import RunDirectory
 from reachlab.settings.reading import cache_folder
 from reachlab.settings.validation import InputError
 from reachlab.tasks import TASKS
+from reachlab.tasks.camera import FIELD_OF_VIEW
 from test_cli import TINY, Said, Shell
 
 AXES = ("0 0 1", "0 1 0", "0 1 0", "0 1 0", "0 0 1")

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from reachlab.agents.encoder import FEATURES, Layers, encode, make_encoder
+from reachlab.agents.encoder import Encoder, Keypoints, Layers, Squares
 from reachlab.robots.kinematics.forward import added
 from reachlab.settings.validation import InputError
 from reachlab.tasks.schema import SIZE, Observed, Schema
@@ -36,7 +36,7 @@ class Parameters:
     actor: Layers
     critic: Layers
     log_std: Array
-    encoder: Layers | None = None
+    encoder: Encoder | None = None
 
 
 class Inputs(NamedTuple):
@@ -154,7 +154,7 @@ def features(parameters: Parameters, inputs: Inputs) -> Array:
     picture, vector = inputs
     if picture is None or parameters.encoder is None:
         return cast("Array", vector)  # an observation has a picture or a vector
-    encoded = encode(parameters.encoder, picture)
+    encoded = parameters.encoder(picture)
     return encoded if vector is None else jnp.concatenate([encoded, vector], axis=-1)
 
 
@@ -168,20 +168,31 @@ def value(parameters: Parameters, inputs: Inputs) -> Array:
     return _forward(parameters.critic, features(parameters, inputs))[..., 0]
 
 
-def make_policy(key: Array, schema: Schema, action_bounds: Bounds, hidden: Sequence[int], initial_std: float) -> Policy:
+def make_policy(
+    key: Array,
+    schema: Schema,
+    action_bounds: Bounds,
+    hidden: Sequence[int],
+    initial_std: float,
+    *,
+    points: int = 0,
+) -> Policy:
     """Untrained policy for observations of a schema and actions with these lower and upper bounds `[a]`.
 
-    Where the observation holds a picture the policy has an encoder.
+    Where the observation holds a picture the policy has an encoder, which finds so many `points` in it or, with 0, sees
+    it as a whole.
     """
     low, high = (jnp.asarray(bound) for bound in action_bounds)
-    k, a, pictured = schema.vector_size, len(low), bool(schema.pictures)
-    inputs = k + pictured * FEATURES
+    k, a, encoder = schema.vector_size, len(low), None
     for_actor, for_critic, for_encoder = jax.random.split(key, 3)
+    if schema.pictures:
+        encoder = Keypoints.make(for_encoder, points) if points else Squares.make(for_encoder, SIZE)
+    inputs = k + (encoder.features if encoder else 0)
     parameters = Parameters(
         actor=_layers(for_actor, (inputs, *hidden, a), ACTOR_OUTPUT_GAIN),
         critic=_layers(for_critic, (inputs, *hidden, 1), 1.0),
         log_std=jnp.full(a, math.log(initial_std), jnp.float32),
-        encoder=make_encoder(for_encoder, SIZE) if pictured else None,
+        encoder=encoder,
     )
     normaliser = Normaliser(jnp.zeros(k), jnp.ones(k), jnp.zeros(()))
     return Policy(parameters, normaliser, (low + high) / 2, (high - low) / 2, schema)

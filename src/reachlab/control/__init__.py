@@ -11,6 +11,7 @@ CONTROLLERS: dict[str, Lazy] = {
     ),
     "joint_servo": Lazy("every joint to where the goal has it", "reachlab.control.joint_servo:joint_servo"),
     "push": Lazy("an object along the table to the goal", "reachlab.control.pushing:push"),
+    "push_seen": Lazy("the same of an object that a picture shows", "reachlab.control.pushing:push_seen"),
     "lift": Lazy("an object, gripped from above, to the goal", "reachlab.control.lifting:lift"),
     "slide": Lazy("a puck, struck, to the goal", "reachlab.control.sliding:slide"),
     "place": Lazy("the same over a wall, and let go", "reachlab.control.placing:place"),

@@ -46,6 +46,9 @@ LATCH, DONE, AGAIN = 0.015, 0.006, 0.009
 """Distances from the goal from which on the line of a push no longer turns to it, at which a push has ended, and at
 which a hand that rests begins another [m]."""
 
+DONE_SEEN = 0.012, 0.025
+"""The last two of these where both are seen in a picture [m]: it shows them elsewhere as the hand moves."""
+
 STILL = 0.02
 """A hand rests where no joint is faster [rad/s]."""
 
@@ -74,8 +77,8 @@ class Push(NamedTuple):
     down: Array
 
 
-def push(drive: Drive, now: Situation) -> Array:
-    """Joint displacement `[B, n]` that pushes the first body to the goal.
+def push(drive: Drive, now: Situation, done: float = DONE, again: float = AGAIN) -> Array:
+    """Joint displacement `[B, n]` that pushes the first body to the goal, within `done`; see `AGAIN`.
 
     The tool goes round the object to behind it, comes down and pushes, with a correction aside like that of a trailer
     that is backed; it remembers nothing.
@@ -92,9 +95,14 @@ def push(drive: Drive, now: Situation) -> Array:
     away = norm((now.goal.position - now.bodies.position[:, -1])[:, :2])
     # A hand that rests against the object lets it creep: it goes on resting.
     rests = jnp.abs(now.qd).max(axis=-1) < STILL
-    done = (away < jnp.where(rests, AGAIN, DONE)) & (~state.ready | (state.left < 0.001))
+    ends = (away < jnp.where(rests, again, done)) & (~state.ready | (state.left < 0.001))
     turn = across(drive, now, jnp.arctan2(state.line[:, 1], state.line[:, 0]))
-    return jnp.where(done[:, None], 0.0, towards(drive, now, velocity, turn))
+    return jnp.where(ends[:, None], 0.0, towards(drive, now, velocity, turn))
+
+
+def push_seen(drive: Drive, now: Situation) -> Array:
+    """The same of an object and a goal that are seen in a picture, a few millimetres beside where they are."""
+    return push(drive, now, *DONE_SEEN)
 
 
 def _normal(line: Array) -> Array:

@@ -12,6 +12,7 @@ import numpy as np
 from jax import Array, ShapeDtypeStruct
 
 from reachlab.agents.policy import Policy
+from reachlab.control.bodies import Bodies
 from reachlab.control.situation import Goal
 from reachlab.emit.program import Program, reads
 from reachlab.emit.tracing import trace
@@ -129,6 +130,11 @@ def goal_of(like: EnvState, given: Mapping[str, Array]) -> Goal:
     return _filled(like.goal, GOAL, given)
 
 
+def bodies_of(like: EnvState, given: Mapping[str, Array]) -> Bodies:
+    """Bodies `[1]` of what is given of them."""
+    return _filled(like.arm.bodies, BODIES, given)
+
+
 def _filled(like: Any, begin: str, given: Mapping[str, Array]) -> Any:
     parts = {field.name: getattr(like, field.name) for field in fields(like)}
     nothing = {name: jnp.zeros(part.shape[1:], part.dtype) for name, part in parts.items()}
@@ -142,7 +148,7 @@ def measured_state(functions: EnvFunctions, like: EnvState, given: Mapping[str, 
     tool, contact = forward_kinematics(setup.robot.chain, q), jnp.zeros_like(like.arm.contact[:1])
     state = replace(
         like,
-        arm=SimState(q, qd, *tool, _filled(like.arm.bodies, BODIES, given), contact, opening),
+        arm=SimState(q, qd, *tool, bodies_of(like, given), contact, opening),
         goal=goal_of(like, given),
         command=given["command"][None],
         last_action=given["last_action"][None],

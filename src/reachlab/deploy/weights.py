@@ -7,7 +7,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from reachlab.agents.encoder import CHANNELS, PATCH, WHITE
+from reachlab.agents.encoder import CELL, CHANNELS, PATCH, SHARPNESS, WHITE, Encoder, Keypoints, middles
 from reachlab.agents.policy import OBSERVATION_CLIP, SMALLEST_STD, Policy
 from reachlab.settings.validation import InputError, installing
 from reachlab.tasks.schema import GOALS, SIZE, Schema
@@ -20,7 +20,8 @@ OPSET, IR = 17, 8
 def named_weights(policy: Policy, bounds: Bounds) -> dict[str, np.ndarray]:
     """Arrays of a policy that gives actions within bounds: what the controller and the graph compute with."""
     plain: Policy = jax.tree.map(np.asarray, policy)
-    layers = {"actor": plain.parameters.actor, "encoder": plain.parameters.encoder or []}
+    encoder = plain.parameters.encoder
+    layers = {"actor": plain.parameters.actor, "encoder": encoder.layers if encoder else []}
     weights: dict[str, Any] = {
         f"{name}.{i}.{part}": array
         for name, those in layers.items()
@@ -72,7 +73,8 @@ def onnx_model(policy: Policy, bounds: Bounds, *, clips: bool) -> Any:
 
     given = inputs(policy.schema)
     vectors = [name for name, _, picture in given if not picture]
-    parts = [_encoded(name, add, dense, constants) for name, _, picture in given if picture]
+    encoder = jax.tree.map(np.asarray, policy.parameters.encoder)
+    parts = [_encoded(encoder, name, add, constants) for name, _, picture in given if picture]
     if vectors:
         vector = vectors[0] if len(vectors) == 1 else add("Concat", vectors, "vector", axis=1)
         scaled = add("Div", [add("Sub", [vector, "normaliser.mean"], "shifted"), "normaliser.scale"], "scaled")
@@ -107,17 +109,50 @@ def onnx_model(policy: Policy, bounds: Bounds, *, clips: bool) -> Any:
     return model
 
 
-def _encoded(name: str, add: Any, dense: Any, constants: dict[str, Any]) -> str:
-    """Features of a picture, see `encoder.encode`."""
+def _encoded(encoder: Encoder, name: str, add: Any, constants: dict[str, Any]) -> str:
+    """Features of a picture."""
+    if isinstance(encoder, Keypoints):
+        return _located(encoder, name, add, constants)
     side = SIZE // PATCH
     shapes = {"cut": [-1, side, PATCH, side, PATCH], "squares": [-1, PATCH**2], "whole": [-1, side**2 * CHANNELS]}
-    constants |= {"white": np.float32(WHITE), "grey": np.float32(0.5)}
     constants |= {f"shape.{shape}": np.array(sizes, np.int64) for shape, sizes in shapes.items()}
-    x = add("Reshape", [add("Cast", [name], "picture.float", to=1), "shape.cut"], "picture.cut")
+    x = add("Reshape", [_centred(name, add, constants), "shape.cut"], "picture.cut")
     x = add("Transpose", [x], "picture.turned", perm=[0, 1, 3, 2, 4])
     x = add("Reshape", [x, "shape.squares"], "picture.squares")
-    x = add("Sub", [add("Div", [x, "white"], "picture.scaled"), "grey"], "picture.centred")
-    x = add("Relu", [dense(x, "encoder.0")], "encoder.0.out")
-    x = add("Reshape", [x, "shape.whole"], "encoder.joined")
-    x = add("Relu", [dense(x, "encoder.1")], "encoder.1.out")
-    return dense(x, "encoder.2")
+    for i, shape in enumerate(("whole", "")):
+        x = add("Gemm", [x, f"encoder.{i}.weight", f"encoder.{i}.bias"], f"encoder.{i}.sum")
+        x = add("Relu", [x], f"encoder.{i}.out")
+        x = add("Reshape", [x, f"shape.{shape}"], "encoder.joined") if shape else x
+    return add("Gemm", [x, "encoder.2.weight", "encoder.2.bias"], "encoder.2.sum")
+
+
+def _located(encoder: Keypoints, name: str, add: Any, constants: dict[str, Any]) -> str:
+    """Where points are in a picture, see `encoder.Keypoints`."""
+    sides = (CELL, *[3] * (len(encoder.layers) - 2), 1)
+    points, cells = encoder.features // 2, (SIZE // CELL) ** 2
+    shapes = {"whole": [-1, 1, SIZE, SIZE], "cells": [-1, points, 3, cells], "shares": [-1, points, 1, cells]}
+    constants |= {f"shape.{shape}": np.array(sizes, np.int64) for shape, sizes in shapes.items()}
+    constants |= {"shape.points": np.array([-1, 2 * points], np.int64), "middles": np.array(middles(SIZE).T)}
+    constants |= {"sharpness": np.float32(SHARPNESS), "cell": np.float32(2 * CELL / SIZE), "last": np.array([3])}
+    constants |= {"scored": np.array([2]), "first": np.array([0]), "second": np.array([1]), "third": np.array([3])}
+    x = add("Reshape", [_centred(name, add, constants), "shape.whole"], "picture.whole")
+    for i, ((weight, _), side) in enumerate(zip(encoder.layers, sides, strict=True)):
+        kernel = weight.reshape(side, side, -1, weight.shape[1]).transpose(3, 2, 0, 1)
+        constants[f"kernel.{i}"] = np.ascontiguousarray(kernel)
+        settings = {"strides": [CELL, CELL]} if i == 0 else {"pads": [side // 2] * 4}
+        x = add("Conv", [x, f"kernel.{i}", f"encoder.{i}.bias"], f"encoder.{i}.sum", **settings)
+        x = add("Relu", [x], f"encoder.{i}.out") if i < len(sides) - 1 else x
+    x = add("Reshape", [x, "shape.cells"], "cells")
+    scores = add("Squeeze", [add("Slice", [x, "first", "second", "scored"], "scores"), "scored"], "scores.flat")
+    shares = add("Softmax", [add("Mul", [scores, "sharpness"], "scores.sharp")], "shares", axis=-1)
+    offsets = add("Mul", [add("Slice", [x, "second", "third", "scored"], "offsets"), "cell"], "offsets.far")
+    places = add("Add", [offsets, "middles"], "places")
+    weighted = add("Mul", [add("Reshape", [shares, "shape.shares"], "shares.each"), places], "places.weighted")
+    return add("Reshape", [add("ReduceSum", [weighted, "last"], "points", keepdims=0), "shape.points"], "points.flat")
+
+
+def _centred(name: str, add: Any, constants: dict[str, Any]) -> str:
+    """Pixels in ±0.5."""
+    constants |= {"white": np.float32(WHITE), "grey": np.float32(0.5)}
+    scaled = add("Div", [add("Cast", [name], "picture.float", to=1), "white"], "picture.scaled")
+    return add("Sub", [scaled, "grey"], "picture.centred")

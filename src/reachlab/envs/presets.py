@@ -127,7 +127,24 @@ def distillation(teacher: str, taught: RunConfig, **settings: Any) -> DistilRunC
         teacher_action=taught.rules.action,
     )
     config = override(config, **settings)
-    return override(config, action=settings.get("action", _own_action(config)))
+    config = override(config, action=settings.get("action", _student_action(config)))
+    # Where things are in a picture is what its encoder finds: no layer comes after it.
+    return config if "hidden" in settings or not _points(config) else override(config, hidden=())
+
+
+def _student_action(config: RunConfig) -> str:
+    """Where things are in the picture, if the task's controller needs to know no more."""
+    from reachlab.tasks.actions import ACTIONS
+    from reachlab.tasks.observations import OBSERVATIONS
+
+    given = config.rules.gives | OBSERVATIONS[config.rules.observation].gives
+    return next((name for name, one in ACTIONS.items() if one.points and one.needs <= given), _own_action(config))
+
+
+def _points(config: RunConfig) -> bool:
+    from reachlab.tasks.actions import ACTIONS
+
+    return ACTIONS[config.rules.action].points > 0
 
 
 def _own_action(config: RunConfig) -> str:

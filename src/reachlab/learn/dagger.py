@@ -16,6 +16,7 @@ import numpy as np
 import optax
 from jax import Array
 
+from reachlab.agents.encoder import Keypoints
 from reachlab.agents.policy import Inputs, Parameters, Policy, distribution, features
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState, Transition
@@ -69,9 +70,10 @@ def check_distillation(config: RunConfig) -> DistilRunConfig:
         raise InputError(
             "a teacher has to know the state, and this one observes pictures: train one with another observation."
         )
-    if config.rules.action not in (config.teacher_action, whole := ACTIONS[config.teacher_action].whole):
+    own, whole = config.rules.action, ACTIONS[config.teacher_action].whole
+    if own not in (config.teacher_action, whole) and not ACTIONS[own].points:
         raise InputError(
-            f"a student with action {config.rules.action!r} cannot be taught by {config.teacher_action!r}: choose"
+            f"a student with action {own!r} cannot be taught by {config.teacher_action!r}: choose"
             f" {whole or config.teacher_action}."
         )
     iterations = -(-config.loop.total_steps // config.loop.iteration_steps)
@@ -160,17 +162,25 @@ class _Lessons:
         The student has these observations known. The teacher knows how things are, not how they are measured.
         """
         observation = self._env.observe(state, picture)
-        known = replace(state, sensed=None, sight=None)
-        label, own = teacher.act(self._known.observe(known)), policy.act(observation)
-        label = actions.bounded(self._known.setup, label)
-        if self._config.teacher_action != self._config.rules.action:
-            command = actions.command(self._known.setup, self._known.situation(known), label)
-            label = jnp.clip((command - state.command) / actions.joint_scale(self._env.setup), *self._env.action_bounds)
+        label, own = self._label(teacher, replace(state, sensed=None, sight=None)), policy.act(observation)
         vector = self._env.schema.split(observation)[1]
         vector = jnp.zeros((len(label), 0)) if vector is None else vector
         noise = self._config.dagger.noise * policy.half * jax.random.normal(key, label.shape)
+        if ACTIONS[self._config.rules.action].points:
+            noise *= guided  # who sees things where they are not strays enough
         action = jnp.clip(jnp.where(guided, label, own) + noise, *self._env.action_bounds)
         return label, action, vector, policy.observed(observation)
+
+    def _label(self, teacher: Policy, known: EnvState) -> Array:
+        """What the student's action should be `[B, a]`: the teacher's, as one of its own, or where things are."""
+        situation, own = self._known.situation(known), self._config.rules.action
+        if ACTIONS[own].points:
+            return ACTIONS[own].towards(self._env.setup, situation, situation)
+        label = actions.bounded(self._known.setup, teacher.act(self._known.observe(known)))
+        if self._config.teacher_action == own:
+            return label
+        command = actions.command(self._known.setup, situation, label)
+        return jnp.clip((command - known.command) / actions.joint_scale(self._env.setup), *self._env.action_bounds)
 
     def _study(self, learner: Learner, buffer: DaggerBuffer, key: Array) -> tuple[Learner, dict[str, Array]]:
         """Learner after the gradient steps of an iteration, and the means of their losses."""
@@ -196,10 +206,13 @@ class _Lessons:
         places = _in_workspace(self._env.setup.robot, points).reshape(len(points), -1)
 
         def loss(parameters: Parameters) -> tuple[Array, dict[str, Array]]:
-            action = distribution(parameters, inputs).mean - wanted
-            place = features(parameters, inputs)[..., : places.shape[-1]] - places
-            errors = {"action_error": jnp.square(action).mean(), "place_error": jnp.square(place).mean()}
-            return errors["action_error"] + self._config.dagger.place_weight * errors["place_error"], errors
+            action = jnp.square(distribution(parameters, inputs).mean - wanted).mean()
+            if isinstance(parameters.encoder, Keypoints):
+                place = parameters.encoder.loss(pictures, label)
+            else:
+                place = jnp.square(features(parameters, inputs)[..., : places.shape[-1]] - places).mean()
+            errors = {"action_error": action, "place_error": place}
+            return action + self._config.dagger.place_weight * place, errors
 
         gradient, errors = jax.grad(loss, has_aux=True)(policy.parameters)
         change, state = optimiser.update(gradient, learner.optimiser)

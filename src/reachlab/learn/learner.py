@@ -19,6 +19,7 @@ from reachlab.agents.policy import Policy, make_policy
 from reachlab.envs.core import Env
 from reachlab.settings.config import DistilRunConfig, RunConfig
 from reachlab.settings.validation import InputError
+from reachlab.tasks.actions import ACTIONS
 from reachlab.tasks.observations import OBSERVATIONS
 from reachlab.tasks.task import TaskSetup
 
@@ -47,8 +48,8 @@ class Learner:
 
 def make_initial_policy(config: RunConfig, env: Env, key: Array) -> Policy:
     """Untrained policy for an environment."""
-    settings = config.learner
-    return make_policy(key, env.schema, env.action_bounds, settings.hidden, settings.initial_std)
+    settings, points = config.learner, ACTIONS[config.rules.action].points
+    return make_policy(key, env.schema, env.action_bounds, settings.hidden, settings.initial_std, points=points)
 
 
 def make_optimiser(config: RunConfig, updates: int) -> optax.GradientTransformation:

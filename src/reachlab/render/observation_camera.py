@@ -15,8 +15,9 @@ import numpy as np
 from reachlab.control.bodies import Bodies
 from reachlab.render.offscreen import gl_context
 from reachlab.render.scene import add_table, drawn_spec
-from reachlab.render.view_randomisation import ARM_GREYS, DARKEST, FIELD_OF_VIEW, LUMA, Views
+from reachlab.render.view_randomisation import ARM_GREYS, DARKEST, LUMA, Views
 from reachlab.robots.robot import Robot
+from reachlab.tasks.camera import FIELD_OF_VIEW
 from reachlab.tasks.schema import SIZE
 
 SLICES, STACKS, QUADS = 10, 6, 1

@@ -6,19 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from reachlab.robots.robot import TUTORIAL_WORKSPACE, Robot
+from reachlab.robots.robot import Robot
+from reachlab.tasks.camera import camera_pose
 from reachlab.tasks.schema import SIZE
 
-LOOKS_AT, DISTANCE, PITCH = (0.55, 0.0, 0.05), 0.7, -70.0
-"""Point in the middle of the picture [m], how far the camera is from it [m], and how it looks down [deg]; it looks
-against the x axis (PyBullet's yaw of 90°). The tutorial's."""
-
-LOW_PITCH, ABOVE, SEEN = -25.0, 0.08, 0.9
-"""How it looks down at objects on a table [deg], how high above the table it looks, beside the tutorial's arm [m], and
-its distance [widths of the workspace]. From above the hand would hide what it pushes."""
-
-FIELD_OF_VIEW, NEAR, FAR = 60.0, 0.1, 100.0
-"""Angle from the picture's lower to its upper edge [deg], near and far plane [m]. The tutorial's."""
+NEAR, FAR = 0.1, 100.0
+"""Near and far plane [m]. The tutorial's."""
 
 SHIFT, TURN = 0.02, 2.0
 """Random views: the camera is displaced along and turned about each axis within this [m, deg]; the former in proportion
@@ -149,22 +142,6 @@ def develop(pictures: np.ndarray, views: Views) -> np.ndarray:
         light = 1 + right * across + down * across[:, None]
         out[i] = np.clip(pictures[i] * light + grain, 0, 255)
     return out
-
-
-def camera_pose(robot: Robot, *, objects: bool = False) -> tuple[np.ndarray, np.ndarray]:
-    """Position `[3]` m and rotation `[3, 3]` of the camera.
-
-    It is the tutorial's, so far away that it sees the arm's workspace; objects it sees from in front, under the hand.
-    """
-    sides, usual = (np.subtract(high, low)[:2] for low, high in (robot.workspace, TUTORIAL_WORKSPACE))
-    if objects:
-        middle, pitch, distance = np.mean(robot.workspace, axis=0), LOW_PITCH, SEEN * sides[1]
-        middle[2] = robot.table_top + ABOVE * robot.scale
-    else:
-        middle, pitch, distance = robot.placed(LOOKS_AT), PITCH, DISTANCE * max(robot.scale, *(sides / usual))
-    back = np.array([np.cos(np.radians(pitch)), 0.0, -np.sin(np.radians(pitch))])
-    right = np.array([0.0, 1.0, 0.0])
-    return middle + distance * back, np.stack([right, np.cross(back, right), back], axis=1)
 
 
 def greys(pictures: np.ndarray) -> np.ndarray:

@@ -24,7 +24,8 @@ class TaskSettings(Checked):
     """What the policy observes: clutter, goal, goal+state, image, image+tool, lift, pose, push, slide, state, target,
     target+tool or track; see `reachlab list`."""
     action: str = "tool_delta"
-    """What the policy commands: joint_delta, joint_residual, tool_delta or tool_step; see `reachlab list`."""
+    """What the policy commands: joint_delta, joint_residual, picture_points, tool_delta or tool_step; see
+    `reachlab list`."""
     reward: str = "dense"
     """Reward: closeness, dense, goal, goal_distance, precise or sparse; see `reachlab list`."""
     clip_actions: bool = True

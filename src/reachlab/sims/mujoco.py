@@ -17,7 +17,7 @@ from reachlab.robots.kinematics.forward import forward_kinematics
 from reachlab.robots.robot import Robot
 from reachlab.settings.config import SimConfig
 from reachlab.sims.mujoco_contacts import FixedBodies
-from reachlab.sims.mujoco_model import PAYLOAD, physics_model, servo_lag
+from reachlab.sims.mujoco_model import PAYLOAD, Layout, physics_model, servo_lag
 from reachlab.sims.mujoco_objects import FreeBodies
 from reachlab.sims.rendering import Drawn
 from reachlab.sims.simulator import BatchArray, Begin, Kind, Moved, SimState, chosen
@@ -100,6 +100,16 @@ class MujocoSimulator(Drawn):
         return SimState(
             moved.q, moved.qd, pose.position, pose.quaternion, bodies, moved.contact, moved.opening, moved.engine
         )
+
+    def model(self, index: int = 0) -> mujoco.MjModel:
+        """Model of one of the arms, with the bodies beside it and the objects as they are."""
+        return self._batch.get_model(index)
+
+    @property
+    def layout(self) -> Layout:
+        """Where in that model's arrays things are."""
+        fingers, objects = (self._fingers, self._finger_servos), (self._free.position, self._free.velocity)
+        return Layout(self._positions, self._speeds, self._servos, *fingers, *objects, self._fixed.geoms)
 
     def _touching(self, rows: np.ndarray, state: SimState | None) -> np.ndarray:
         """Which arms touch something `[B]`: those of `rows [B]` now, the others as the state says."""

@@ -76,32 +76,36 @@ def _pairs(robot: Robot, count: int) -> Iterator[tuple[str, str]]:
 
 
 class FixedBodies:
-    """Bodies that differ between simulations, and do not move in them."""
+    """Bodies that differ between simulations, and do not move in them.
+
+    Attributes:
+        geoms: their numbers in the model.
+    """
 
     def __init__(self, batch: Batch) -> None:
         """None of them is there yet."""
         model = batch.model
-        self._geoms = [geom for geom in range(model.ngeom) if model.geom(geom).name.startswith(BODY)]
+        self.geoms = [geom for geom in range(model.ngeom) if model.geom(geom).name.startswith(BODY)]
         names = ("geom_type", "geom_pos", "geom_quat", "geom_sameframe", "geom_size", "geom_rbound")
         self._type, self._position, self._quaternion, self._frame, self._size, self._bound = (
-            map(batch.expand, names) if self._geoms else [np.zeros(0)] * len(names)
+            map(batch.expand, names) if self.geoms else [np.zeros(0)] * len(names)
         )
         self._numbers = np.zeros(0)
 
     def become(self, bodies: Bodies) -> None:
         """Put the first of bodies `[B, K]`, in NumPy, where they are."""
         parts = (bodies.position, bodies.quaternion, bodies.size, bodies.kind[..., None])
-        numbers = np.concatenate([part[:, : len(self._geoms)] for part in parts], axis=-1)
-        if not self._geoms or np.array_equal(numbers, self._numbers):
+        numbers = np.concatenate([part[:, : len(self.geoms)] for part in parts], axis=-1)
+        if not self.geoms or np.array_equal(numbers, self._numbers):
             return
         self._numbers = numbers
         position, quaternion, size, _ = np.split(numbers.astype(np.float64), (3, 7, 10), axis=2)
         kind = numbers[..., 10:].astype(int)
         along = np.where(kind == Shape.BOX, np.linalg.norm(size, axis=2, keepdims=True), size[..., :1] + size[..., 1:2])
-        self._type[:, self._geoms] = kind[..., 0]
-        self._position[:, self._geoms] = position
-        self._quaternion[:, self._geoms] = quaternion
+        self._type[:, self.geoms] = kind[..., 0]
+        self._position[:, self.geoms] = position
+        self._quaternion[:, self.geoms] = quaternion
         # `Batch.set_const` notes here which of them lie as the world does, whose pose they are then given.
-        self._frame[:, self._geoms] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
-        self._size[:, self._geoms] = size
-        self._bound[:, self._geoms] = np.maximum(along[..., 0], LEAST_BOUND)
+        self._frame[:, self.geoms] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
+        self._size[:, self.geoms] = size
+        self._bound[:, self.geoms] = np.maximum(along[..., 0], LEAST_BOUND)

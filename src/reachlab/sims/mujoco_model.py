@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import mujoco
 import numpy as np
 
@@ -29,13 +31,46 @@ def _add_payload(spec: mujoco.MjSpec, tool: str, mass: float) -> None:
     body.add_body(name=PAYLOAD, pos=place, mass=mass, inertia=inertia, ipos=[0, 0, 0], explicitinertial=True)
 
 
+class Layout(NamedTuple):
+    """Where in a model's arrays things are.
+
+    Attributes:
+        joints, speeds: numbers in `qpos` and `qvel` of the arm's joints `[n]`.
+        servos: numbers in `ctrl` of their servos `[n]`.
+        fingers, finger_servos: the same of the joints of a gripper that is driven.
+        objects, object_speeds: numbers in `qpos` and `qvel` of the objects' poses `[K, 7]` and velocities `[K, 6]`.
+        fixed: geoms of the bodies that do not move.
+    """
+
+    joints: np.ndarray
+    speeds: np.ndarray
+    servos: np.ndarray
+    fingers: np.ndarray
+    finger_servos: np.ndarray
+    objects: np.ndarray
+    object_speeds: np.ndarray
+    fixed: list[int]
+
+
 def physics_model(robot: Robot, config: SimConfig, scene: Scene = EMPTY, *, payload: bool = False) -> mujoco.MjModel:
-    """Compiled model of a robot with the options of a configuration.
+    """Compiled model of `physics_spec`.
+
+    Raises:
+        InputError: the robot file does not compile with these options.
+    """
+    try:
+        return physics_spec(robot, config, scene, payload=payload).compile()
+    except ValueError as error:
+        raise InputError(f"robot {robot.name!r} does not compile in MuJoCo: {' '.join(str(error).split())}.") from None
+
+
+def physics_spec(robot: Robot, config: SimConfig, scene: Scene = EMPTY, *, payload: bool = False) -> mujoco.MjSpec:
+    """Model of a robot with the options of a configuration.
 
     It has the bodies and contacts of a scene, see `add_contacts`, and a `payload` at the tool if asked for.
 
     Raises:
-        InputError: the robot file does not compile with these options.
+        InputError: the robot has no shapes, and is asked what it touches.
     """
     if scene.contacts and not any(robot.capsules.links):
         raise InputError(f"robot {robot.name!r} has no shapes in its file: what it touches cannot be told.")
@@ -60,10 +95,7 @@ def physics_model(robot: Robot, config: SimConfig, scene: Scene = EMPTY, *, payl
         _add_payload(spec, robot.tool, robot.payload)
     if scene.objects:
         add_objects(spec, robot, scene)
-    try:
-        return spec.compile()
-    except ValueError as error:
-        raise InputError(f"robot {robot.name!r} does not compile in MuJoCo: {' '.join(str(error).split())}.") from None
+    return spec
 
 
 def servo_lag(model: mujoco.MjModel, servos: np.ndarray, joints: np.ndarray) -> tuple[float, ...]:

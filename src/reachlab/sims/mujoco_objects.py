@@ -81,15 +81,20 @@ def _gyration(shape: Shape, size: np.ndarray) -> np.ndarray:
 
 
 class FreeBodies:
-    """The last bodies of a scene, which move when they are touched."""
+    """The last bodies of a scene, which move when they are touched.
+
+    Attributes:
+        count: how many.
+        position, velocity: numbers of their poses in `qpos` `[K, 7]`, and of their velocities in `qvel` `[K, 6]`.
+    """
 
     def __init__(self, batch: Batch, scene: Scene) -> None:
         """Objects of a scene, all of them there."""
         model, count = batch.model, scene.objects
         joints = [model.joint(f"{OBJECT}{number}") for number in range(count)]
         self.count, self._shape = count, scene.shape
-        self._position = np.array([[*range(int(j.qposadr[0]), int(j.qposadr[0]) + 7)] for j in joints], int)
-        self._velocity = np.array([[*range(int(j.dofadr[0]), int(j.dofadr[0]) + 6)] for j in joints], int)
+        self.position = np.array([[*range(int(j.qposadr[0]), int(j.qposadr[0]) + 7)] for j in joints], int)
+        self.velocity = np.array([[*range(int(j.dofadr[0]), int(j.dofadr[0]) + 6)] for j in joints], int)
         self._qpos, self._qvel, self._batch = batch.bind("qpos"), batch.bind("qvel"), batch
         self._geoms = [model.geom(f"{OBJECT}{number}").id for number in range(count)]
         self._bodies = [model.body(f"{OBJECT}{number}").id for number in range(count)]
@@ -115,13 +120,13 @@ class FreeBodies:
         known = self._read()
         elsewhere = (pose != known[0]).any(axis=(1, 2)) | (moving != known[1]).any(axis=(1, 2))
         chosen = np.flatnonzero(elsewhere if rows is None else rows)
-        self._qpos[chosen[:, None], self._position.ravel()] = pose[chosen].reshape(len(chosen), self._position.size)
-        self._qvel[chosen[:, None], self._velocity.ravel()] = moving[chosen].reshape(len(chosen), self._velocity.size)
+        self._qpos[chosen[:, None], self.position.ravel()] = pose[chosen].reshape(len(chosen), self.position.size)
+        self._qvel[chosen[:, None], self.velocity.ravel()] = moving[chosen].reshape(len(chosen), self.velocity.size)
 
     def _read(self) -> tuple[np.ndarray, np.ndarray]:
         """Poses `[B, K, 7]` and velocities `[B, K, 6]` in single precision."""
         count = len(self._qpos), self.count
-        pose, moving = self._qpos[:, self._position.ravel()], self._qvel[:, self._velocity.ravel()]
+        pose, moving = self._qpos[:, self.position.ravel()], self._qvel[:, self.velocity.ravel()]
         return pose.astype(np.float32).reshape(*count, 7), moving.astype(np.float32).reshape(*count, 6)
 
     def become(self, bodies: Bodies, varied: np.ndarray) -> None:

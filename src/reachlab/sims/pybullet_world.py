@@ -13,9 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from reachlab.render.view_randomisation import FAR, FIELD_OF_VIEW, NEAR, Views, greys
+from reachlab.render.view_randomisation import FAR, NEAR, Views, greys
 from reachlab.robots.robot import PybulletModel, Robot
 from reachlab.settings.validation import InputError, installing
+from reachlab.tasks.camera import FIELD_OF_VIEW
 from reachlab.tasks.schema import SIZE
 
 GRAVITY = -10.0

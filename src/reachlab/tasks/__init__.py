@@ -32,6 +32,7 @@ WORDS = {
     "gripping": "an action of the gripper too, as joint_delta",
     "dynamics": "arms that differ, as in simulator mujoco",
     "places": "an observation that says where things are, as state; from pictures an action acts alone, as joint_delta",
+    "flat": "a goal on the table and one object, as in task push",
     "picture": "an observation with a picture, as image",
 }
 """What observations, actions, agents, simulators and tasks may need or give, and how it is called."""

@@ -1,18 +1,20 @@
-"""Actions: displacements of the tool or of the joints, and corrections of what a controller would do."""
+"""Actions: displacements of the tool or of the joints, corrections of what a controller would do, and what it sees."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
 from reachlab.control import CONTROLLERS
+from reachlab.control.bodies import Bodies
 from reachlab.control.dampers import damped
-from reachlab.control.situation import Situation
+from reachlab.control.situation import Goal, Situation
 from reachlab.robots.kinematics.inverse import ik_displace
+from reachlab.tasks.camera import in_picture, on_table
 from reachlab.tasks.task import Bounds, TaskSetup
 
 TINY = 1e-6
@@ -32,6 +34,7 @@ class Action:
         gives: `turning`, where it can bring the tool into any orientation; `gripping`, where it moves the gripper.
         needs: what else there has to be, of `reachlab.tasks.WORDS`.
         whole: of a correction of what the controller does, the name of the action that corrects nothing.
+        points: of an action that says where in the picture things are, how many.
     """
 
     summary: str
@@ -41,6 +44,7 @@ class Action:
     gives: frozenset[str] = frozenset({"turning", "gripping"})
     needs: frozenset[str] = frozenset()
     whole: str | None = None
+    points: int = 0
 
 
 def _tool_box(setup: TaskSetup) -> Bounds:
@@ -127,6 +131,40 @@ def _correction_towards(setup: TaskSetup, now: Situation, believed: Situation) -
     return jnp.clip(correction / jnp.maximum(_residual_gain(setup, now), TINY), *_joint_box(setup))
 
 
+def _picture_box(setup: TaskSetup) -> Bounds:
+    del setup
+    return -np.ones(4, np.float32), np.ones(4, np.float32)
+
+
+def _at_points(setup: TaskSetup, now: Situation, action: Array) -> Array:
+    """Joint command of the task's controller, where goal and object lie on the table as the action says."""
+    step = CONTROLLERS[setup.task.control.seen].load()(setup, _seen(setup, now, action))
+    return _move_joints(setup, now, jnp.clip(step / joint_scale(setup), *_joint_box(setup)))
+
+
+def _seen(setup: TaskSetup, now: Situation, action: Array) -> Situation:
+    """The situation with nothing but an object of the usual size, and it and the goal where the picture shows them."""
+    scene, count = setup.task.scene(setup), len(action)
+    goal, place = (on_table(setup.robot, action[:, part]) for part in (np.s_[:2], np.s_[2:]))
+    bodies = Bodies(
+        position=place[:, None],
+        quaternion=jnp.tile(jnp.array([1.0, 0.0, 0.0, 0.0]), (count, 1, 1)),
+        velocity=jnp.zeros((count, 1, 6)),
+        size=jnp.tile(jnp.array(scene.size), (count, 1, 1)),
+        kind=jnp.full((count, 1), scene.shape, jnp.int32),
+    )
+    up = bodies.extent[..., 2:] * np.array([0.0, 0.0, 1.0], np.float32)
+    return now._replace(goal=Goal.at(goal + up[:, 0]), bodies=replace(bodies, position=bodies.position + up))
+
+
+def _points_towards(setup: TaskSetup, now: Situation, believed: Situation) -> Array:
+    """Where the goal and the foot of the object are believed to be in the picture."""
+    del now
+    table = np.array([1.0, 1.0, 0.0]), np.array([0.0, 0.0, setup.robot.table_top])
+    places = believed.goal.position, believed.bodies.position[:, -1]
+    return jnp.concatenate([in_picture(setup.robot, place * table[0] + table[1]) for place in places], axis=-1)
+
+
 ACTIONS: dict[str, Action] = {
     "tool_delta": Action(
         "a displacement of the tool, its orientation held", _tool_box, _move_tool, _tool_towards, gives=frozenset()
@@ -142,6 +180,14 @@ ACTIONS: dict[str, Action] = {
         _correction_towards,
         needs=frozenset({"places"}),
         whole="joint_delta",
+    ),
+    "picture_points": Action(
+        "where in the camera's picture goal and object are, on which the task's controller acts",
+        _picture_box,
+        _at_points,
+        _points_towards,
+        needs=frozenset({"flat", "picture"}),
+        points=2,
     ),
 }
 """Action designs by name."""

@@ -21,8 +21,13 @@ class Push(Handling):
         from reachlab.tasks.objects import handled
         from reachlab.tasks.task import Control
 
-        control = Control("push", residual_gain=0.2, fade=0.05)
+        control = Control("push", residual_gain=0.2, fade=0.05, seen="push_seen")
         return handled("push an object along the table to a place", control)
+
+    @property
+    def gives(self) -> frozenset[str]:
+        """What there is to observe and to control by."""
+        return super().gives | {"flat"}
 
     def contradiction(self) -> str | None:
         """What of these settings cannot be together."""

@@ -163,8 +163,8 @@ class Observation:
 
     @property
     def gives(self) -> frozenset[str]:
-        """What is known by it, of `reachlab.tasks.WORDS`: `places`, where all of them are told."""
-        return frozenset() if self.pictured else frozenset({"places"})
+        """What is known by it, of `reachlab.tasks.WORDS`: `places`, where all of them are told, or a `picture`."""
+        return frozenset({"picture" if self.pictured else "places"})
 
     def schema(self, setup: TaskSetup) -> Schema:
         """Its schema on an arm."""

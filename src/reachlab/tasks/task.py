@@ -81,12 +81,14 @@ class Control:
         controller: its name in `CONTROLLERS`.
         residual_gain: displacement that a residual action of 1 adds, in displacements of an action of 1.
         fade: distance from which on it falls, to nothing at the goal [m]; 0 where it never does.
+        seen: the name of one that goes by what a picture shows; empty where there is none.
         dampers: velocity dampers keep every joint displacement clear of bodies and of the table.
     """
 
     controller: str
     residual_gain: float
     fade: float = 0.02
+    seen: str = ""
     dampers: bool = False
 
 

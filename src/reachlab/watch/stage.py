@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from reachlab.render import view_randomisation as views
 from reachlab.render.marks import PATH, TARGET_AXES, TOOL_AXES, TRAIL, Block, Colour, Marks
 from reachlab.render.scene import TABLE_CENTRE, TABLE_SIZE, distance_needed, in_front, outline, scene_spec
 from reachlab.robots.shapes.solids import SHAPES
+from reachlab.tasks import camera as observation_camera
 from reachlab.tasks.task import TaskSetup
 from reachlab.watch.captions import angle_text
 from reachlab.watch.moment import Moment
@@ -196,11 +196,11 @@ class Stage:
         if self.camera is None:
             from scipy.spatial.transform import Rotation
 
-            position, rotation = views.camera_pose(self._robot, objects=self._objects)
+            position, rotation = observation_camera.camera_pose(self._robot, objects=self._objects)
             down_and_ahead = rotation * (1, -1, -1)
             self.camera = self._scene.add_camera_frustum(
                 "/camera",
-                fov=np.radians(views.FIELD_OF_VIEW),
+                fov=np.radians(observation_camera.FIELD_OF_VIEW),
                 aspect=1.0,
                 scale=CAMERA_LENGTH * self._robot.scale,
                 thickness=CAMERA_WIDTH * self._robot.scale,

@@ -36,11 +36,13 @@ class Drawing {
   show(scene, run, shapes) {
     this.scene?.traverse((one) => { one.geometry?.dispose(); one.material?.dispose(); });
     Object.assign(this, { scene: new THREE.Scene(), shown: scene, size: scene.scale });
-    this.links = [null, ...run.facts.joints].map(() => this.added(new THREE.Group(), { matrixAutoUpdate: false }));
+    const links = Math.max(run.facts.joints.length, ...scene.parts.map(({ link }) => link));
+    this.links = Array.from({ length: links + 1 }, () => this.added(new THREE.Group(), { matrixAutoUpdate: false }));
     this.shadows = this.added(new THREE.Group(), { matrixAutoUpdate: false, visible: !this.simple });
     flatten(this.shadows.matrix, scene);
     scene.parts.forEach((part, i) => this.addPart(part, shapes[i]));
     this.added(new THREE.LineSegments(lines(scene.edges), new THREE.LineBasicMaterial({ color: EDGES })));
+    this.bodies = new BodyMeshes(this.scene, this.shadows, this.marks, run.facts.objects);
     this.goal = this.added(this.makeGoal(run));
     this.axes = run.facts.goal.orientation ? this.added(this.makeAxes(this.marks.tool_axes)) : null;
     this.path = this.added(polyline(this.marks.path));
@@ -92,10 +94,13 @@ class Drawing {
   draw({ episode, path, trail }) {
     const { axes, positions } = episode.run.functions.links(episode.state), turn = episode.state.goal_quaternion;
     const place = (one, i) => placed(one, axes.slice(9 * i, 9 * i + 9), positions.slice(3 * i, 3 * i + 3));
-    this.links.slice(1).forEach(place);
+    const n = episode.run.facts.joints.length;
+    this.links.slice(1, n + 1).forEach(place);
+    episode.simulator.fingerFrames?.().forEach((frame, i) => placed(this.links[n + 1 + i], ...frame));
+    this.bodies.draw(episode.state);
     this.goal.position.set(...episode.goal);
     if (turn) {
-      place(this.axes, this.links.length - 1);
+      place(this.axes, n);
       this.goal.quaternion.set(turn[1], turn[2], turn[3], turn[0]);
     }
     const colour = episode.reached ? this.marks.reached : this.marks.waiting;

@@ -1,10 +1,18 @@
 /** One policy, its task and its arm: what the page holds of it, and its printed functions. */
 class Run {
-  constructor(facts, program) {
-    Object.assign(this, { facts, rules: facts.rules, begins: arrays(facts.begins), next: 0 });
+  /** A run of facts and its printed program; `engine` is MuJoCo, which a run without dynamics does not need. */
+  constructor(facts, program, engine) {
+    Object.assign(this, { facts, rules: facts.rules, begins: arrays(facts.begins), next: 0, engine });
     this.functions = program(arrays(facts.constants));
     this.nothing = facts.action.low.map(() => 0);
-    this.free = facts.joints.map(() => NaN);
+    this.free = facts.actuators.map(() => NaN);
+    this.simulator = this.makeSimulator();
+  }
+
+  /** An arm that nothing else moves. */
+  makeSimulator() {
+    const { physics, exact } = this.facts;
+    return physics ? new Physics(this.engine, physics, arrays(exact)) : new Kinematic(this.facts.control_period);
   }
 
   /** Joints and goal in which the next episode begins. */
@@ -31,15 +39,16 @@ function bytesOf(text) {
 }
 
 /**
- * An episode in a simulator without dynamics: joints follow their commands at once or, if they have a lag, after it.
+ * An episode in a simulator.
  *
  * `state` holds what the printed functions hand on from step to step.
  */
 class Episode {
-  /** An episode of a run that begins at joints and with a goal, as `Run.draw` gives them. */
-  constructor(run, { q, ...goal }) {
-    this.run = run;
-    this.ask({ q, qd: q.map(() => 0), command: q, last_action: run.nothing, ...goal });
+  /** An episode of a run that begins at joints, with a goal and with bodies, as `Run.draw` gives them. */
+  constructor(run, { q, ...beside }, simulator = run.simulator) {
+    Object.assign(this, { run, simulator });
+    this.ask({ q, qd: q.map(() => 0), command: q, last_action: run.nothing, ...beside });
+    simulator.begin(this.state);
   }
 
   /** Ask for another goal from now on: the arm has all the time of an episode. */
@@ -76,7 +85,9 @@ class Episode {
 
   /** Take a control step with an agent, `trained` or `ik`; a command `instead [m]` is taken in place of its own. */
   step(agent, instead = null) {
-    this.state = this.ended = this.run.functions[agent]({ ...this.state, instead: instead ?? this.run.free });
+    const { functions, free } = this.run;
+    const decided = { ...this.state, ...functions[agent]({ ...this.state, instead: instead ?? free }) };
+    this.state = this.ended = functions.judge({ ...decided, ...this.simulator.step(decided) });
   }
 
   /** Put the goal to `[3]` m, turned as it was; false where the arm cannot be there, and the goal stays. */
@@ -94,8 +105,8 @@ class Episode {
 }
 
 /** What became of an episode with an agent: success, steps and where the tool was `[steps + 1, 3]` m. */
-function playEpisode(run, agent, begin) {
-  const episode = new Episode(run, begin), tools = [episode.tool];
+function playEpisode(run, agent, begin, simulator) {
+  const episode = new Episode(run, begin, simulator), tools = [episode.tool];
   while (!episode.done) {
     episode.step(agent);
     tools.push(episode.tool);

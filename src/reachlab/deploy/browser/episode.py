@@ -1,4 +1,4 @@
-"""Programs of a page: episodes in the kinematic simulator, traced from the functions of the environment."""
+"""Programs of a page: what is decided and judged in its episodes, traced from the functions of the environment."""
 
 from __future__ import annotations
 
@@ -12,7 +12,16 @@ import numpy as np
 from jax import Array, ShapeDtypeStruct
 
 from reachlab.agents.policy import Policy
-from reachlab.deploy.behaviour import GOAL, as_measured, decision_inputs, example_state, goal_of, measured_state
+from reachlab.deploy.behaviour import (
+    BODIES,
+    GOAL,
+    as_measured,
+    bodies_of,
+    decision_inputs,
+    example_state,
+    goal_of,
+    measured_state,
+)
 from reachlab.emit.program import Program
 from reachlab.emit.tracing import trace
 from reachlab.envs.core import Env
@@ -26,8 +35,11 @@ from reachlab.tasks.actions import ACTIONS
 DRAWN, DRAW_SEED = 200, 7
 """Held-out episodes that a page begins with one after the other, and their seed."""
 
-PROGRESS = "progress_"
-"""Begin of the names of what a task remembers."""
+PROGRESS, MOVED = "progress_", "moved_"
+"""Begins of the names of what a task remembers, and of what a simulator has moved."""
+
+AGENTS = ("trained", "ik")
+"""Agents of a page."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +47,7 @@ class Episodes:
     """Functions of a policy, its task and its arm in a page.
 
     Attributes:
-        functions: those of the environment, for joints that follow commands after their lag.
+        functions: those of the environment, as it measures the arm.
         policy: the policy.
         like: a state that shows what others are made of.
     """
@@ -45,55 +57,60 @@ class Episodes:
     like: EnvState
 
 
-def programs(env: Env, policy: Policy, lag: tuple[float, ...]) -> list[Program]:
-    """Programs of a policy on an arm whose joints follow their commands by `lag [n]` s late.
+def programs(env: Env, policy: Policy) -> list[Program]:
+    """Programs of a policy in an environment.
 
-    A step with either agent, a goal that is asked for anew, one that is put somewhere, and the links.
+    What either agent commands, what a step led to, a goal that is asked for anew, one that is put somewhere, and the
+    links.
 
     Raises:
         InputError: one of them computes what cannot be printed.
     """
-    functions = replace(as_measured(env.functions), setup=replace(env.setup, lag=lag), real_time=max(lag) > 0)
-    page, chain = Episodes(functions, policy, example_state(env)), env.setup.robot.chain
+    page, chain = Episodes(as_measured(env.functions), policy, example_state(env)), env.setup.robot.chain
     like, asked = page.like, decision_inputs(env, page.like)
     goal = {GOAL + field.name: getattr(like.goal, field.name) for field in fields(like.goal)}
     goal = {name: ShapeDtypeStruct(part.shape[1:], part.dtype) for name, part in goal.items() if part.size}
     asked |= goal
-    stepped = asked | {"clock": ShapeDtypeStruct((1,), jnp.int32), "instead": asked["command"]}
+    stepped = asked | {"clock": ShapeDtypeStruct((1,), jnp.int32), "wanted": asked["command"]}
     leaves = enumerate(jax.tree.leaves(like.progress))
     stepped |= {f"{PROGRESS}{i}": ShapeDtypeStruct(leaf.shape[1:], leaf.dtype) for i, leaf in leaves}
+    moved = {name: shape for name, shape in asked.items() if name in ("q", "qd") or name.startswith(BODIES)}
+    stepped |= {MOVED + name: shape for name, shape in moved.items()} | {"action": asked["last_action"]}
+    stepped |= {"contact": ShapeDtypeStruct((1,), jnp.bool_)} if env.setup.task.scene(env.setup).contacts else {}
     placed = goal | {"q": asked["q"], "position": goal[GOAL + "position"]}
+    decided = asked | {"instead": asked["command"]}
     return [
-        *(trace(agent, lambda agent=agent, **given: _step(page, agent, given), stepped) for agent in ("trained", "ik")),
+        *(trace(agent, lambda agent=agent, **given: _decide(page, agent, given), decided) for agent in AGENTS),
+        trace("judge", lambda **given: _judge(page, given), stepped),
         trace("ask", lambda **given: _ask(page, given), asked),
         trace("place", lambda **given: _place(page, given), placed),
-        trace("links", lambda q: _links(chain, q), {"q": asked["q"]}),
+        trace("links", lambda q: _links(chain, q[: chain.n]), {"q": asked["q"]}),
     ]
 
 
-def _step(page: Episodes, agent: str, given: Mapping[str, Array]) -> dict[str, Array]:
-    """State after a control step, and what it led to; a joint command `instead` is taken where it is a number."""
+def _decide(page: Episodes, agent: str, given: Mapping[str, Array]) -> dict[str, Array]:
+    """Action and command of an agent; a joint command `instead` is taken where it is a number."""
     functions, setup = page.functions, page.functions.setup
-    leaves = [given[f"{PROGRESS}{i}"][None] for i in range(len(jax.tree.leaves(page.like.progress)))]
-    progress = jax.tree.unflatten(jax.tree.structure(page.like.progress), leaves)
-    state = replace(measured_state(functions, page.like, given), clock=given["clock"], progress=progress)
+    state = measured_state(functions, page.like, given)
     now = functions.situation(state)
     towards = ACTIONS[setup.rules.action].towards
     action = page.policy.act(functions.observe(state)) if agent == "trained" else towards(setup, now, now)
     action, command, _ = functions.command(state, action, None)
-    command = jnp.where(jnp.isnan(given["instead"]), command, given["instead"])
-    after, transition = functions.judge(state, _followed(page, state, command), command, action, None)
+    return {"action": action[0], "wanted": jnp.where(jnp.isnan(given["instead"]), command, given["instead"])[0]}
+
+
+def _judge(page: Episodes, given: Mapping[str, Array]) -> dict[str, Array]:
+    """State after a control step, and what it led to."""
+    functions, n = page.functions, page.functions.setup.robot.chain.n
+    leaves = [given[f"{PROGRESS}{i}"][None] for i in range(len(jax.tree.leaves(page.like.progress)))]
+    progress = jax.tree.unflatten(jax.tree.structure(page.like.progress), leaves)
+    state = replace(measured_state(functions, page.like, given), clock=given["clock"], progress=progress)
+    bodies = bodies_of(page.like, {name.removeprefix(MOVED): part for name, part in given.items() if MOVED in name})
+    q, qd = given[f"{MOVED}q"][None], given[f"{MOVED}qd"][None]
+    moved = Moved(q[:, :n], qd[:, :n], bodies, given.get("contact", state.arm.contact), q[:, n:])
+    after, transition = functions.judge(state, moved, given["wanted"][None], given["action"][None], None)
     ended = {"success": transition.terms["success"], "terminated": transition.terminated, "done": transition.done}
     return _arrays(page, after) | ended | {"counted": transition.counted.distance}
-
-
-def _followed(page: Episodes, state: EnvState, command: Array) -> Moved:
-    """Joints after a control period: at their command or, where they lag, nearer to it."""
-    lag, period = np.array(page.functions.setup.lag, np.float32), page.functions.setup.period
-    q = command[:, : len(lag)]
-    late = q + (state.arm.q - q) * np.exp(-period / np.maximum(lag, 1e-9)).astype(np.float32)
-    speed = jnp.where(lag > 0, (q - late) / np.maximum(lag, 1e-9), (late - state.arm.q) / period)
-    return Moved(late, speed, state.arm.bodies, state.arm.contact, state.arm.opening)
 
 
 def _ask(page: Episodes, given: Mapping[str, Array]) -> dict[str, Array]:
@@ -127,16 +144,26 @@ def _links(chain: Any, q: Array) -> dict[str, Array]:
 def _arrays(page: Episodes, state: EnvState) -> dict[str, Array]:
     """A state as arrays by name, what is empty left out; and where the tool is, and whether it is at the goal."""
     setup, errors = page.functions.setup, state.errors
-    named = {"q": state.arm.q, "qd": state.arm.qd, "command": state.command, "last_action": state.last_action}
+    speeds = jnp.concatenate([state.arm.qd, jnp.zeros_like(state.arm.opening)], axis=-1)
+    named = {"q": state.arm.actuated, "qd": speeds, "command": state.command, "last_action": state.last_action}
     named |= {"tool": state.arm.tool_position, "angle": errors.angle[:, None]}
     named |= {GOAL + field.name: getattr(state.goal, field.name) for field in fields(state.goal)}
+    named |= {BODIES + field.name: getattr(state.arm.bodies, field.name) for field in fields(state.arm.bodies)}
     named |= {f"{PROGRESS}{i}": leaf for i, leaf in enumerate(jax.tree.leaves(state.progress))}
     single = {"clock": state.clock, "distance": errors.distance, "near": setup.task.near(setup.rules, errors)}
     return {name: part[0] for name, part in named.items() if part.size} | single
 
 
 def drawn(env: Env) -> dict[str, np.ndarray]:
-    """Joints and goals `[DRAWN, …]` by name in which episodes begin."""
-    begin = env.compile_whole(env.functions.sample_episode)(episode_keys(DRAW_SEED, REPORT_STREAM, 0, DRAWN))
-    parts = {"q": begin.q} | {GOAL + field.name: getattr(begin.goal, field.name) for field in fields(begin.goal)}
-    return {name: np.asarray(part, np.float32) for name, part in parts.items() if part.size}
+    """Joints, goals and bodies `[DRAWN, …]` by name in which episodes begin; a gripper is wide open."""
+    keys, gripper = episode_keys(DRAW_SEED, REPORT_STREAM, 0, DRAWN), env.setup.robot.gripper
+    begin = env.compile_whole(env.functions.sample_episode)(keys)
+    openings = np.full((DRAWN, 1), gripper.widest) if gripper else np.zeros((DRAWN, 0))
+    parts = {"q": np.concatenate([begin.q, openings], axis=1)}
+    parts |= {GOAL + field.name: getattr(begin.goal, field.name) for field in fields(begin.goal)}
+    parts |= {BODIES + field.name: getattr(begin.bodies, field.name) for field in fields(begin.bodies)}
+    return {
+        name: np.asarray(part, part.dtype if part.dtype.kind == "i" else np.float32)
+        for name, part in parts.items()
+        if part.size
+    }

@@ -27,8 +27,9 @@ class Live {
 
   /** Show one of the runs. */
   async pick(number) {
-    const { robot } = this.sent[number], scene = this.scenes[robot], run = this.run(number);
+    const { robot } = this.sent[number], scene = this.scenes[robot];
     this.picked = number;
+    const run = await this.run(number);
     this.shapes[robot] ??= geometries(scene);
     const shapes = (await this.shapes[robot]).map((one) => one.clone());
     if (this.picked !== number) return;
@@ -41,8 +42,10 @@ class Live {
   }
 
   /** One of the runs, made when it is first asked for. */
-  run(number) {
-    return (this.runs[number] ??= new Run(this.sent[number], PROGRAMS[number]));
+  async run(number) {
+    if (this.sent[number].physics) this.engine ??= loadEngine();
+    const engine = await this.engine;
+    return (this.runs[number] ??= new Run(this.sent[number], PROGRAMS[number], engine));
   }
 
   /** What the hand has to know of the goal. */
@@ -129,12 +132,14 @@ async function begin() {
   window.reachlab = {
     live,
     /** What became of episodes of a run that begin as given, see `Run.draw` and `playEpisode`. */
-    play({ run, agent, episodes }) {
-      return episodes.map((begin) => playEpisode(live.run(run), agent, begin));
+    async play({ run, agent, episodes }) {
+      const one = await live.run(run), simulator = one.makeSimulator();
+      return episodes.map((begin) => playEpisode(one, agent, begin, simulator));
     },
     /** So many begins of episodes of a run. */
-    draw(number, count) {
-      return Array.from({ length: count }, () => live.run(number).draw());
+    async draw(number, count) {
+      const run = await live.run(number);
+      return Array.from({ length: count }, () => run.draw());
     },
     /** What the page shows now. */
     moment() {

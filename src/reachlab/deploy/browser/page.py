@@ -14,6 +14,7 @@ import numpy as np
 
 from reachlab.agents.policy import Policy
 from reachlab.deploy.browser.episode import DRAWN, drawn, programs
+from reachlab.deploy.browser.physics import engine_of
 from reachlab.deploy.browser.shapes import scene
 from reachlab.emit.braced import JAVASCRIPT_HEAD, javascript_function
 from reachlab.emit.program import Program, constants_of
@@ -23,18 +24,22 @@ from reachlab.learn.load import load_policy
 from reachlab.render import marks
 from reachlab.robots.catalogue import ROBOTS
 from reachlab.runs.shipped import find_run
-from reachlab.settings.config import RunConfig
 from reachlab.settings.json_form import override
 from reachlab.settings.validation import InputError
-from reachlab.sims import SIMULATORS
 from reachlab.tasks.observations import OBSERVATIONS
 from reachlab.watch.player import knows_home_alone
 from reachlab.watch.server import TITLE
 
-SIMULATOR = "kinematic"
-"""The simulator that the page has."""
+SIMULATORS = ("kinematic", "mujoco")
+"""The simulators that a page has, of which the first shows policies of any other."""
 
-SCRIPTS = ("vectors", "episode", "player", "solids", "light", "drawing", "view", "hand", "panel", "live")
+ENGINE = {"wasm": "mujoco.wasm.zlib", "glue": "mujoco.js.zlib"}
+"""The second of them, compressed, by the name of its part in a page."""
+
+SCRIPTS = (
+    *("vectors", "physics", "episode", "player", "solids", "light", "bodies"),
+    *("drawing", "view", "hand", "panel", "live"),
+)
 """The page's scripts, each after those that it needs when it is read."""
 
 STYLES = ("page.css", "panel.css", "narrow.css")
@@ -42,12 +47,6 @@ STYLES = ("page.css", "panel.css", "narrow.css")
 
 RULES = ("success_distance", "hold_steps", "max_steps", "ends_outside", "settle_steps")
 """Settings of a task that the page's own scripts ask for; where a task has none it is 0."""
-
-NOTE = (
-    "Trained under full dynamics, which this page has not: each joint follows its command {lag:.2g} s late, without"
-    " gravity and inertia."
-)
-"""Said of a policy that was trained so. Where joints followed at once, it would be in an arm that it does not know."""
 
 
 @dataclass(frozen=True)
@@ -58,13 +57,11 @@ class Shown:
         name: of its run's directory.
         env: its environment in the page's simulator.
         policy: the policy.
-        lag: time by which each joint follows its command `[n]` [s]: of the arm that it was trained on.
     """
 
     name: str
     env: Env
     policy: Policy
-    lag: tuple[float, ...]
 
 
 def write_page(runs: Sequence[Path], out: Path) -> int:
@@ -91,34 +88,22 @@ def load_shown(path: Path) -> Shown:
     """
     run = find_run(path)
     trained = run.read_config()
-    _refuse(path, trained)
-    env = Env(override(in_evaluation(trained, SIMULATOR), shaping=False), 1)
-    return Shown(path.name, env, load_policy(run, env), _lag(trained, env))
-
-
-def _lag(trained: RunConfig, env: Env) -> tuple[float, ...]:
-    if "dynamics" not in SIMULATORS[trained.sim].gives:
-        return env.setup.lag
-    there = Env(in_evaluation(trained, trained.sim), 1)
-    there.close()
-    return there.setup.lag
-
-
-def _refuse(path: Path, config: RunConfig) -> None:
-    pictured = OBSERVATIONS[config.rules.observation].pictured
-    if pictured or {"bodies", "object"} & config.rules.gives:
-        what = "pictures" if pictured else "bodies"
+    if OBSERVATIONS[trained.rules.observation].pictured:
         raise InputError(
-            f"'{path}' needs {what}, which a live page does not have: view it without --live, or record it with --save."
+            f"'{path}' needs pictures, which a live page does not have: view it without --live, or record it with"
+            " --save."
         )
+    sim = trained.sim if trained.sim in SIMULATORS else SIMULATORS[0]
+    env = Env(override(in_evaluation(trained, sim), shaping=False), 1)
+    return Shown(path.name, env, load_policy(run, env))
 
 
 def live_page(shown: Sequence[Shown]) -> str:
     """The page's HTML."""
-    robots = {one.env.setup.robot.name: one.env.setup.robot for one in shown}
+    robots = {_scene_of(one): one.env.setup.robot for one in shown}
     several = len({one.env.config.task for one in shown}) > 1
     labels = [_title(one) + f" · {one.env.config.task}" * several for one in shown]
-    counts, traced = Counter(labels), [programs(one.env, one.policy, one.lag) for one in shown]
+    counts, traced = Counter(labels), [programs(one.env, one.policy) for one in shown]
     facts = {
         "runs": [
             _facts(one, functions) | {"label": f"{label} · {one.name}" if counts[label] > 1 else label}
@@ -134,6 +119,7 @@ def live_page(shown: Sequence[Shown]) -> str:
         "three": _file("three.min.js"),
         # No `<` ends a script too early.
         "facts": json.dumps(facts, separators=(",", ":")).replace("<", "\\u003c"),
+        "engine": _engine() if any(one["physics"] for one in facts["runs"]) else "",
         "script": script(list(map(printed, traced))),
     }
     before, *rest = _file("page.html").split("{{")
@@ -154,6 +140,15 @@ def printed(one: Sequence[Program]) -> str:
     return f"(CONSTANTS) => {{\n{''.join(map(javascript_function, one))}return {{ {names} }};\n}}"
 
 
+def _engine() -> str:
+    """MuJoCo as parts of a page that no browser runs by itself."""
+    there = {name: (Path(__file__).parent / file).read_bytes() for name, file in ENGINE.items()}
+    return "".join(
+        f'<script type="text/plain" id="{name}">{base64.b64encode(part).decode()}</script>\n'
+        for name, part in there.items()
+    )
+
+
 def _file(name: str) -> str:
     return (Path(__file__).parent / name).read_text(encoding="utf-8")
 
@@ -164,19 +159,29 @@ def _title(one: Shown) -> str:
     return ROBOTS[name].title if name in ROBOTS else name
 
 
+def _scene_of(one: Shown) -> str:
+    """Name of what is drawn of an arm: of the same arm with another gripper it is another one."""
+    rules = one.env.setup.rules
+    return f"{one.env.setup.robot.name} {rules.mounts} {rules.grips}"
+
+
 def _facts(one: Shown, traced: Sequence[Program]) -> dict[str, Any]:
     """Facts that the page has to know of a policy."""
     setup = one.env.setup
     low, high = setup.robot.workspace
     box, (least, most) = setup.task.goal_box(setup), one.env.action_bounds
+    begins, (engine, exact) = drawn(one.env), engine_of(one.env)
     return {
+        "physics": engine,
+        "exact": encoded(exact),
         "task": one.env.config.task,
-        "robot": setup.robot.name,
+        "robot": _scene_of(one),
         "title": _title(one),
         "asks": setup.task.asks(setup.rules, setup.period),
-        "note": NOTE.format(lag=max(one.lag)) if any(one.lag) else "",
         "control_period": setup.period,
         "joints": setup.robot.joint_names,
+        "objects": setup.task.scene(setup).objects,
+        "actuators": setup.robot.actuators,
         "action": {"low": least.tolist(), "high": most.tolist()},
         "goal": {
             "low": box[0].tolist(),
@@ -188,7 +193,7 @@ def _facts(one: Shown, traced: Sequence[Program]) -> dict[str, Any]:
         "workspace": {"low": low, "high": high},
         "knows_home_alone": knows_home_alone(one.env),
         "drawn": DRAWN,
-        "begins": encoded(drawn(one.env)),
+        "begins": encoded(begins),
         "constants": encoded(constants_of(traced)),
     }
 
@@ -209,6 +214,8 @@ def _marks() -> dict[str, Any]:
         "reached": marks.REACHED,
         "path": marks.PATH,
         "trail": marks.TRAIL,
+        "obstacle": marks.OBSTACLE,
+        "object": marks.OBJECT,
         "axes": marks.AXES,
         "tool_axes": marks.TOOL_AXES,
         "goal_axes": marks.TARGET_AXES,

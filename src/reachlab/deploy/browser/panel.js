@@ -37,10 +37,9 @@ class Panel {
   }
 
   /** Say whose policy is shown. */
-  head({ title, task, asks, note }) {
+  head({ title, task, asks }) {
     document.title = `${title} · ${task} · reachlab`;
-    Object.entries({ title, asks, note, task }).forEach(([part, text]) => { this.parts[part].textContent = text; });
-    this.parts.note.hidden = !note;
+    Object.entries({ title, asks, task }).forEach(([part, text]) => { this.parts[part].textContent = text; });
   }
 
   /** Write the figures of a player's moment, and how many steps are taken in a second. */

@@ -27,9 +27,11 @@ def scene(robot: Robot) -> dict[str, Any]:
     """All that a page draws of an arm: its view, and parts in the frames of its links as solids.js reads them."""
     model = scene_spec(robot).compile()
     data, links = mujoco.MjData(model), links_of_bodies(model)
-    data.qpos[model.jnt_qposadr[: robot.chain.n]] = robot.home
+    widest = [robot.gripper.widest] if robot.gripper else []
+    posture = robot.posture(np.array([*robot.home, *widest]))
+    data.qpos[model.jnt_qposadr[: len(posture)]] = posture
     mujoco.mj_kinematics(model, data)
-    frames = robot.chain.links_at(robot.home)
+    frames = np.concatenate([robot.chain.links_at(robot.home), _fingers(model, data, robot.chain.n)])
     to_links, target = np.linalg.inv(frames), model.body("target").id
     parts, buffers, corners = [], [], np.array(robot.workspace_edges()).reshape(-1, 3).tolist()
     for one in solids(model):
@@ -56,6 +58,14 @@ def scene(robot: Robot) -> dict[str, Any]:
         "to": in_front(robot, VIEW_TO).tolist(),
         "field": FIELD_OF_VIEW,
     }
+
+
+def _fingers(model: mujoco.MjModel, data: mujoco.MjData, n: int) -> np.ndarray:
+    """Frames `[k, 4, 4]` of the bodies of joints after the arm's `n`."""
+    bodies = model.jnt_bodyid[n:]
+    frames = np.tile(np.eye(4), (len(bodies), 1, 1))
+    frames[:, :3, :3], frames[:, :3, 3] = data.xmat[bodies].reshape(-1, 3, 3), data.xpos[bodies]
+    return frames
 
 
 def packed(mesh: Mesh) -> tuple[dict[str, Any], bytes]:

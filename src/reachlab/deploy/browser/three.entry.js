@@ -1,7 +1,9 @@
 // What the page needs of three.js; `make three` bundles it into three.min.js.
 export {
+  BoxGeometry,
   BufferAttribute,
   BufferGeometry,
+  CapsuleGeometry,
   Color,
   CylinderGeometry,
   EqualStencilFunc,
