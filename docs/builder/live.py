@@ -10,6 +10,7 @@ from reachlab.robots.catalogue import ROBOTS
 
 PAGES = {
     "tutorial": [Path("iiwa14/tutorial")],
+    "hands": [Path("panda/lift"), Path("panda/push")],
     "arms": [Path(robot, "precise") for robot in ROBOTS],
 }
 """Policies of each page."""

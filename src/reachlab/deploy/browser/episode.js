@@ -97,6 +97,25 @@ class Episode {
     return reached[0];
   }
 
+  /** What a hand has to know of the bodies: those that do not move by themselves stay in the air where they are put. */
+  bodies() {
+    const { facts } = this.run, { low, high } = facts.workspace, kinds = this.state.bodies_kind ?? [];
+    return Array.from(kinds, (_, k) => {
+      const position = row(this.state.bodies_position, k, 3), size = row(this.state.bodies_size, k, 3);
+      const falls = k >= kinds.length - facts.objects, lowest = falls ? facts.top + Math.max(...size) : low[2];
+      return { position, low: [low[0], low[1], lowest], high, radius: Math.max(...size), falls };
+    });
+  }
+
+  /** Put a body to `[3]` m, where it rests or, if it is one that moves, falls. */
+  moveBody(number, position) {
+    const places = [...this.state.bodies_position], speeds = [...this.state.bodies_velocity];
+    places.splice(3 * number, 3, ...position);
+    speeds.fill(0, 6 * number, 6 * number + 6);
+    this.ask({ bodies_position: places, bodies_velocity: speeds });
+    this.simulator.put(this.state);
+  }
+
   /** How far the tool is outside the workspace [m]. */
   beyond() {
     const { low, high } = this.run.facts.workspace;
@@ -104,12 +123,18 @@ class Episode {
   }
 }
 
-/** What became of an episode with an agent: success, steps and where the tool was `[steps + 1, 3]` m. */
-function playEpisode(run, agent, begin, simulator) {
+/**
+ * What became of an episode with an agent: success, steps, those until the goal was first reached, where the tool was
+ * `[steps + 1, 3]` m, and joints and bodies after so many steps as are `watched`.
+ */
+function playEpisode(run, agent, begin, { simulator, watched }) {
   const episode = new Episode(run, begin, simulator), tools = [episode.tool];
+  let reached = null, state = null;
   while (!episode.done) {
     episode.step(agent);
     tools.push(episode.tool);
+    if (episode.near) reached ??= episode.clock;
+    if (episode.clock === watched) state = [...episode.state.q, ...(episode.state.bodies_position ?? [])];
   }
-  return { success: episode.success, steps: episode.clock, distance: episode.distance, tools };
+  return { success: episode.success, steps: episode.clock, distance: episode.distance, reached, tools, state };
 }

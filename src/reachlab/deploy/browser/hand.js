@@ -1,11 +1,17 @@
 /** How near to the goal's middle a pointer takes it, at least and at most [pixels]: a finger is less exact. */
 const GRIP = { mouse: 24, pen: 30, touch: 44 }, LARGEST_GRIP = 90;
 
-/** The hand that drags the goal, by mouse or finger; elsewhere it turns the view. */
+/** How far an object on the table is lifted by the hand that holds it [m]; it falls when it is let go. */
+const LIFTED = 0.03;
+
+/** The hand that drags the goal and bodies, by mouse or finger; elsewhere it turns the view. */
 class Hand {
-  /** A hand on a view; `goal()` tells what of the goal it needs: where it is, its box and its size. */
-  constructor(view, goal) {
-    Object.assign(this, { view, goal, camera: view.drawing.camera, canvas: view.drawing.renderer.domElement });
+  /**
+   * A hand on a view; `things()` tells what of the goal and then of each body it needs: where it is, its box, its size,
+   * and whether it falls.
+   */
+  constructor(view, things) {
+    Object.assign(this, { view, things, camera: view.drawing.camera, canvas: view.drawing.renderer.domElement });
     this.held = null;
     this.asked = null;
     this.ring = document.getElementById("ring");
@@ -15,12 +21,12 @@ class Hand {
     for (const name of ["pointerup", "pointercancel"]) listen(name, (event) => this.release(event));
   }
 
-  /** Whether the goal is held. */
+  /** Whether anything is held. */
   get holds() {
     return this.held !== null;
   }
 
-  /** Where the goal was last dragged to `[3]` m, once; null where it was not. */
+  /** What was last dragged, the goal being 0, and to which `place [3]` m, once; null where nothing was. */
   take() {
     const { asked } = this;
     this.asked = null;
@@ -28,28 +34,30 @@ class Hand {
   }
 
   grab(event) {
-    if (this.holds || event.button || !this.over(event)) return;
-    const { position, low, high } = this.goal(), at = new THREE.Vector3(...position);
-    // A goal on the table stays there: the pointer is followed on the table, not before the camera.
-    const flat = low[2] === high[2];
+    const number = this.holds || event.button ? -1 : this.over(event);
+    if (number < 0) return;
+    const { position, low, high, falls } = this.things()[number], at = new THREE.Vector3(...position);
+    // What is on the table is moved along it: the pointer is followed there, not before the camera.
+    const flat = falls || low[2] === high[2];
     const normal = flat ? new THREE.Vector3(0, 0, 1) : this.camera.getWorldDirection(new THREE.Vector3());
     this.plane = new THREE.Plane().setFromNormalAndCoplanarPoint(normal, at);
     const hit = this.hit(event);
     if (!hit) return;
-    this.held = { pointer: event.pointerId, offset: minus(position, hit) };
+    const offset = add(minus(position, hit), [0, 0, falls ? LIFTED : 0]);
+    this.held = { number, pointer: event.pointerId, offset };
     this.canvas.setPointerCapture(event.pointerId);
     this.view.controls.enabled = false;
   }
 
   move(event) {
     if (!this.holds) {
-      this.canvas.style.cursor = this.over(event) ? "grab" : "";
+      this.canvas.style.cursor = this.over(event) < 0 ? "" : "grab";
       return;
     }
     if (event.pointerId !== this.held.pointer) return;
     this.canvas.style.cursor = "grabbing";
-    const hit = this.hit(event), { low, high } = this.goal();
-    if (hit) this.asked = clipped(add(hit, this.held.offset), low, high);
+    const { number, offset } = this.held, hit = this.hit(event), { low, high } = this.things()[number];
+    if (hit) this.asked = { number, place: clipped(add(hit, offset), low, high) };
   }
 
   release(event) {
@@ -61,16 +69,20 @@ class Hand {
 
   /** Draw a ring where the goal is taken, also behind the arm, in the colour of one that is `reached`. */
   mark(reached) {
-    const [x, y] = this.onScreen(this.goal().position), box = this.canvas.getBoundingClientRect();
+    const [x, y] = this.onScreen(this.things()[0].position), box = this.canvas.getBoundingClientRect();
     this.ring.style.transform = `translate(${x - box.left}px, ${y - box.top}px)`;
     this.ring.className = `${reached ? "reached" : ""} ${this.holds ? "held" : ""}`;
   }
 
-  /** Whether a pointer is over the goal. */
+  /** Number of what a pointer is over, of several that which is taken in the smallest circle; -1 where there is nothing. */
   over(event) {
-    const { position, radius } = this.goal(), [x, y, scale] = this.onScreen(position);
-    const grip = clip(radius * scale, GRIP[event.pointerType] ?? GRIP.mouse, LARGEST_GRIP);
-    return Math.hypot(event.clientX - x, event.clientY - y) <= grip;
+    const grips = this.things().map(({ position, radius }) => {
+      const [x, y, scale] = this.onScreen(position);
+      const grip = clip(radius * scale, GRIP[event.pointerType] ?? GRIP.mouse, LARGEST_GRIP);
+      return Math.hypot(event.clientX - x, event.clientY - y) <= grip ? grip : Infinity;
+    });
+    const smallest = Math.min(...grips);
+    return smallest < Infinity ? grips.lastIndexOf(smallest) : -1;
   }
 
   /** Where a point `[3]` m is on the page [pixels], and how large a metre is there. */

@@ -7,6 +7,9 @@ const MOST_BEHIND = 0.25;
 /** Time of a picture in which steps are taken at the fastest speed [ms]. */
 const FASTEST = 12;
 
+/** Within how many success distances the goal of an object is taken. */
+const AROUND = 3;
+
 /** Updates of the panel's figures in a second [1/s]. */
 const TEXT_RATE = 10;
 
@@ -16,11 +19,14 @@ class Live {
     Object.assign(this, { sent: runs, scenes, runs: [], shapes: {} });
     this.drawing = new Drawing(document.getElementById("scene"), marks);
     this.view = new View(this.drawing);
-    this.hand = new Hand(this.view, () => this.goal());
+    this.hand = new Hand(this.view, () => this.things());
     this.panel = new Panel(runs.map(({ label }) => label), {
       picked: (number) => this.pick(number),
       agent: () => Object.assign(this.player, { episodes: 0, successes: 0 }),
       reset: () => this.reset(),
+    });
+    this.perturbation = new Perturbation(document.getElementById("perturb"), (multiples) => {
+      this.player.run.simulator.vary(multiples);
     });
     Object.assign(this, { owed: 0, rest: 0, pictures: 0, steps: 0, reachable: true, rate: 0, told: 0, counted: 0 });
   }
@@ -37,6 +43,8 @@ class Live {
     this.drawing.fit();
     this.view.begin();
     this.panel.head(this.sent[number]);
+    this.perturbation.begin(this.sent[number]);
+    run.simulator.vary?.(this.perturbation.multiples());
     this.player = new Player(run);
     this.reset();
   }
@@ -48,10 +56,12 @@ class Live {
     return (this.runs[number] ??= new Run(this.sent[number], PROGRAMS[number], engine));
   }
 
-  /** What the hand has to know of the goal. */
-  goal() {
+  /** What the hand has to know of the goal, and of the bodies. */
+  things() {
     const { episode, run } = this.player, { low, high } = run.facts.goal;
-    return { position: episode.goal, low, high, radius: run.rules.success_distance };
+    // An object at the goal is taken at its middle, and the goal around it.
+    const radius = run.rules.success_distance * (run.facts.objects ? AROUND : 1);
+    return [{ position: episode.goal, low, high, radius }, ...episode.bodies()];
   }
 
   /** Begin a new episode. */
@@ -65,9 +75,10 @@ class Live {
   frame(now) {
     const elapsed = Math.min((now - (this.before ?? now)) / 1000, MOST_BEHIND);
     this.before = now;
-    const place = this.hand.take(), { player, panel } = this;
-    if (place) this.reachable = player.moveGoal(place);
-    if (place || this.view.chosen) document.getElementById("hint").hidden = true;
+    const dragged = this.hand.take(), { player, panel } = this;
+    if (dragged?.number === 0) this.reachable = player.moveGoal(dragged.place);
+    else if (dragged) player.moveBody(dragged.number - 1, dragged.place);
+    if (dragged || this.view.chosen) document.getElementById("hint").hidden = true;
     player.follow(this.hand.holds || panel.endless);
     if (!panel.paused) this.play(elapsed);
     this.view.update();
@@ -132,9 +143,9 @@ async function begin() {
   window.reachlab = {
     live,
     /** What became of episodes of a run that begin as given, see `Run.draw` and `playEpisode`. */
-    async play({ run, agent, episodes }) {
+    async play({ run, agent, episodes, watched }) {
       const one = await live.run(run), simulator = one.makeSimulator();
-      return episodes.map((begin) => playEpisode(one, agent, begin, simulator));
+      return episodes.map((begin) => playEpisode(one, agent, begin, { simulator, watched }));
     },
     /** So many begins of episodes of a run. */
     async draw(number, count) {
@@ -146,13 +157,10 @@ async function begin() {
       const { episode, failed, successes, episodes } = live.player;
       const { tool, goal, distance, clock, reached } = episode, [x, y] = live.hand.onScreen(goal);
       const { steps, pictures } = live, box = live.player.run.facts.goal;
-      return { tool, goal, box, x, y, distance, clock, reached, failed, successes, episodes, steps, pictures };
+      const bodies = live.things().slice(1).map(({ position }) => [...position, ...live.hand.onScreen(position)]);
+      return { tool, goal, box, x, y, bodies, distance, clock, reached, failed, successes, episodes, steps, pictures };
     },
   };
 }
 
-begin().catch((error) => {
-  const said = document.getElementById("hint");
-  said.textContent = `This page cannot be shown here: ${error.message}`;
-  said.className = "failed";
-});
+begin().catch(fail);

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import zlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -34,11 +35,11 @@ SIMULATORS = ("kinematic", "mujoco")
 """The simulators that a page has, of which the first shows policies of any other."""
 
 ENGINE = {"wasm": "mujoco.wasm.zlib", "glue": "mujoco.js.zlib"}
-"""The second of them, compressed, by the name of its part in a page."""
+"""The second of them, compressed, by the name of its part of a page."""
 
 SCRIPTS = (
     *("vectors", "physics", "episode", "player", "solids", "light", "bodies"),
-    *("drawing", "view", "hand", "panel", "live"),
+    *("drawing", "view", "hand", "panel", "perturb", "live"),
 )
 """The page's scripts, each after those that it needs when it is read."""
 
@@ -112,15 +113,18 @@ def live_page(shown: Sequence[Shown]) -> str:
         "scenes": {name: scene(robot) for name, robot in robots.items()},
         "marks": _marks(),
     }
+    packed = {"three": zlib.compress(_bytes("three.min.js"), 9)}
+    packed["script"] = zlib.compress(script(list(map(printed, traced))).encode(), 9)
+    if any(one["physics"] for one in facts["runs"]):
+        packed |= {name: _bytes(file) for name, file in ENGINE.items()}
     parts = {
         "title": f"{_title(shown[0])} · {shown[0].env.config.task} · {TITLE}",
         "style": "\n".join(map(_file, STYLES)),
         "licence": _file("three.LICENSE"),
-        "three": _file("three.min.js"),
         # No `<` ends a script too early.
         "facts": json.dumps(facts, separators=(",", ":")).replace("<", "\\u003c"),
-        "engine": _engine() if any(one["physics"] for one in facts["runs"]) else "",
-        "script": script(list(map(printed, traced))),
+        "packed": "".join(_part(name, content) for name, content in packed.items()),
+        "boot": _file("boot.js"),
     }
     before, *rest = _file("page.html").split("{{")
     return before + "".join(parts[name] + after for name, after in (part.split("}}", 1) for part in rest))
@@ -140,17 +144,17 @@ def printed(one: Sequence[Program]) -> str:
     return f"(CONSTANTS) => {{\n{''.join(map(javascript_function, one))}return {{ {names} }};\n}}"
 
 
-def _engine() -> str:
-    """MuJoCo as parts of a page that no browser runs by itself."""
-    there = {name: (Path(__file__).parent / file).read_bytes() for name, file in ENGINE.items()}
-    return "".join(
-        f'<script type="text/plain" id="{name}">{base64.b64encode(part).decode()}</script>\n'
-        for name, part in there.items()
-    )
+def _part(name: str, content: bytes) -> str:
+    """A compressed part of a page, which no browser reads by itself."""
+    return f'<script type="text/plain" id="{name}">{base64.b64encode(content).decode()}</script>\n'
+
+
+def _bytes(name: str) -> bytes:
+    return (Path(__file__).parent / name).read_bytes()
 
 
 def _file(name: str) -> str:
-    return (Path(__file__).parent / name).read_text(encoding="utf-8")
+    return _bytes(name).decode()
 
 
 def _title(one: Shown) -> str:
@@ -191,6 +195,7 @@ def _facts(one: Shown, traced: Sequence[Program]) -> dict[str, Any]:
         },
         "rules": {name: getattr(setup.rules, name, 0) for name in RULES},
         "workspace": {"low": low, "high": high},
+        "top": setup.robot.table_top,
         "knows_home_alone": knows_home_alone(one.env),
         "drawn": DRAWN,
         "begins": encoded(begins),

@@ -37,8 +37,9 @@ class Panel {
   }
 
   /** Say whose policy is shown. */
-  head({ title, task, asks }) {
+  head({ title, task, asks, objects }) {
     document.title = `${title} · ${task} · reachlab`;
+    this.parts.agent.lastChild.textContent = objects ? "script" : "ik";
     Object.entries({ title, asks, task }).forEach(([part, text]) => { this.parts[part].textContent = text; });
   }
 

@@ -2,7 +2,7 @@
 
 /** MuJoCo's engine, which the page holds compressed. */
 async function loadEngine() {
-  const [wasmBinary, glue] = await Promise.all(["wasm", "glue"].map((id) => inflated(document.getElementById(id).textContent)));
+  const [wasmBinary, glue] = await Promise.all(["wasm", "glue"].map(part));
   const script = URL.createObjectURL(new Blob([glue], { type: "text/javascript" }));
   const { default: load } = await import(script);
   URL.revokeObjectURL(script);
@@ -31,6 +31,22 @@ class Physics {
     this.model = engine.MjModel.from_xml_string(xml);
     for (const [name, values] of Object.entries(exact)) this.set(name, values);
     this.data = new engine.MjData(this.model);
+    const names = ["actuator_gainprm", "actuator_biasprm", "body_mass", "body_inertia", "pair_friction"];
+    this.usual = Object.fromEntries(names.map((name) => [name, this.model[name].slice()]));
+  }
+
+  /** Make servos and objects so many times as stiff, as heavy and as rough as in training. */
+  vary({ gain, mass, friction }) {
+    const { model, layout, usual, engine } = this;
+    const scale = (name, places, factor) => places.forEach((i) => { model[name][i] = factor * usual[name][i]; });
+    scale("actuator_gainprm", layout.servos.map((servo) => 10 * servo), gain);
+    scale("actuator_biasprm", layout.servos.flatMap((servo) => [10 * servo + 1, 10 * servo + 2]), gain);
+    scale("body_mass", layout.object_bodies, mass);
+    scale("body_inertia", layout.object_bodies.flatMap((body) => [0, 1, 2].map((i) => 3 * body + i)), mass);
+    scale("pair_friction", layout.object_pairs.flatMap((pair) => [5 * pair, 5 * pair + 1]), friction);
+    const scratch = new engine.MjData(model);
+    engine.mj_setConst(model, scratch);
+    scratch.delete();
   }
 
   /** Set an array of the model, or a number of its options. */

@@ -13,6 +13,7 @@ from reachlab.robots.robot import Robot
 from reachlab.settings.validation import InputError
 from reachlab.sims.mujoco import MujocoSimulator
 from reachlab.sims.mujoco_model import physics_spec
+from reachlab.sims.mujoco_objects import OBJECT
 
 NEWER = ' input="pos"'
 """Written by MuJoCo 4, whose WebAssembly is of version 3 and knows no other input of these actuators."""
@@ -37,6 +38,9 @@ def engine_of(env: Env) -> tuple[dict[str, Any] | None, dict[str, np.ndarray]]:
     places = {name: np.asarray(part).ravel().tolist() for name, part in layout._asdict().items()}
     n, fingers = robot.chain.n, len(layout.fingers)
     places["finger_bodies"] = model.jnt_bodyid[n : n + fingers].tolist()
+    places["object_bodies"] = objects = [i for i in range(model.nbody) if model.body(i).name.startswith(OBJECT)]
+    paired = np.isin(model.geom_bodyid[np.stack([model.pair_geom1, model.pair_geom2])], objects).any(axis=0)
+    places["object_pairs"] = np.flatnonzero(paired).tolist()
     facts = {
         "xml": text,
         "substeps": config.physics_steps,

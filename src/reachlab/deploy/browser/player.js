@@ -92,6 +92,12 @@ class Player {
     return true;
   }
 
+  /** Put a body to `[3]` m. */
+  moveBody(number, position) {
+    this.episode.moveBody(number, position);
+    Object.assign(this, { touched: true, atHome: false, over: Boolean(this.failed) });
+  }
+
   look() {
     this.path.add(this.episode.tool);
     if (this.episode.moves) this.trail.add(this.episode.goal);

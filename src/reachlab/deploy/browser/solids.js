@@ -1,11 +1,5 @@
 /* What is drawn of an arm: meshes by link, sent as differences of whole numbers and compressed. */
 
-/** Bytes that a text in base64 holds, compressed by zlib. */
-async function inflated(text) {
-  const stream = new Blob([bytesOf(text)]).stream().pipeThrough(new DecompressionStream("deflate"));
-  return new Response(stream).arrayBuffer();
-}
-
 /** Geometries of the `parts` of an arm, in the frame of the link of each, in metres. */
 async function geometries({ parts, data }) {
   const buffer = await inflated(data);
