@@ -1,7 +1,8 @@
 """Held-out episodes in the live page beside the same ones played natively.
 
 `PYTHONPATH=tests python -m browser.played [ROBOT/TASK ...]` prints how far their states are apart after a second, how
-many of them end alike, and both success rates and times. `--episodes N` plays so many.
+many of them end alike, both success rates, the times in which goals are reached, and how long a control step takes.
+`--episodes N` plays so many.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import argparse
 import json
 import sys
 import tempfile
+import time
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -41,7 +43,7 @@ class Played:
         steps: their lengths `[B]`.
         reached: steps until the goal was first reached `[B]`; not a number where it never was.
         tools: where the tool was after each step, `[T + 1, B, 3]` m.
-        states: joints and bodies after a second `[B, k]`.
+        states: joints and bodies after a second `[B, k]`; not numbers where an episode had ended.
     """
 
     success: np.ndarray
@@ -66,7 +68,7 @@ def natively(env: Env, policy: Any, agent: str) -> tuple[list[dict[str, Any]], P
     first, second = begins(state), round(1 / env.setup.period)
     act, key, tools = env.compile_whole(make_act(env, agent)), jax.random.key(0), [np.asarray(state.arm.tool_position)]
     success, steps = np.zeros(env.num_envs, bool), np.zeros(env.num_envs, int)
-    reached, states = np.full(env.num_envs, np.nan), np.zeros((env.num_envs, 0))
+    reached, states = np.full(env.num_envs, np.nan), np.full((env.num_envs, 1), np.nan)
     while not steps.all():
         state, transition, key = act(policy, state, key)
         tools.append(np.asarray(state.arm.tool_position))
@@ -75,6 +77,7 @@ def natively(env: Env, policy: Any, agent: str) -> tuple[list[dict[str, Any]], P
         if len(tools) - 1 == second:
             bodies = np.asarray(state.arm.bodies.position).reshape(env.num_envs, -1)
             states = np.concatenate([np.asarray(state.arm.actuated), bodies], axis=1)
+            states[steps > 0] = np.nan
         ended = np.asarray(transition.done) & (steps == 0)
         success[ended], steps[ended] = np.asarray(transition.terms["success"])[ended], len(tools) - 1
     return first, Played(success, steps, reached, np.stack(tools), states)
@@ -86,6 +89,7 @@ def in_page(page: Page, first: list[dict[str, Any]], number: int, agent: str, pe
     # As texts: many numbers take long to hand over one by one.
     ask = "async asked => JSON.stringify(await reachlab.play(JSON.parse(asked)))"
     found = json.loads(page.evaluate(ask, asked))
+    width = max((len(one["state"]) for one in found if one["state"]), default=1)
     tools = np.full((1 + max(one["steps"] for one in found), len(found), 3), np.nan)
     for i, one in enumerate(found):
         tools[: len(one["tools"]), i] = one["tools"]
@@ -94,7 +98,7 @@ def in_page(page: Page, first: list[dict[str, Any]], number: int, agent: str, pe
         np.array([one["steps"] for one in found]),
         np.array([np.nan if one["reached"] is None else one["reached"] for one in found]),
         tools,
-        np.array([one["state"] for one in found]),
+        np.array([[np.nan] * width if one["state"] is None else one["state"] for one in found]),
     )
 
 
@@ -104,16 +108,19 @@ def figures(page: Page, run: str, number: int, episodes: int) -> list[Row]:
     env = Env(shown.env.config, episodes)
     first, native = natively(env, shown.policy, "trained")
     env.close()
+    began = time.perf_counter()
     there = in_page(page, first, number, "trained", env.setup.period)
-    apart = np.abs(native.states - there.states).max(axis=1) if native.states.size else np.zeros(episodes)
+    passed = time.perf_counter() - began
+    apart = np.abs(native.states - there.states).max(axis=1)
     told = {"episodes": episodes}
     return [
-        row(f"page_apart_median/{run}", float(np.median(apart)), "rad or m", **told),
-        row(f"page_apart_99/{run}", float(np.percentile(apart, 99)), "rad or m", **told),
+        row(f"page_apart_median/{run}", float(np.nanmedian(apart)), "rad or m", **told),
+        row(f"page_apart_99/{run}", float(np.nanpercentile(apart, 99)), "rad or m", **told),
         row(f"page_same_end/{run}", float((native.success == there.success).mean()), "share", **told),
         row(f"success/{run}", float(native.success.mean()), "share", **told),
         row(f"page_success/{run}", float(there.success.mean()), "share", **told),
         row(f"page_time/{run}", float(np.nanmean(there.reached) / np.nanmean(native.reached)), "native", **told),
+        row(f"page_step/{run}", 1000 * passed / float(there.steps.sum()), "ms", **told),
     ]
 
 
@@ -128,7 +135,7 @@ def main() -> None:
         file = Path(folder) / "page.html"
         write_page([Path(run) for run in words.runs], file)
         open_live(page, file)
-        page.evaluate("reachlab.live.panel.pause(true)")
+        page.evaluate("reachlab.live.frame = () => {}")  # nothing is drawn
         rows = [one for number, run in enumerate(words.runs) for one in figures(page, run, number, words.episodes)]
     sys.stdout.write(to_markdown(rows))
 

@@ -148,7 +148,10 @@ def _cut(picture: Array, side: int) -> Array:
 
 def _with_neighbours(x: Array) -> Array:
     """Of each cell `[m, n, n, c]` its numbers and those of the eight around it `[m, n, n, 9 c]`, 0 beyond the edge."""
-    n, padded = x.shape[1], jnp.pad(x, ((0, 0), (1, 1), (1, 1), (0, 0)))
+    n, padded = x.shape[1], x
+    for axis in (1, 2):
+        edge = jnp.zeros_like(jax.lax.slice_in_dim(padded, 0, 1, axis=axis))
+        padded = jnp.concatenate([edge, padded, edge], axis=axis)
     return jnp.concatenate([padded[:, i : i + n, j : j + n] for i in range(3) for j in range(3)], axis=-1)
 
 

@@ -52,7 +52,12 @@ class Behaviour:
 
     def reads(self, name: str) -> bool:
         """Whether a decision depends on an input."""
-        return any(one.name == name for statement in self.decide.body for one in reads(statement))
+        return _reads(self.decide, name)
+
+
+def _reads(program: Program, begin: str) -> bool:
+    """Whether a program depends on an input whose name begins so."""
+    return any(one.name.startswith(begin) for statement in program.body for one in reads(statement))
 
 
 def behaviour(env: Env, policy: Policy, constants: Mapping[str, np.ndarray]) -> Behaviour:
@@ -82,9 +87,13 @@ def behaviour(env: Env, policy: Policy, constants: Mapping[str, np.ndarray]) -> 
     joints = shapes["q"]
     asked = {"position": goal["position"], "near": joints}
     asked |= {"quaternion": goal["quaternion"]} if "quaternion" in goal else {}
+    decided = trace("decide", decide, shapes, constants)
+    if env.pictured and not _reads(decided, BODIES):  # it looks at them
+        shapes = {name: shape for name, shape in shapes.items() if not name.startswith(BODIES)}
+        decided = trace("decide", decide, shapes, constants)
     return Behaviour(
         {name: list(shape.shape) for name, shape in shapes.items()},
-        trace("decide", decide, shapes, constants),
+        decided,
         trace("tool", tool, {"q": joints}),
         trace("place", place, asked) if "joints" in goal else None,
     )

@@ -33,7 +33,7 @@ def describe(env: Env, policy: Policy, step: Behaviour) -> dict[str, Any]:
         "real_time": max(setup.lag) > 0,
         "joints": rows,
         "inputs": step.inputs,
-        "objects": [int(scene.shape)] * scene.objects,
+        "objects": [int(scene.shape)] * scene.objects * (BODIES + "kind" in step.inputs),
         "object_size": list(scene.size),
         "object_velocity": scene.objects > 0 and step.reads(BODIES + "velocity"),
         "goal": _goal(setup)

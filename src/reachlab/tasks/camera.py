@@ -7,14 +7,16 @@ import numpy as np
 from jax import Array
 
 from reachlab.robots.robot import TUTORIAL_WORKSPACE, Robot
+from reachlab.tasks.tabletop import working_box
 
 LOOKS_AT, DISTANCE, PITCH = (0.55, 0.0, 0.05), 0.7, -70.0
 """Point in the middle of the picture [m], how far the camera is from it [m], and how it looks down [deg]; it looks
 against the x axis (PyBullet's yaw of 90°). The tutorial's."""
 
-LOW_PITCH, ABOVE, SEEN = -25.0, 0.05, 0.75
+LOW_PITCH, ABOVE, FILLED = -25.0, 0.05, 0.966
 """How it looks down at objects on a table [deg], how high above the table it looks, beside the tutorial's arm [m], and
-its distance [widths of the workspace]. From above the hand would hide what it pushes."""
+what share of the picture's width the part of the table takes at its near side over which the hand works. From above the
+hand would hide what it pushes."""
 
 FIELD_OF_VIEW = 60.0
 """Angle from the picture's lower to its upper edge [deg]. The tutorial's."""
@@ -31,13 +33,16 @@ def camera_pose(robot: Robot, *, objects: bool = False) -> tuple[np.ndarray, np.
 
     It is the tutorial's, so far away that it sees the arm's workspace; objects it sees from in front, under the hand.
     """
-    sides, usual = (np.subtract(high, low)[:2] for low, high in (robot.workspace, TUTORIAL_WORKSPACE))
-    if objects:
-        middle, pitch, distance = np.mean(robot.workspace, axis=0), LOW_PITCH, SEEN * sides[1]
-        middle[2] = robot.table_top + ABOVE * robot.scale
-    else:
-        middle, pitch, distance = robot.placed(LOOKS_AT), PITCH, DISTANCE * max(robot.scale, *(sides / usual))
+    pitch = LOW_PITCH if objects else PITCH
     back = np.array([np.cos(np.radians(pitch)), 0.0, -np.sin(np.radians(pitch))])
+    if objects:
+        low, high = working_box(robot)
+        above, (deep, wide, _) = ABOVE * robot.scale, (high - low) / 2
+        middle = np.array([*(low + high)[:2] / 2, robot.table_top + above])
+        distance = wide / (EDGE * FILLED) + deep * back[0] - above * back[2]
+    else:
+        sides, usual = (np.subtract(high, low)[:2] for low, high in (robot.workspace, TUTORIAL_WORKSPACE))
+        middle, distance = robot.placed(LOOKS_AT), DISTANCE * max(robot.scale, *(sides / usual))
     right = np.array([0.0, 1.0, 0.0])
     return middle + distance * back, np.stack([right, np.cross(back, right), back], axis=1)
 
