@@ -102,7 +102,7 @@ def test_the_network_is_the_same_in_onnx(tmp_path: Path) -> None:
     pictures, _ = spots(5)
     expected = np.asarray(policy.act(jnp.asarray(pictures)))
     assert np.ptp(expected) > 0.05
-    assert OnnxNetwork(file)(pictures) == pytest.approx(expected, abs=1e-5)
+    assert OnnxNetwork(file).act(pictures) == pytest.approx(expected, abs=1e-5)
 
 
 def test_the_script_pushes_by_the_points_alone() -> None:

@@ -171,10 +171,12 @@ def _term(field: Field) -> list[str]:
 def _actions() -> str:
     rows = []
     for name, design in ACTIONS.items():
-        setup = make_setup(_fitting(action=name))
+        seen = {"observation": "image"} if "picture" in ACTIONS[name].needs else {}
+        setup = make_setup(_fitting(action=name, **seen))
         low, high = design.bounds(setup)
         (scale,) = USES["action"][name]
         unit = f"{number(setup.rules.tool_scale)} m" if scale == "tool_scale" else _joint_unit(name)
+        unit = "half of the picture's side" if design.points else unit
         bounds = " × ".join(dict.fromkeys(span([a], [b]) for a, b in zip(low.tolist(), high.tolist(), strict=True)))
         rows.append(
             [
