@@ -117,6 +117,7 @@ three:
 		--legal-comments=none --log-level=warning --outfile=three.min.js
 	cp build/three/three.min.js $(BROWSER)/three.min.js
 	cp build/three/node_modules/three/LICENSE $(BROWSER)/three.LICENSE
+	cp $(VENV)/lib/python*/site-packages/mujoco-*.dist-info/licenses/LICENSE $(BROWSER)/mujoco.LICENSE
 	for part in wasm js; do $(PYTHON) -c "$(PACK)" < build/three/node_modules/@mujoco/mujoco/mujoco.$$part \
 		> $(BROWSER)/mujoco.$$part.zlib || exit 1; done
 

@@ -425,5 +425,7 @@ def test_the_page_is_small_whole_and_keeps_the_licence(both: Path) -> None:
     assert len(text.encode()) < 5e6
     assert "The MIT License" in text
     assert "Copyright © 2010-2026 three.js authors" in text
+    assert "MuJoCo 3.14.0" in text
+    assert "Apache License" in text
     assert "{{" not in text.split("<script>")[0]
     assert not [tag for tag in ("<script src", '<link rel="stylesheet', "@import", "import(") if tag in text]

@@ -76,7 +76,7 @@ def test_keypoints_are_learnt_to_a_fraction_of_a_cell() -> None:
         return jax.tree.map(jnp.add, encoder, change), state
 
     def off(encoder: Keypoints) -> float:
-        return float(np.abs(np.asarray(encoder(pictures)) - places).mean() * SIZE / 2)
+        return float(np.abs(np.asarray(encoder(jnp.asarray(pictures))) - places).mean() * SIZE / 2)
 
     before, state = off(encoder), optimiser.init(encoder)  # pyright: ignore[reportArgumentType]
     for _ in range(120):

@@ -113,14 +113,16 @@ def live_page(shown: Sequence[Shown]) -> str:
         "scenes": {name: scene(robot) for name, robot in robots.items()},
         "marks": _marks(),
     }
+    licences = [_file("three.LICENSE")]
     packed = {"three": zlib.compress(_bytes("three.min.js"), 9)}
     packed["script"] = zlib.compress(script(list(map(printed, traced))).encode(), 9)
     if any(one["physics"] for one in facts["runs"]):
         packed |= {name: _bytes(file) for name, file in ENGINE.items()}
+        licences.append("MuJoCo 3.14.0, copyright DeepMind Technologies Limited\n" + _file("mujoco.LICENSE"))
     parts = {
         "title": f"{_title(shown[0])} · {shown[0].env.config.task} · {TITLE}",
         "style": "\n".join(map(_file, STYLES)),
-        "licence": _file("three.LICENSE"),
+        "licence": "\n".join(licences),
         # No `<` ends a script too early.
         "facts": json.dumps(facts, separators=(",", ":")).replace("<", "\\u003c"),
         "packed": "".join(_part(name, content) for name, content in packed.items()),
