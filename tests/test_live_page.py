@@ -341,6 +341,16 @@ def test_every_control_does_what_it_says(page: Page, both: Path) -> None:
     assert begun["steps"] == still["steps"]
     assert begun["clock"] == 0
     assert begun["goal"] != still["goal"]
+    page.get_by_role("button", name="Step").click()
+    wait_until(lambda: moment(page)["clock"] == 1, "a step")
+    ahead = "reachlab.live.drawing.camera.getWorldDirection(new THREE.Vector3()).toArray()"
+    views = {}
+    for side in ("side", "above", "front"):
+        page.get_by_role("button", name=side).click()
+        page.wait_for_timeout(100)
+        views[side] = page.evaluate(ahead)
+    assert views["above"][2] < -0.99
+    assert abs(np.dot(views["side"][:2], views["front"][:2])) < 0.01
     choose_precise(page)
     page.get_by_label("Endless").check()
     page.get_by_role("button", name="Continue").click()

@@ -23,6 +23,8 @@ class Live {
     this.panel = new Panel(runs.map(({ label }) => label), {
       picked: (number) => this.pick(number),
       agent: () => Object.assign(this.player, { episodes: 0, successes: 0 }),
+      view: (side) => this.view.begin(side),
+      step: () => this.player.over ? this.next() : this.step(),
       reset: () => this.reset(),
     });
     this.perturbation = new Perturbation(document.getElementById("perturb"), (multiples) => {

@@ -9,11 +9,11 @@ const UNREACHABLE = "The arm has no such pose: the goal stays at the last one th
 
 /** The controls beside the scene; what is chosen is read from it. */
 class Panel {
-  /** The panel of runs by their labels; `heard` has a function for each of `picked`, `agent` and `reset`. */
+  /** The panel of runs by their labels; `heard` has a function for each of `picked`, `agent`, `view`, `step` and `reset`. */
   constructor(labels, heard) {
     this.parts = Object.fromEntries([...document.querySelectorAll("[id]")].map((part) => [part.id, part]));
     Object.assign(this, { agent: "trained", speed: 1, paused: false });
-    const { policy, pause, reset } = this.parts;
+    const { policy, pause, step, reset } = this.parts;
     labels.forEach((label, i) => policy.add(new Option(label, i)));
     policy.parentElement.hidden = labels.length < 2;
     policy.onchange = () => heard.picked(Number(policy.value));
@@ -22,7 +22,12 @@ class Panel {
       heard.agent();
     });
     segments(this.parts.speed, Object.keys(SPEEDS), "1×", (name) => { this.speed = SPEEDS[name]; });
+    segments(this.parts.view, Object.keys(SIDES_OF), "front", heard.view);
     pause.onclick = () => this.pause(!this.paused);
+    step.onclick = () => {
+      this.pause(true);
+      heard.step();
+    };
     reset.onclick = heard.reset;
   }
 

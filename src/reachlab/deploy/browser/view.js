@@ -4,6 +4,13 @@ const FILLED = 0.92;
 /** How near and how far a person may go, in distances of the first view. */
 const NEAREST = 0.25, FARTHEST = 3;
 
+/** Where the camera stands in other views, of the way `[3]` to it from what it faces in the first. */
+const SIDES_OF = {
+  front: (back) => back,
+  side: ([x, y, z]) => [-y, x, z],
+  above: ([x, y, z]) => [0.02 * x, 0.02 * y, Math.hypot(x, y, z)],
+};
+
 /** From where the scene is seen: at first all of it, then as a person turns and zooms it. */
 class View {
   constructor(drawing) {
@@ -13,11 +20,11 @@ class View {
     this.controls.addEventListener("start", () => { this.chosen = true; });
   }
 
-  /** See all of an arm from its front. */
-  begin() {
-    this.chosen = false;
+  /** See all of an arm from its front, or from another side. */
+  begin(side = this.side ?? "front") {
+    Object.assign(this, { chosen: false, side });
     const { from, to: faced, field, points, scale } = this.drawing.shown, { camera } = this.drawing;
-    const back = minus(from, faced), ahead = times(back, -1 / norm(back)), to = centred(points, faced, ahead);
+    const back = SIDES_OF[side](minus(from, faced)), ahead = times(back, -1 / norm(back)), to = centred(points, faced, ahead);
     camera.fov = (180 * field) / Math.PI;
     const distance = distanceNeeded(points, to, ahead, field, camera.aspect);
     camera.position.set(...minus(to, times(ahead, distance)));
