@@ -54,8 +54,10 @@ def _combinations() -> Iterator[tuple[dict[str, str], bool]]:
         for kind, table in TABLES.items():
             for name in table.keys() - {usual[kind]}:
                 concerned = kind in ("sim", "action") or (kind == "robot" and task == TASK_OF_ROBOT[name])
-                if (task == FIRST or concerned) and _fits(changed := {**usual, kind: name}):
-                    yield changed, task != FIRST or name in LONG
+                pictured = kind == "action" and "picture" in ACTIONS[name].needs
+                changed = {**usual, kind: name} | ({"observation": "image"} if pictured else {})
+                if (task == FIRST or concerned) and _fits(changed):
+                    yield changed, (task != FIRST and not pictured) or name in LONG
 
 
 COMBINATIONS = sorted(_combinations(), key=lambda one: tuple(one[0].values()))
