@@ -19,6 +19,10 @@ NEWER = ' input="pos"'
 """Written by MuJoCo 4, whose WebAssembly is of version 3 and knows no other input of these actuators."""
 
 
+POINT = 1e-6
+"""Radius of what stands for a mesh, which touches nothing [m]."""
+
+
 def engine_of(env: Env) -> tuple[dict[str, Any] | None, dict[str, np.ndarray]]:
     """Facts of an environment's engine, None without one, and arrays by name that XML holds in too few digits.
 
@@ -51,13 +55,15 @@ def engine_of(env: Env) -> tuple[dict[str, Any] | None, dict[str, np.ndarray]]:
 
 
 def _weigh(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
-    """Give bodies the mass and inertia that follow from their meshes, and leave these out."""
+    """Give bodies the mass and inertia that follow from their meshes, and put points in place of these."""
+    spec.compile()  # from then on bodies know their numbers
     for body in spec.bodies[1:]:
         i = body.id
         body.explicitinertial, body.mass, body.inertia = True, model.body_mass[i], model.body_inertia[i]
         body.ipos, body.iquat = model.body_ipos[i], model.body_iquat[i]
     for geom in [one for one in spec.geoms if one.type == mujoco.mjtGeom.mjGEOM_MESH]:
-        spec.delete(geom)
+        geom.type, geom.meshname, geom.size, geom.mass = mujoco.mjtGeom.mjGEOM_SPHERE, "", [POINT] * 3, 0.0
+        geom.contype = geom.conaffinity = 0
     for mesh in list(spec.meshes):
         spec.delete(mesh)
     spec.compile()
