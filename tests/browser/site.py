@@ -59,7 +59,7 @@ def misfits(site: Path) -> Iterator[str]:
             width = page.evaluate("document.documentElement.scrollWidth")
             if width > PHONE[0]:
                 yield f"{file.relative_to(site)} is {width} pixels wide on a phone of {PHONE[0]}"
-        outside = {url for url in seen.requests if not url.startswith(("file:", "data:"))}
+        outside = {url for url in seen.requests if not url.startswith(("file:", "data:", "blob:"))}
         yield from (f"{url} is loaded from elsewhere" for url in sorted(outside))
 
 

@@ -57,7 +57,7 @@ class Hand {
     if (event.pointerId !== this.held.pointer) return;
     this.canvas.style.cursor = "grabbing";
     const { number, offset } = this.held, hit = this.hit(event), { low, high } = this.things()[number];
-    if (hit) this.asked = { number, place: clipped(add(hit, offset), low, high) };
+    if (hit) this.asked = this.held.at = { number, place: clipped(add(hit, offset), low, high) };
   }
 
   release(event) {

@@ -79,7 +79,7 @@ class Live {
     this.before = now;
     const dragged = this.hand.take(), { player, panel } = this;
     if (dragged?.number === 0) this.reachable = player.moveGoal(dragged.place);
-    else if (dragged) player.moveBody(dragged.number - 1, dragged.place);
+    else this.holdBody(dragged);
     if (dragged || this.view.chosen) document.getElementById("hint").hidden = true;
     player.follow(this.hand.holds || panel.endless);
     if (!panel.paused) this.play(elapsed);
@@ -114,7 +114,13 @@ class Live {
     }
   }
 
+  /** Put a body where it is dragged to. */
+  holdBody(dragged) {
+    if (dragged?.number) this.player.moveBody(dragged.number - 1, dragged.place);
+  }
+
   step() {
+    this.holdBody(this.hand.held?.at); // what is held does not fall
     this.player.step(this.panel.agent);
     this.steps++;
   }
