@@ -26,7 +26,14 @@ from reachlab.jax_setup import use_compilation_cache
 SETTLING = 60.0
 """Time after which memory is measured first [s], or half of all where that is shorter."""
 
-HEAP = "performance.memory.usedJSHeapSize"
+
+def heap(page: Page) -> float:
+    """Memory of the page's scripts after what is not used is gone [bytes]."""
+    browser = page.context.new_cdp_session(page)
+    browser.send("HeapProfiler.collectGarbage")
+    used: float = browser.send("Runtime.getHeapUsage")["usedSize"]
+    browser.detach()
+    return used
 
 
 def drag(page: Page, random: np.random.Generator) -> None:
@@ -77,11 +84,11 @@ def figures(page: Page, run: str, minutes: float, seed: int) -> list[Row]:
         random, deeds, began, early = np.random.default_rng(seed), 0, time.monotonic(), None
         while (passed := time.monotonic() - began) < 60 * minutes:
             if early is None and passed > min(SETTLING, 30 * minutes):
-                early = page.evaluate(HEAP)
+                early = heap(page)
             chosen = random.choice(len(DEEDS), p=list(DEEDS.values()))
             list(DEEDS)[chosen](page, random)
             deeds += 1
-        late, pictures = page.evaluate(HEAP), moment(page)["pictures"]
+        late, pictures = heap(page), moment(page)["pictures"]
     for sentence in said[:5]:
         sys.stderr.write(f"{run}: {sentence}\n")
     told = {"minutes": minutes, "seed": seed}
