@@ -33,11 +33,6 @@ function arrays(sent) {
   }));
 }
 
-/** Bytes of a text in base64. */
-function bytesOf(text) {
-  return Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
-}
-
 /**
  * An episode in a simulator.
  *

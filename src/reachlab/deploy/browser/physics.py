@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Any
 
 import mujoco
@@ -9,7 +10,6 @@ import numpy as np
 from mujoco.batch import MODEL_FIELDS
 
 from reachlab.envs.core import Env
-from reachlab.robots.robot import Robot
 from reachlab.settings.validation import InputError
 from reachlab.sims.mujoco import MujocoSimulator
 from reachlab.sims.mujoco_model import physics_spec
@@ -17,7 +17,6 @@ from reachlab.sims.mujoco_objects import OBJECT
 
 NEWER = ' input="pos"'
 """Written by MuJoCo 4, whose WebAssembly is of version 3 and knows no other input of these actuators."""
-
 
 POINT = 1e-6
 """Radius of what stands for a mesh, which touches nothing [m]."""
@@ -49,7 +48,7 @@ def engine_of(env: Env) -> tuple[dict[str, Any] | None, dict[str, np.ndarray]]:
         "xml": text,
         "substeps": config.physics_steps,
         "layout": places,
-        "gripper": _gripper(robot),
+        "gripper": asdict(robot.gripper) if robot.gripper else None,
     }
     return facts, {name: _numbers(model, name) for name in MODEL_FIELDS if _differs(model, read, name)}
 
@@ -76,10 +75,3 @@ def _differs(model: mujoco.MjModel, read: mujoco.MjModel, name: str) -> bool:
 
 def _numbers(model: mujoco.MjModel, name: str) -> np.ndarray:
     return np.asarray(getattr(model.opt, name[4:]) if name.startswith("opt.") else getattr(model, name))
-
-
-def _gripper(robot: Robot) -> dict[str, Any] | None:
-    if robot.gripper is None:
-        return None
-    own = robot.gripper
-    return {"closed": own.closed, "open": own.open, "widest": own.widest, "way": own.way}
