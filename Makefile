@@ -108,7 +108,7 @@ bench-viewer: $(VENV)/installed-dev
 	TF_CPP_MIN_LOG_LEVEL=3 PYTHONPATH=tests $(BIN)/python -m browser.viewer $(TASKS)
 
 # What of other projects is in the live page: it is part of the repository, and made anew only for other versions.
-BROWSER := src/reachlab/deploy/browser
+BROWSER := src/reachlab/watch/page
 PACK := import sys, zlib; sys.stdout.buffer.write(zlib.compress(sys.stdin.buffer.read(), 9))
 three:
 	rm -rf build/three && mkdir -p build/three && cp $(BROWSER)/three.entry.js build/three/

@@ -17,8 +17,8 @@ import numpy as np
 from benchmarks.deploy import UNITS, lively_run
 from reachlab.agents.policy import Policy
 from reachlab.bench.table import Row, row
-from reachlab.deploy.behaviour import as_measured, behaviour, rows_of
-from reachlab.deploy.browser.page import write_page
+from reachlab.emit.behaviour import as_measured, behaviour, rows_of
+from reachlab.watch.page.page import write_page
 from reachlab.deploy.export import export
 from reachlab.deploy.weights import named_weights
 from reachlab.emit.braced import JAVASCRIPT_HEAD, javascript_function

@@ -17,7 +17,7 @@ from browser.driver import chromium, executable, opened, traffic, wait_until
 from browser.live import SIZES, arrived, moment, open_live
 from browser.played import in_page, natively
 from reachlab.cli import main as cli
-from reachlab.deploy.browser.page import load_shown, write_page
+from reachlab.watch.page.page import load_shown, write_page
 from reachlab.envs.core import Env
 from reachlab.envs.presets import configure
 from reachlab.learn.ppo_method import TrainState, initial_state

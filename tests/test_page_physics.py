@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from faults.robot_parts import stl
-from reachlab.deploy.browser.physics import engine_of
+from reachlab.watch.page.physics import engine_of
 from reachlab.envs.core import Env
 from reachlab.envs.presets import configure
 from reachlab.envs.random_streams import env_keys

@@ -31,7 +31,7 @@ FRAMES: dict[str, Callable[[], str]] = {f"live {name}": partial(_frame, name) fo
 
 def write_pages(site: Path) -> None:
     """Write the pages into a built site."""
-    from reachlab.deploy.browser.page import write_page
+    from reachlab.watch.page.page import write_page
 
     (site / "live").mkdir(exist_ok=True)
     for name, policies in PAGES.items():

@@ -20,7 +20,7 @@ from browser.driver import chromium, opened
 from browser.live import SIZES, moment, open_live
 from browser.played import RUNS
 from reachlab.bench.table import Row, row, to_markdown
-from reachlab.deploy.browser.page import write_page
+from reachlab.watch.page.page import write_page
 from reachlab.jax_setup import use_compilation_cache
 
 SETTLING = 60.0

@@ -12,7 +12,7 @@ from playwright.sync_api import Browser, Page
 
 from browser.driver import PATIENCE, opened, wait_until
 from reachlab.bench.table import Row, row
-from reachlab.deploy.browser.page import write_page
+from reachlab.watch.page.page import write_page
 
 STARTS = 5
 """Starts that are timed; the median counts."""

@@ -24,7 +24,7 @@ from browser.driver import chromium, opened
 from browser.live import SIZES, open_live
 from reachlab.agents.acting import make_act
 from reachlab.bench.table import Row, row, to_markdown
-from reachlab.deploy.browser.page import load_shown, write_page
+from reachlab.watch.page.page import load_shown, write_page
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState
 from reachlab.envs.random_streams import REPORT_STREAM, episode_keys

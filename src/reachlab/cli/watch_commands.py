@@ -108,7 +108,7 @@ def _view_live(arguments: View, out: Path) -> None:
         raise InputError(f"view --live makes no use of --{foreign[0]}: leave it out.")
     prepare()
     from reachlab.cli.console import say
-    from reachlab.deploy.browser.page import write_page
+    from reachlab.watch.page.page import write_page
 
     say(f"Written: {out}, {write_page(arguments.runs, out) / 1e6:.2f} MB")
 

@@ -17,7 +17,7 @@ import numpy as np
 from reachlab.agents.acting import make_act
 from reachlab.agents.policy import Policy
 from reachlab.control.motion_limits import MotionLimits
-from reachlab.deploy.behaviour import as_measured, behaviour, rows_of
+from reachlab.emit.behaviour import as_measured, behaviour, rows_of
 from reachlab.deploy.bundle import controller_source
 from reachlab.deploy.c_library import CPolicy, compiler
 from reachlab.deploy.c_source import c_sources

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from reachlab.agents.policy import Policy
-from reachlab.deploy.behaviour import BODIES, Behaviour
+from reachlab.emit.behaviour import BODIES, Behaviour
 from reachlab.deploy.onboard.folder import FORMAT, LIMITS
 from reachlab.envs.core import Env
 from reachlab.robots.robot import CATALOGUE, GRIPPER, Robot

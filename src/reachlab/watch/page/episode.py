@@ -12,7 +12,7 @@ import numpy as np
 from jax import Array, ShapeDtypeStruct
 
 from reachlab.agents.policy import Policy
-from reachlab.deploy.behaviour import (
+from reachlab.emit.behaviour import (
     BODIES,
     GOAL,
     as_measured,

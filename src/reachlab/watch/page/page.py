@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from reachlab.agents.policy import Policy
-from reachlab.deploy.browser.episode import DRAWN, drawn, programs
-from reachlab.deploy.browser.physics import engine_of
-from reachlab.deploy.browser.shapes import scene
+from reachlab.watch.page.episode import DRAWN, drawn, programs
+from reachlab.watch.page.physics import engine_of
+from reachlab.watch.page.shapes import scene
 from reachlab.emit.braced import JAVASCRIPT_HEAD, javascript_function
 from reachlab.emit.program import Program, constants_of
 from reachlab.envs.core import Env
