@@ -217,27 +217,26 @@ class Video(Checked):
 
 @dataclass(frozen=True)
 class View(Checked):
-    """Watch a run in the browser and move its target by hand."""
+    """Watch runs in the browser, and move goals, bodies and joints by hand: one page, with the physics of training."""
 
     runs: Annotated[tuple[Path, ...], tyro.conf.Positional]
-    """Run directory, or a policy that comes with reachlab, as `panda/precise`; with --live some to choose from."""
+    """Run directories to choose from, or policies that come with reachlab, as `panda/precise`."""
     sim: Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")] = None
     """Simulator; by default the run's own."""
     agent: Agent = "trained"
     seed: Seed = 1
-    """Seed of the targets."""
+    """Seed of the held-out episodes."""
+    out: Annotated[Path | None, Optional] = None
+    """Write the page to this file, and end: it needs neither server nor network. What a browser cannot compute is
+    recorded in it."""
+    episodes: Count = 5
+    """Episodes that are recorded, where any are."""
     host: str = "127.0.0.1"
     """Address to listen on; by default no other machine reaches it."""
     port: Annotated[int, Range(1, 65535)] = 8080
     """Port to listen on; the next free one where it is taken."""
     open: bool = False
     """Open the page in the browser."""
-    save: Annotated[Path | None, Optional] = None
-    """Write recorded episodes as one page that needs no server and no network, and end."""
-    episodes: Count = 5
-    """Episodes of the saved page."""
-    live: Annotated[Path | None, Optional] = None
-    """Write one page in which the policies themselves run, without server and network, and end."""
 
 
 @dataclass(frozen=True)

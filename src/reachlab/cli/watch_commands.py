@@ -7,6 +7,7 @@ import webbrowser
 from contextlib import closing
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from reachlab.agents import AGENTS
 from reachlab.cli.flags import Plot, Video, View
@@ -15,6 +16,13 @@ from reachlab.envs.presets import in_simulator
 from reachlab.settings.config import RunConfig
 from reachlab.settings.json_form import override
 from reachlab.settings.validation import InputError, choose
+
+if TYPE_CHECKING:
+    from reachlab.watch.page.shown import Shown
+
+
+PAGE = "page.html"
+"""File of a run's page, in its directory."""
 
 
 def _as_it_is(trained: RunConfig, sim: str | None) -> RunConfig:
@@ -53,64 +61,73 @@ def view(arguments: View) -> None:
     """Run `reachlab view`.
 
     Raises:
-        InputError: no run or several where one is needed, or a flag that does not go with `--live`.
+        InputError: no run, or a flag without effect.
     """
-    if arguments.live:
-        _view_live(arguments, arguments.live)
-        return
-    if len(arguments.runs) != 1:
-        raise InputError(f"view needs one run directory, got {len(arguments.runs)}: several go with --live.")
+    if not arguments.runs:
+        raise InputError("view needs at least one run directory, or a policy as panda/precise.")
+    if arguments.out:
+        _write_page(arguments, arguments.out)
+    else:
+        _serve_page(arguments)
+
+
+def _write_page(arguments: View, out: Path) -> None:
+    """Run `reachlab view --out`."""
+    usual = View(arguments.runs)
+    if foreign := [name for name in ("host", "port", "open") if getattr(arguments, name) != getattr(usual, name)]:
+        raise InputError(f"view --out serves nothing, so --{foreign[0]} has no effect: leave it out.")
     prepare()
     from reachlab.cli.console import note, say
-    from reachlab.envs.core import Env
+    from reachlab.watch.page.page import check_folder, write_page
+
+    check_folder(out)
+    shown = _load(arguments)
+    for one in shown:
+        if one.why:
+            note(f"{one.name} is recorded for the page, {arguments.episodes} episodes: {one.why}.")
+    say(f"Written: {out}, {write_page(shown, out, arguments.episodes) / 1e6:.2f} MB")
+
+
+def _load(arguments: View) -> list[Shown]:
+    from reachlab.watch.page.shown import load_shown
+
+    given = {name: getattr(arguments, name) for name in ("sim", "agent", "seed")}
+    return [load_shown(run, **given) for run in arguments.runs]
+
+
+def _serve_page(arguments: View) -> None:
+    """Run `reachlab view` without `--out`: a browser makes ready what draws and moves while the runs are read."""
+    from reachlab.cli.console import note, say
     from reachlab.learn.interrupts import Interrupts
-    from reachlab.learn.load import load_policy
-    from reachlab.runs.shipped import find_run
-    from reachlab.watch.server import is_local
-    from reachlab.watch.viewer import Viewer
+    from reachlab.runs.shipped import find_run, is_shipped
+    from reachlab.watch.page.document import page_head
+    from reachlab.watch.page.server import PageServer, is_local
 
-    run = find_run(arguments.runs[0])
-    config = _as_it_is(run.read_config(), arguments.sim)
-    with closing(Env(config, 1)) as env:
-        if arguments.save:
-            from reachlab.watch.saved_page import save_page
+    runs = [find_run(run) for run in arguments.runs]
+    engine = "mujoco" in [arguments.sim or run.read_config().sim for run in runs]
+    with PageServer(arguments.host, arguments.port) as server, Interrupts() as interrupts:
+        server.add(page_head(runs[0].path.name, engine=engine, served=True))
+        say(f"Page: {server.url}   Ctrl-C ends it.")
+        if not is_local(arguments.host):
+            note(
+                f"Warning: --host {arguments.host} lets other machines in, without a password: anyone who reaches"
+                " it can watch, and move arms that are computed here."
+            )
+        if arguments.open:
+            webbrowser.open(server.url)
+        prepare()
+        from reachlab.watch.page.page import page_body, write_parts
+        from reachlab.watch.page.remote import Remote
 
-            policy = load_policy(run, env)
-            save_page(env, arguments.agent, policy, arguments.seed, arguments.episodes, arguments.save)
-            say(f"Written: {arguments.save}")
-            return
-        load = partial(load_policy, run, env)
-        viewer = Viewer(env, run.checkpoint_steps(), load, arguments.agent, arguments.host, arguments.port)
-        with viewer, Interrupts() as interrupts:
-            say(f"Viewer: {viewer.url}   Ctrl-C ends it.")
-            if not is_local(arguments.host):
-                note(
-                    f"Warning: --host {arguments.host} lets other machines in, without a password: anyone who reaches"
-                    " it can watch and move the target."
-                )
-            if arguments.open:
-                webbrowser.open(viewer.url)
-
-            def ended() -> bool:
-                return interrupts.received is not None
-
-            viewer.await_picture(ended)
-            viewer.prepare(arguments.seed)
-            viewer.run(ended)
-
-
-def _view_live(arguments: View, out: Path) -> None:
-    """Run `reachlab view --live`."""
-    if not arguments.runs:
-        raise InputError("view needs at least one run directory.")
-    usual = vars(View(arguments.runs, live=out))
-    if foreign := sorted(name for name, value in vars(arguments).items() if value != usual[name]):
-        raise InputError(f"view --live makes no use of --{foreign[0]}: leave it out.")
-    prepare()
-    from reachlab.cli.console import say
-    from reachlab.watch.page.page import write_page
-
-    say(f"Written: {out}, {write_page(arguments.runs, out) / 1e6:.2f} MB")
+        shown = _load(arguments)
+        server.add(body := page_body(shown), last=True)
+        for one in shown:
+            if one.why:
+                note(f"{one.name} is computed here and streamed to the page: {one.why}.")
+        if not is_shipped(runs[0]) and all(one.functions for one in shown):
+            file = runs[0].path / PAGE
+            say(f"The same page as a file: {file}, {write_parts(shown, body, file) / 1e6:.2f} MB")
+        server.serve([partial(Remote, one) for one in shown], lambda: interrupts.received is not None)
 
 
 def plot(arguments: Plot) -> None:

@@ -78,12 +78,15 @@ class Player:
         self._going_back = False
         self._look()
 
-    def step(self, agent: str, policy: Policy | None) -> None:
-        """Take one control step with an agent of `AGENTS`."""
+    def step(self, agent: str, policy: Policy | None, wanted: np.ndarray | None = None) -> None:
+        """Take one control step with an agent of `AGENTS`, or towards a joint command `[n]` that is `wanted`."""
         if agent not in self._advances:
             self._advances[agent] = make_advance(self._env, agent)
-        advance, command = self._advances[agent], self._way_back(agent)
-        self.state, transition, self._key = advance(policy, self.state, self._key, self._following, command)
+        by_hand = wanted is not None
+        command = self._way_back(agent) if wanted is None else self._towards(wanted)
+        follows = self._following and not by_hand
+        self.state, transition, self._key = self._advances[agent](policy, self.state, self._key, follows, command)
+        self._touched |= by_hand
         self.steps, self.clock = self.steps + 1, self.clock + 1
         self._look()
         done, terminated, success = (
@@ -91,12 +94,20 @@ class Player:
         )
         self.success = success
         if self._touched:
-            self.failed = self._failure()
-            self.over = bool(self.failed) or (done and not self._following and (success or not terminated))
+            self.failed = "" if by_hand else self._failure()
+            self.over = bool(self.failed) or (
+                done and not (self._following or by_hand) and (success or not terminated)
+            )
         elif done:
             self.over = True
             self.episodes += 1
             self.successes += success
+
+    def _towards(self, wanted: np.ndarray) -> np.ndarray:
+        """The next joint command `[n]` on the way to one that is wanted, at most as far as the joints are fast."""
+        last, setup = np.asarray(self.state.command)[0], self._env.setup
+        most = setup.period * np.array(setup.robot.commands.speed)
+        return (last + np.clip(wanted - last, -most, most)).astype(np.float32)
 
     def _way_back(self, agent: str) -> np.ndarray:
         """Joint command `[n]` on the way back home; not a number where the agent acts, whose way is remembered."""

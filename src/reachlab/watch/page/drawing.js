@@ -1,11 +1,5 @@
-/** Colours of the page behind the scene, and of the workspace's edges. */
-const BACKGROUND = 0xf4f6f9, EDGES = 0x8d97a8;
-
-/**
- * The table's colour above and at its sides, and how dark the shadow on it is and how far it lies above it, in sizes of
- * the workspace.
- */
-const TABLE = 0xd5dbe4, TABLE_SIDES = 0xaab3c1, SHADOW_OPACITY = 0.16, SHADOW_ABOVE = 0.0015;
+/** Colour of the page behind the scene. */
+const BACKGROUND = 0xf4f6f9;
 
 /** Where the graphics are computed in software, as the browser calls that: pictures are drawn without smooth edges. */
 const SOFTWARE = /swiftshader|llvmpipe|software|basic render/i;
@@ -16,12 +10,12 @@ const SLOW = 42, PICTURES = 12;
 /** Pixels of the drawing for one of the page, at most. Less than one take longer: the page has to enlarge them. */
 const FINEST = 2;
 
-/** Sides of a drawn ball. */
-const SIDES = 32;
+/** Between two arms [sizes of the workspace]. */
+const BETWEEN = 0.25;
 
-/** Draws one arm, its goal and its workspace with three.js. */
+/** Draws arms beside each other with three.js. */
 class Drawing {
-  /** A drawing on a canvas, of marks in these colours and lengths; empty until an arm is shown. */
+  /** A drawing on a canvas, of marks in these colours and lengths; empty until arms are shown. */
   constructor(canvas, marks) {
     this.marks = marks;
     this.renderer = new THREE.WebGLRenderer({ canvas, antialias: !inSoftware(), stencil: true });
@@ -29,84 +23,32 @@ class Drawing {
     this.camera = new THREE.PerspectiveCamera();
     this.camera.up.set(0, 0, 1);
     this.ratio = Math.min(window.devicePixelRatio, FINEST);
-    Object.assign(this, { simple: false, since: null, pictures: 0 });
+    Object.assign(this, { simple: false, since: null, pictures: 0, arms: [], shapes: [] });
   }
 
-  /** Show an arm in place of another: what the page holds of it, its run, and its meshes by `geometries`. */
-  show(scene, run, shapes) {
-    this.scene?.traverse((one) => { one.geometry?.dispose(); one.material?.dispose(); });
-    Object.assign(this, { scene: new THREE.Scene(), shown: scene, size: scene.scale });
-    const links = Math.max(run.facts.joints.length, ...scene.parts.map(({ link }) => link));
-    this.links = Array.from({ length: links + 1 }, () => this.added(new THREE.Group(), { matrixAutoUpdate: false }));
-    this.shadows = this.added(new THREE.Group(), { matrixAutoUpdate: false, visible: !this.simple });
-    flatten(this.shadows.matrix, scene);
-    scene.parts.forEach((part, i) => this.addPart(part, shapes[i]));
-    this.added(new THREE.LineSegments(lines(scene.edges), new THREE.LineBasicMaterial({ color: EDGES })));
-    this.bodies = new BodyMeshes(this.scene, this.shadows, this.marks, run.facts.objects);
-    this.goal = this.added(this.makeGoal(run));
-    this.axes = run.facts.goal.orientation ? this.added(this.makeAxes(this.marks.tool_axes)) : null;
-    this.path = this.added(polyline(this.marks.path));
-    this.trail = this.added(polyline(this.marks.trail));
-  }
-
-  added(one, settings = {}) {
-    this.scene.add(one);
-    return Object.assign(one, settings);
-  }
-
-  /** Add what is drawn of a link in one colour and, but for the table's, its shadow. */
-  addPart({ link, colour, table }, geometry) {
-    if (table) {
-      this.links[link].add(tableTop(geometry));
-      return;
+  /** Show so many arms of a run in place of others: what the page holds of it, and its meshes by `geometries`. */
+  show(scene, run, shapes, count) {
+    for (const { group } of this.arms) {
+      group.traverse(({ geometry, material }) => {
+        if (!this.shapes.includes(geometry)) geometry?.dispose();
+        material?.dispose();
+      });
     }
-    this.links[link].add(new THREE.Mesh(geometry, shaded(colour, colour[3])));
-    const shadow = new THREE.Mesh(geometry, SHADOW()), place = new THREE.Group();
-    // It moves as the link does.
-    this.shadows.add(Object.assign(place, { matrixAutoUpdate: false, matrix: this.links[link].matrix }));
-    place.add(Object.assign(shadow, { renderOrder: 1 }));
-  }
-
-  /** The goal: a ball, around it the one in which the tool is near enough, and axes where it has an orientation. */
-  makeGoal(run) {
-    const near = run.rules.success_distance, core = Math.min(near, this.marks.radius * this.size);
-    const goal = new THREE.Group();
-    goal.add(ball(core, 1));
-    if (near > core) goal.add(ball(near, this.marks.opacity));
-    this.balls = goal.children.map((one) => one.material);
-    if (run.facts.goal.orientation) goal.add(this.makeAxes(this.marks.goal_axes));
-    return goal;
-  }
-
-  /** Red, green and blue rods along x, y and z, of a length and a radius [m] for the tutorial's arm. */
-  makeAxes([length, radius]) {
-    const axes = new THREE.Group(), rod = [radius * this.size, radius * this.size, length * this.size, 12];
-    this.marks.axes.forEach((colour, i) => {
-      const geometry = new THREE.CylinderGeometry(...rod).translate(0, rod[2] / 2, 0);
-      if (i === 0) geometry.rotateZ(-Math.PI / 2);
-      if (i === 2) geometry.rotateX(Math.PI / 2);
-      axes.add(new THREE.Mesh(geometry, shaded(colour)));
-    });
-    return axes;
-  }
-
-  /** Draw a player's moment. */
-  draw({ episode, path, trail }) {
-    const { axes, positions } = episode.run.functions.links(episode.state), turn = episode.state.goal_quaternion;
-    const place = (one, i) => placed(one, axes.slice(9 * i, 9 * i + 9), positions.slice(3 * i, 3 * i + 3));
-    const n = episode.run.facts.joints.length;
-    this.links.slice(1, n + 1).forEach(place);
-    episode.simulator.fingerFrames?.().forEach((frame, i) => placed(this.links[n + 1 + i], ...frame));
-    this.bodies.draw(episode.state);
-    this.goal.position.set(...episode.goal);
-    if (turn) {
-      place(this.axes, n);
-      this.goal.quaternion.set(turn[1], turn[2], turn[3], turn[0]);
+    Object.assign(this, { scene: new THREE.Scene(), shown: scene, shapes });
+    const columns = Math.ceil(Math.sqrt(count)), [x, y] = [0, 1].map((axis) => extent(scene.points, axis) + BETWEEN * scene.scale);
+    const places = Array.from({ length: count }, (_, i) => [-x * Math.floor(i / columns), y * (i % columns), 0]);
+    this.arms = places.map((place) => new Arm(scene, run, shapes, this.marks, place));
+    for (const { group, shadows } of this.arms) {
+      this.scene.add(group);
+      shadows.visible = !this.simple;
     }
-    const colour = episode.reached ? this.marks.reached : this.marks.waiting;
-    this.balls.forEach((material) => material.uniforms.colour.value.copy(rgb(colour)));
-    extend(this.path, path.points);
-    extend(this.trail, trail.points);
+    /** Points `[3]` m that have to be in view. */
+    this.points = places.flatMap((place) => scene.points.map((point) => add(point, place)));
+  }
+
+  /** Draw the moments of as many players. */
+  draw(players) {
+    players.forEach((player, i) => this.arms[i].draw(player));
     this.renderer.render(this.scene, this.camera);
   }
 
@@ -132,7 +74,7 @@ class Drawing {
     if (mean < SLOW) return;
     if (!this.simple) {
       this.simple = true;
-      this.shadows.visible = false;
+      this.arms.forEach(({ shadows }) => { shadows.visible = false; });
     } else if (this.ratio > 1) {
       this.ratio = Math.max(1, 0.7 * this.ratio);
       this.width = 0;
@@ -149,62 +91,8 @@ function inSoftware() {
   return SOFTWARE.test(name);
 }
 
-/** The table is marked where it is seen; a shadow darkens what is marked, and takes the mark away. */
-const MARK = { stencilWrite: true, stencilRef: 1 };
-const LET_SHADOWS_IN = { ...MARK, stencilZPass: THREE.ReplaceStencilOp };
-const SHADOW = () => new THREE.MeshBasicMaterial({
-  ...MARK,
-  color: 0,
-  transparent: true,
-  opacity: SHADOW_OPACITY,
-  depthWrite: false,
-  stencilFunc: THREE.EqualStencilFunc,
-  stencilZPass: THREE.ZeroStencilOp,
-});
-
-/** The table, which fills much of the picture: in colours that no light has to be computed for. */
-function tableTop(geometry) {
-  const { normal } = geometry.attributes, colours = new Float32Array(3 * normal.count);
-  for (let i = 0; i < normal.count; i++) {
-    new THREE.Color(normal.getZ(i) > 0.5 ? TABLE : TABLE_SIDES).toArray(colours, 3 * i);
-  }
-  geometry.setAttribute("color", new THREE.BufferAttribute(colours, 3));
-  return new THREE.Mesh(geometry, new THREE.MeshBasicMaterial({ vertexColors: true, ...LET_SHADOWS_IN }));
-}
-
-/** Set a matrix that brings everything to the table's top along the lamp's light. */
-function flatten(matrix, { top, scale }) {
-  const [x, y, z] = LAMP_AT, above = top + SHADOW_ABOVE * scale;
-  matrix.set(1, 0, -x / z, (above * x) / z, 0, 1, -y / z, (above * y) / z, 0, 0, 0, above, 0, 0, 0, 1);
-}
-
-function ball(radius, opacity) {
-  return new THREE.Mesh(new THREE.SphereGeometry(radius, SIDES, SIDES / 2), shaded([1, 1, 1], opacity));
-}
-
-/** Lines from one point `[3]` to another each. */
-function lines(pairs) {
-  return new THREE.BufferGeometry().setFromPoints(pairs.flat().map((point) => new THREE.Vector3(...point)));
-}
-
-/** A line with room for the points of a `Trace`. */
-function polyline(colour) {
-  const geometry = new THREE.BufferGeometry();
-  geometry.setAttribute("position", new THREE.BufferAttribute(new Float32Array(3 * PATH_POINTS), 3));
-  const line = new THREE.Line(geometry, new THREE.LineBasicMaterial({ color: rgb(colour) }));
-  return Object.assign(line, { frustumCulled: false });
-}
-
-function extend({ geometry }, points) {
-  const { position } = geometry.attributes;
-  points.forEach((point, i) => position.setXYZ(i, ...point));
-  position.needsUpdate = true;
-  geometry.setDrawRange(0, points.length);
-}
-
-/** Put something where its axes `[9]`, one after the other, and a position `[3]` m say. */
-function placed(one, axes, position) {
-  one.matrixAutoUpdate = false;
-  one.matrix.set(...[0, 1, 2].flatMap((i) => [axes[i], axes[3 + i], axes[6 + i], position[i]]), 0, 0, 0, 1);
-  one.matrixWorldNeedsUpdate = true;
+/** How far points `[3]` reach along an axis. */
+function extent(points, axis) {
+  const places = points.map((point) => point[axis]);
+  return Math.max(...places) - Math.min(...places);
 }

@@ -1,25 +1,33 @@
 /** One policy, its task and its arm: what the page holds of it, and its printed functions. */
 class Run {
-  /** A run of facts and its printed program; `engine` is MuJoCo, which a run without dynamics does not need. */
-  constructor(facts, program, engine) {
-    Object.assign(this, { facts, rules: facts.rules, begins: arrays(facts.begins), next: 0, engine });
+  /** The run of a number, of facts and its printed program; `engine` is MuJoCo, which one without dynamics does not need. */
+  constructor(number, facts, program, engine) {
+    Object.assign(this, { number, facts, rules: facts.rules, engine });
+    if (!facts.begins) return; // the page does not compute it
     this.functions = program(arrays(facts.constants));
     this.nothing = facts.action.low.map(() => 0);
     this.free = facts.actuators.map(() => NaN);
     this.simulator = this.makeSimulator();
+    this.choose("held out");
   }
 
   /** An arm that nothing else moves. */
   makeSimulator() {
-    const { physics, exact } = this.facts;
-    return physics ? new Physics(this.engine, physics, arrays(exact)) : new Kinematic(this.facts.control_period);
+    const { physics, exact, control_period: period } = this.facts;
+    return physics ? new Physics(this.engine, physics, arrays(exact)) : new Kinematic(period);
   }
 
-  /** Joints and goal in which the next episode begins. */
+  /** Play the episodes of a name from now on. */
+  choose(name) {
+    const { count, arrays: sent } = this.facts.begins[name];
+    Object.assign(this, { begins: arrays(sent), count, next: 0 });
+  }
+
+  /** Joints, goal and bodies in which the next episode begins. */
   draw() {
-    const i = this.next++ % this.facts.drawn;
+    const i = this.next++ % this.count;
     return Object.fromEntries(Object.entries(this.begins).map(([name, part]) => {
-      const size = part.length / this.facts.drawn;
+      const size = part.length / this.count;
       return [name, [...part.subarray(i * size, (i + 1) * size)]];
     }));
   }
@@ -33,23 +41,10 @@ function arrays(sent) {
   }));
 }
 
-/**
- * An episode in a simulator.
- *
- * `state` holds what the printed functions hand on from step to step.
- */
-class Episode {
-  /** An episode of a run that begins at joints, with a goal and with bodies, as `Run.draw` gives them. */
-  constructor(run, { q, ...beside }, simulator = run.simulator) {
-    Object.assign(this, { run, simulator });
-    this.ask({ q, qd: q.map(() => 0), command: q, last_action: run.nothing, ...beside });
-    simulator.begin(this.state);
-  }
-
-  /** Ask for another goal from now on: the arm has all the time of an episode. */
-  ask(changed = {}) {
-    this.state = this.run.functions.ask({ ...this.state, ...changed });
-    this.ended = { success: [false], terminated: [false], done: [false], counted: this.state.distance };
+/** An arm, its goal and what is beside it: arrays of a `state` by name, see `arrays_of` in Python, and what ended. */
+class Moment {
+  constructor(run) {
+    this.run = run;
   }
 
   get tool() { return this.state.tool; }
@@ -70,26 +65,12 @@ class Episode {
 
   /** Whether the goal moves by itself; one that was taken off its path does not. */
   get moves() {
-    return this.run.facts.goal.moves && !Number.isNaN(this.state.goal_path[0]);
+    return this.run.facts.goal.moves && Number.isFinite(this.state.goal_path[0]);
   }
 
   /** Whether the goal is reached now; of one that moves success tells the whole episode. */
   get reached() {
     return this.run.facts.goal.moves ? this.near : this.success;
-  }
-
-  /** Take a control step with an agent, `trained` or `ik`; a command `instead [m]` is taken in place of its own. */
-  step(agent, instead = null) {
-    const { functions, free } = this.run;
-    const decided = { ...this.state, ...functions[agent]({ ...this.state, instead: instead ?? free }) };
-    this.state = this.ended = functions.judge({ ...decided, ...this.simulator.step(decided) });
-  }
-
-  /** Put the goal to `[3]` m, turned as it was; false where the arm cannot be there, and the goal stays. */
-  place(position) {
-    const { reached, ...goal } = this.run.functions.place({ ...this.state, position });
-    if (reached[0]) this.ask(goal);
-    return reached[0];
   }
 
   /** What a hand has to know of the bodies: those that do not move by themselves stay in the air where they are put. */
@@ -102,6 +83,49 @@ class Episode {
     });
   }
 
+  /** How far the tool is outside the workspace [m]. */
+  beyond() {
+    const { low, high } = this.run.facts.workspace;
+    return norm(minus(this.tool, clipped(this.tool, low, high)));
+  }
+}
+
+/** An episode in a simulator, whose `state` holds what the printed functions hand on from step to step. */
+class Episode extends Moment {
+  /** An episode of a run that begins at joints, with a goal and with bodies, as `Run.draw` gives them. */
+  constructor(run, { q, ...beside }, simulator = run.simulator) {
+    super(run);
+    this.simulator = simulator;
+    this.ask({ q, qd: q.map(() => 0), command: q, last_action: run.nothing, ...beside });
+    simulator.begin(this.state);
+  }
+
+  /** Ask for another goal from now on: the arm has all the time of an episode. */
+  ask(changed = {}) {
+    this.state = this.run.functions.ask({ ...this.state, ...changed });
+    this.ended = { success: [false], terminated: [false], done: [false], counted: this.state.distance };
+  }
+
+  /** Axes and positions of the links and of the tool after them, and of the fingers. */
+  frames() {
+    const { axes, positions } = this.run.functions.links(this.state);
+    return { links: rows(axes, positions), fingers: this.simulator.fingerFrames?.() ?? [] };
+  }
+
+  /** Take a control step with an agent, `trained` or `ik`; a command `instead [m]` is taken in place of its own. */
+  step(agent, instead = null) {
+    const { functions, free } = this.run;
+    const decided = { ...this.state, ...functions[agent]({ ...this.state, instead: instead ?? free }) };
+    this.state = this.ended = functions.judge({ ...decided, ...this.simulator.step(decided) });
+  }
+
+  /** Put the goal to `[3]` m, turned as a quaternion says, wxyz; false where the arm cannot be so, and the goal stays. */
+  place(position, turn = this.state.goal_quaternion) {
+    const { reached, ...goal } = this.run.functions.place({ ...this.state, position, goal_quaternion: turn });
+    if (reached[0]) this.ask(goal);
+    return reached[0];
+  }
+
   /** Put a body to `[3]` m, where it rests or, if it is one that moves, falls. */
   moveBody(number, position) {
     const places = [...this.state.bodies_position], speeds = [...this.state.bodies_velocity];
@@ -109,12 +133,6 @@ class Episode {
     speeds.fill(0, 6 * number, 6 * number + 6);
     this.ask({ bodies_position: places, bodies_velocity: speeds });
     this.simulator.put(this.state);
-  }
-
-  /** How far the tool is outside the workspace [m]. */
-  beyond() {
-    const { low, high } = this.run.facts.workspace;
-    return norm(minus(this.tool, clipped(this.tool, low, high)));
   }
 }
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -31,15 +32,16 @@ from reachlab.robots.kinematics.forward import components, forward_kinematics, l
 from reachlab.robots.kinematics.scalars import Vec, rotation_from_quaternion
 from reachlab.sims.simulator import Moved
 from reachlab.tasks.actions import ACTIONS
+from reachlab.tasks.task import TaskSetup
 
-DRAWN, DRAW_SEED = 200, 7
-"""Held-out episodes that a page begins with one after the other, and their seed."""
+DRAWN = 200
+"""Held-out episodes that a page plays one after the other, at most."""
 
 PROGRESS, MOVED = "progress_", "moved_"
 """Begins of the names of what a task remembers, and of what a simulator has moved."""
 
-AGENTS = ("trained", "ik")
-"""Agents of a page."""
+PLAYED = ("trained", "ik")
+"""Agents that a page computes."""
 
 
 @dataclass(frozen=True)
@@ -80,11 +82,11 @@ def programs(env: Env, policy: Policy) -> list[Program]:
     placed = goal | {"q": asked["q"], "position": goal[GOAL + "position"]}
     decided = asked | {"instead": asked["command"]}
     return [
-        *(trace(agent, lambda agent=agent, **given: _decide(page, agent, given), decided) for agent in AGENTS),
+        *(trace(agent, lambda agent=agent, **given: _decide(page, agent, given), decided) for agent in PLAYED),
         trace("judge", lambda **given: _judge(page, given), stepped),
         trace("ask", lambda **given: _ask(page, given), asked),
         trace("place", lambda **given: _place(page, given), placed),
-        trace("links", lambda q: _links(chain, q[: chain.n]), {"q": asked["q"]}),
+        trace("links", lambda q: links_of(chain, q[: chain.n]), {"q": asked["q"]}),
     ]
 
 
@@ -110,14 +112,14 @@ def _judge(page: Episodes, given: Mapping[str, Array]) -> dict[str, Array]:
     moved = Moved(q[:, :n], qd[:, :n], bodies, given.get("contact", state.arm.contact), q[:, n:])
     after, transition = functions.judge(state, moved, given["wanted"][None], given["action"][None], None)
     ended = {"success": transition.terms["success"], "terminated": transition.terminated, "done": transition.done}
-    return _arrays(page, after) | ended | {"counted": transition.counted.distance}
+    return arrays_of(functions.setup, after) | ended | {"counted": transition.counted.distance}
 
 
 def _ask(page: Episodes, given: Mapping[str, Array]) -> dict[str, Array]:
     """State of an arm that is asked for a goal from now on, and has all the time of an episode."""
     state = measured_state(page.functions, page.like, given)
     state = replace(state, progress=page.functions.setup.task.begin(page.functions.setup, state.errors))
-    return _arrays(page, state)
+    return arrays_of(page.functions.setup, state)
 
 
 def _place(page: Episodes, given: Mapping[str, Array]) -> dict[str, Array]:
@@ -129,7 +131,7 @@ def _place(page: Episodes, given: Mapping[str, Array]) -> dict[str, Array]:
     return {name: part for name, part in parts.items() if part.size} | {"reached": reached[None]}
 
 
-def _links(chain: Any, q: Array) -> dict[str, Array]:
+def links_of(chain: Any, q: Array) -> dict[str, Array]:
     """Axes `[n, 3, 3]`, a row each, and positions `[n, 3]` m of the links and of the tool after them."""
     tool = forward_kinematics(chain, q)
     frames = [*link_frames(chain, components(q))[1:]]
@@ -141,9 +143,9 @@ def _links(chain: Any, q: Array) -> dict[str, Array]:
     return {"axes": jnp.concatenate(rotations), "positions": jnp.concatenate(positions)}
 
 
-def _arrays(page: Episodes, state: EnvState) -> dict[str, Array]:
+def arrays_of(setup: TaskSetup, state: EnvState) -> dict[str, Array]:
     """A state as arrays by name, what is empty left out; and where the tool is, and whether it is at the goal."""
-    setup, errors = page.functions.setup, state.errors
+    errors = state.errors
     speeds = jnp.concatenate([state.arm.qd, jnp.zeros_like(state.arm.opening)], axis=-1)
     named = {"q": state.arm.actuated, "qd": speeds, "command": state.command, "last_action": state.last_action}
     named |= {"tool": state.arm.tool_position, "angle": errors.angle[:, None]}
@@ -154,16 +156,30 @@ def _arrays(page: Episodes, state: EnvState) -> dict[str, Array]:
     return {name: part[0] for name, part in named.items() if part.size} | single
 
 
-def drawn(env: Env) -> dict[str, np.ndarray]:
-    """Joints, goals and bodies `[DRAWN, …]` by name in which episodes begin; a gripper is wide open."""
-    keys, gripper = episode_keys(DRAW_SEED, REPORT_STREAM, 0, DRAWN), env.setup.robot.gripper
-    begin = env.compile_whole(env.functions.sample_episode)(keys)
+def drawn(env: Env, episodes: Sequence[tuple[int, int]]) -> dict[str, np.ndarray]:
+    """Joints, goals and bodies `[k, …]` by name in which held-out episodes begin, given by seed and number.
+
+    A gripper is wide open.
+    """
+    gripper, count = env.setup.robot.gripper, len(episodes)
+    # Of one shape whatever their number: one program draws them.
+    keys = jnp.concatenate(
+        [episode_keys(seed, REPORT_STREAM, first, size) for seed, first, size in _stretches(episodes)]
+    )
+    begin = env.compile_whole(env.functions.sample_episode)(keys[np.arange(DRAWN) % count])
     openings = np.full((DRAWN, 1), gripper.widest) if gripper else np.zeros((DRAWN, 0))
     parts = {"q": np.concatenate([begin.q, openings], axis=1)}
     parts |= {GOAL + field.name: getattr(begin.goal, field.name) for field in fields(begin.goal)}
     parts |= {BODIES + field.name: getattr(begin.bodies, field.name) for field in fields(begin.bodies)}
     return {
-        name: np.asarray(part, part.dtype if part.dtype.kind == "i" else np.float32)
+        name: np.asarray(part, part.dtype if part.dtype.kind == "i" else np.float32)[:count]
         for name, part in parts.items()
         if part.size
     }
+
+
+def _stretches(episodes: Sequence[tuple[int, int]]) -> Iterator[tuple[int, int, int]]:
+    """Seed, first number and length of stretches of episodes that follow each other."""
+    for (seed, _), group in itertools.groupby(enumerate(episodes), lambda one: (one[1][0], one[1][1] - one[0])):
+        numbers = [number for _, (_, number) in group]
+        yield seed, numbers[0], len(numbers)

@@ -7,8 +7,8 @@ const LIFTED = 0.03;
 /** The hand that drags the goal and bodies, by mouse or finger; elsewhere it turns the view. */
 class Hand {
   /**
-   * A hand on a view; `things()` tells what of the goal and then of each body it needs: where it is, its box, its size,
-   * and whether it falls.
+   * A hand on a view. `things()` gives what it may take, first the goal: where each is, its size, the box `low` to `high`
+   * in which it moves if there is one, whether it falls, and how to `move` it to a place `[3]` m.
    */
   constructor(view, things) {
     Object.assign(this, { view, things, camera: view.drawing.camera, canvas: view.drawing.renderer.domElement });
@@ -26,11 +26,17 @@ class Hand {
     return this.held !== null;
   }
 
-  /** What was last dragged, the goal being 0, and to which `place [3]` m, once; null where nothing was. */
-  take() {
+  /** Move what is dragged to where it was last dragged; true where there is any. */
+  drag() {
     const { asked } = this;
     this.asked = null;
-    return asked;
+    asked?.thing.move(asked.place);
+    return Boolean(asked);
+  }
+
+  /** Keep what falls where it is held. */
+  hold() {
+    if (this.held?.at?.thing.falls) this.held.at.thing.move(this.held.at.place);
   }
 
   grab(event) {
@@ -38,7 +44,7 @@ class Hand {
     if (number < 0) return;
     const { position, low, high, falls } = this.things()[number], at = new THREE.Vector3(...position);
     // What is on the table is moved along it: the pointer is followed there, not before the camera.
-    const flat = falls || low[2] === high[2];
+    const flat = falls || (low && low[2] === high[2]);
     const normal = flat ? new THREE.Vector3(0, 0, 1) : this.camera.getWorldDirection(new THREE.Vector3());
     this.plane = new THREE.Plane().setFromNormalAndCoplanarPoint(normal, at);
     const hit = this.hit(event);
@@ -56,8 +62,10 @@ class Hand {
     }
     if (event.pointerId !== this.held.pointer) return;
     this.canvas.style.cursor = "grabbing";
-    const { number, offset } = this.held, hit = this.hit(event), { low, high } = this.things()[number];
-    if (hit) this.asked = this.held.at = { number, place: clipped(add(hit, offset), low, high) };
+    const { number, offset } = this.held, hit = this.hit(event), thing = this.things()[number];
+    if (!hit || !thing) return;
+    const place = add(hit, offset);
+    this.asked = this.held.at = { thing, place: thing.low ? clipped(place, thing.low, thing.high) : place };
   }
 
   release(event) {
@@ -69,7 +77,10 @@ class Hand {
 
   /** Draw a ring where the goal is taken, also behind the arm, in the colour of one that is `reached`. */
   mark(reached) {
-    const [x, y] = this.onScreen(this.things()[0].position), box = this.canvas.getBoundingClientRect();
+    const [goal] = this.things(), box = this.canvas.getBoundingClientRect();
+    this.ring.hidden = !goal;
+    if (!goal) return;
+    const [x, y] = this.onScreen(goal.position);
     this.ring.style.transform = `translate(${x - box.left}px, ${y - box.top}px)`;
     this.ring.className = `${reached ? "reached" : ""} ${this.holds ? "held" : ""}`;
   }

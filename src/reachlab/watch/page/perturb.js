@@ -14,18 +14,14 @@ class Perturbation {
   }
 
   makeRow(name, { label, of, least, most }) {
-    const row = document.createElement("label"), text = document.createElement("span");
-    const slider = document.createElement("input"), told = document.createElement("output");
     const [min, max] = [least, most].map(Math.log); // a half lies as far to the left as twice to the right
-    Object.assign(slider, { type: "range", min, max, step: "any" });
-    Object.assign(text, { textContent: label });
-    row.append(text, slider, told);
+    const row = slider(label, { min, max, step: "any" });
     this.part.append(row);
-    slider.oninput = () => {
+    row.slider.oninput = () => {
       this.tell();
       this.changed(this.multiples());
     };
-    return Object.assign(row, { name, of, slider, told });
+    return Object.assign(row, { name, of });
   }
 
   /** Multiples by name. */

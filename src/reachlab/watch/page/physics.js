@@ -1,14 +1,5 @@
 /* Simulators of the page: MuJoCo, compiled to WebAssembly, and joints that follow their commands without dynamics. */
 
-/** MuJoCo's engine, which the page holds compressed. */
-async function loadEngine() {
-  const [wasmBinary, glue] = await Promise.all(["wasm", "glue"].map(part));
-  const script = URL.createObjectURL(new Blob([glue], { type: "text/javascript" }));
-  const { default: load } = await import(script);
-  URL.revokeObjectURL(script);
-  return load({ wasmBinary, locateFile: (name) => name }); // it would else look for a file beside the page
-}
-
 /** An arm without dynamics: its joints are where they are commanded. */
 class Kinematic {
   constructor(period) {
@@ -170,4 +161,9 @@ function between(place, x, y) {
 /** One row of so many numbers in an array. */
 function row(array, number, size) {
   return Array.from(array.slice(size * number, size * (number + 1)));
+}
+
+/** Axes `[9]`, one after the other, and positions `[3]` m of links, of arrays with a row for each. */
+function rows(axes, positions) {
+  return Array.from({ length: positions.length / 3 }, (_, i) => [row(axes, i, 9), row(positions, i, 3)]);
 }

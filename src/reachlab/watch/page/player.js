@@ -4,46 +4,62 @@ const LEFT = "left the workspace", LATE = "did not arrive in time";
 /** Points of a path at most, and their least distance [m]; and that of the points of a goal's trail. */
 const PATH_POINTS = 300, PATH_STEP = 0.004, TRAIL_STEP = 0.01;
 
+/** The agent whose joint commands are those of the page's sliders. */
+const BY_HAND = "sliders";
+
 /**
- * One arm, driven step by step through random episodes; the goal may be moved by hand, and is then followed.
+ * One arm, driven step by step through held-out episodes; the goal may be moved by hand, and is then followed.
  *
  * As `reachlab.watch.player` does it: while it follows no success ends an episode; the arm rests at the goal where the
  * task does not ask the policy to hold it; and a policy whose episodes all began at home first goes back there on the
  * way it came.
  */
 class Player {
-  constructor(run) {
-    Object.assign(this, { run, following: false, steps: 0, episodes: 0, successes: 0 });
+  /** A player of a run, whose arm a simulator moves. */
+  constructor(run, simulator = run.simulator) {
+    Object.assign(this, { run, simulator, following: false, steps: 0, episodes: 0, successes: 0, reachable: true });
     this.restsThere = !run.rules.hold_steps && !run.facts.goal.moves;
     this.begin();
+  }
+
+  /** Whether it takes another step now. */
+  get ready() {
+    return true;
   }
 
   /** Begin a new episode, or one that began before. */
   begin(first = this.run.draw()) {
     this.first = first;
-    this.episode = new Episode(this.run, first);
+    this.episode = new Episode(this.run, first, this.simulator);
     Object.assign(this, { touched: this.following, atHome: true, over: false, failed: "", way: [], goingBack: false });
-    this.path = new Trace(PATH_STEP);
-    this.trail = new Trace(TRAIL_STEP);
+    Object.assign(this, { reachable: true, path: new Trace(PATH_STEP), trail: new Trace(TRAIL_STEP) });
     this.look();
   }
 
-  /** Take one control step with an agent, `trained` or `ik`. */
-  step(agent) {
-    const { episode } = this, instead = this.wayBack(agent);
-    const rests = this.restsThere && this.following && episode.near;
-    episode.step(agent, rests ? episode.command : instead);
+  /** Take one control step with an agent, `trained`, `ik` or `sliders`, which bring the joints to what is `wanted`. */
+  step(agent, wanted) {
+    const { episode } = this, byHand = agent === BY_HAND;
+    const instead = byHand ? this.towards(wanted) : this.wayBack(agent);
+    const rests = this.restsThere && this.following && episode.near && !byHand;
+    episode.step(byHand ? "ik" : agent, rests ? episode.command : instead);
     this.steps++;
     this.look();
-    if (this.touched) {
-      this.failed = this.failure();
+    if (this.touched || byHand) {
+      this.touched = true;
+      this.failed = byHand ? "" : this.failure();
       const { done, success, terminated } = episode;
-      this.over = Boolean(this.failed) || (done && !this.following && (success || !terminated));
+      this.over = Boolean(this.failed) || (done && !this.following && !byHand && (success || !terminated));
     } else if (episode.done) {
       this.over = true;
       this.episodes++;
       this.successes += episode.success;
     }
+  }
+
+  /** The next joint command on the way to one that is `wanted`, at most as far as the joints are fast. */
+  towards(wanted) {
+    const { speed, control_period: period } = this.run.facts;
+    return Array.from(this.episode.command, (x, i) => x + clip(wanted[i] - x, -speed[i] * period, speed[i] * period));
   }
 
   /** Joint command `[n]` on the way back home; null where the agent acts, whose way is remembered. */
@@ -70,10 +86,10 @@ class Player {
 
   /** Begin the next episode; after a failure to follow begin anew from home, once, with the goal where it is. */
   proceed() {
-    const { goal, moves } = this.episode, again = this.failed && (!this.atHome || this.following);
+    const { goal, moves, state } = this.episode, again = this.failed && (!this.atHome || this.following);
     this.begin(again ? this.first : undefined);
     if (!again) return;
-    if (!moves) this.moveGoal(goal);
+    if (!moves) this.moveGoal(goal, state.goal_quaternion);
     this.atHome = true;
   }
 
@@ -84,12 +100,12 @@ class Player {
     this.over &&= Boolean(this.failed) || !following;
   }
 
-  /** Put the goal to `[3]` m; false where the arm cannot be there, and the goal stays. */
-  moveGoal(position) {
-    if (!this.episode.place(position)) return false;
+  /** Put the goal to `[3]` m and turn it; where the arm cannot be so the goal stays. */
+  moveGoal(position, turn) {
+    this.reachable = this.episode.place(position, turn);
+    if (!this.reachable) return;
     this.goingBack = this.run.facts.knows_home_alone && !this.episode.near && this.way.length > 0;
     Object.assign(this, { touched: true, atHome: false, over: Boolean(this.failed) });
-    return true;
   }
 
   /** Put a body to `[3]` m. */

@@ -14,10 +14,15 @@ from reachlab.render.scene import in_front, scene_spec
 from reachlab.robots.robot import Robot
 from reachlab.robots.shapes.solids import Mesh, links_of_bodies
 from reachlab.watch.solids import solids
-from reachlab.watch.stage import FIELD_OF_VIEW, VIEW_FROM, VIEW_TO
 
 SHARES = 65535
 """A vertex is sent as so many shares of its mesh's size: a link of 0.5 m to 8 µm."""
+
+VIEW_FROM, VIEW_TO = (1.5, -1.1, 0.95), (0.3, -0.02, 0.26)
+"""Where the first camera stands, and which point it faces, in the scene of the tutorial's arm [m]."""
+
+FIELD_OF_VIEW = 0.8
+"""Vertical field of view of the camera [rad]."""
 
 NORMAL_STEPS = 4
 """Vertices of one place become one where their normals agree to one of so many steps of the unit."""
@@ -58,6 +63,23 @@ def scene(robot: Robot) -> dict[str, Any]:
         "to": in_front(robot, VIEW_TO).tolist(),
         "field": FIELD_OF_VIEW,
     }
+
+
+class FingerFrames:
+    """Where the bodies of joints after an arm's own are: its fingers."""
+
+    def __init__(self, robot: Robot) -> None:
+        """Of an arm in its scene."""
+        self._model, self._n = scene_spec(robot).compile(), robot.chain.n
+        self._data = mujoco.MjData(self._model)
+
+    def __call__(self, q: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Axes `[3, 3]`, a row each, and position `[3]` m of each at joints of arm and fingers `[n + k]`."""
+        model, data = self._model, self._data
+        data.qpos[model.jnt_qposadr[: len(q)]] = q
+        mujoco.mj_kinematics(model, data)
+        bodies = model.jnt_bodyid[self._n : len(q)]
+        return [(data.xmat[body].reshape(3, 3).T.copy(), data.xpos[body].copy()) for body in bodies]
 
 
 def _fingers(model: mujoco.MjModel, data: mujoco.MjData, n: int) -> np.ndarray:

@@ -41,3 +41,24 @@ function clip(x, low, high) {
 function clipped(a, low, high) {
   return a.map((x, i) => clip(x, low[i], high[i]));
 }
+
+/** A vector of length 1 in the same direction. */
+function unit(a) {
+  return times(a, 1 / norm(a));
+}
+
+/** Product of two quaternions, wxyz: the rotation by the second and then by the first. */
+function product([a, ...u], [b, ...v]) {
+  return [a * b - dot(u, v), ...add(add(times(v, a), times(u, b)), cross(u, v))];
+}
+
+/** A vector `[3]` rotated by a quaternion, wxyz. */
+function rotated([w, ...u], a) {
+  const twice = times(cross(u, a), 2);
+  return add(add(a, times(twice, w)), cross(u, twice));
+}
+
+/** The least rotation from one unit vector to another, as a quaternion, wxyz. */
+function rotation(from, to) {
+  return unit([1 + dot(from, to) + 1e-9, ...cross(from, to)]);
+}

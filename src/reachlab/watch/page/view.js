@@ -23,7 +23,7 @@ class View {
   /** See all of an arm from its front, or from another side. */
   begin(side = this.side ?? "front") {
     Object.assign(this, { chosen: false, side });
-    const { from, to: faced, field, points, scale } = this.drawing.shown, { camera } = this.drawing;
+    const { from, to: faced, field, scale } = this.drawing.shown, { camera, points } = this.drawing;
     const back = SIDES_OF[side](minus(from, faced)), ahead = times(back, -1 / norm(back)), to = centred(points, faced, ahead);
     camera.fov = (180 * field) / Math.PI;
     const distance = distanceNeeded(points, to, ahead, field, camera.aspect);

@@ -1,0 +1,181 @@
+"""What a page shows of a run: policy, arm and task as functions of the page, or else why Python computes them."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from reachlab.agents import AGENTS
+from reachlab.agents.policy import Policy
+from reachlab.emit.program import Program, constants_of
+from reachlab.envs.core import Env
+from reachlab.envs.setup import in_evaluation
+from reachlab.learn.load import load_policy
+from reachlab.robots.catalogue import ROBOTS
+from reachlab.runs.directory import RunDirectory
+from reachlab.runs.saved_reports import read_reports
+from reachlab.runs.shipped import find_run
+from reachlab.settings.config import RunConfig
+from reachlab.settings.validation import InputError, choose
+from reachlab.sims import SIMULATORS
+from reachlab.tasks.observations import OBSERVATIONS
+from reachlab.watch.page.episode import DRAWN, PLAYED, drawn, programs
+from reachlab.watch.page.physics import engine_of
+from reachlab.watch.player import knows_home_alone
+
+ENGINES = ("kinematic", "mujoco")
+"""Simulators that a page has."""
+
+SCRIPT = "script"
+"""What the page's `ik` is called where there is an object."""
+
+RULES = ("success_distance", "hold_steps", "max_steps", "ends_outside", "settle_steps")
+"""Settings of a task that the page's own scripts ask for; where a task has none it is 0."""
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A run of a page, or an environment with who acts in it.
+
+    Attributes:
+        name: what it is called.
+        env: its environment, of one episode.
+        policy: the policy; None where only baselines act.
+        agent: who acts first, of `AGENTS`.
+        seed: of the held-out episodes.
+        functions: what the page computes it with; empty where Python computes it.
+        why: why that is so, as the end of a sentence; empty where the page does.
+        failed: seeds and numbers of held-out episodes that failed in evaluations whose reports are in the run.
+    """
+
+    name: str
+    env: Env
+    policy: Policy | None
+    agent: str = "trained"
+    seed: int = 1
+    functions: tuple[Program, ...] = ()
+    why: str = ""
+    failed: tuple[tuple[int, int], ...] = ()
+
+    @property
+    def title(self) -> str:
+        """Maker and type of an arm of the catalogue, else its name."""
+        name = self.env.setup.robot.name
+        return ROBOTS[name].title if name in ROBOTS else name
+
+    @property
+    def scene(self) -> str:
+        """Name of what is drawn of the arm: of the same arm with another gripper it is another one."""
+        rules = self.env.setup.rules
+        return f"{self.env.setup.robot.name} {rules.mounts} {rules.grips}"
+
+
+def settings_shown(trained: RunConfig, sim: str | None) -> RunConfig:
+    """Settings of a run as it is shown: in a simulator, by default its own, without what varied in training."""
+    return in_evaluation(trained, choose("simulator", sim or trained.sim, SIMULATORS))
+
+
+def load_shown(path: Path, *, sim: str | None = None, agent: str = "trained", seed: int = 1) -> Shown:
+    """The newest policy of a run, and who acts first: the page computes it where it can.
+
+    Raises:
+        InputError: the run cannot be read, or there is no such simulator or agent.
+    """
+    choose("agent", agent, AGENTS)
+    run = find_run(path)
+    env = Env(settings_shown(run.read_config(), sim), 1)
+    one = Shown(path.name, env, load_policy(run, env), "ik" if agent == SCRIPT else agent, seed)
+    why = why_streamed(env.config, one.agent)
+    try:
+        functions = () if why else tuple(programs(env, one.policy))
+    except InputError as error:
+        functions, why = (), str(error).rstrip(".")
+    failed = tuple(failures(run, env.config.sim, one.agent))
+    return Shown(one.name, env, one.policy, one.agent, seed, functions, why, failed)
+
+
+def why_streamed(config: RunConfig, agent: str) -> str:
+    """Why a page cannot compute what is shown by itself; empty where nothing is known that hinders it."""
+    reasons = {
+        f"the page has no {config.sim}": config.sim not in ENGINES,
+        "the page draws no pictures for a policy": OBSERVATIONS[config.rules.observation].pictured,
+        f"the page has no agent {agent}": agent not in PLAYED,
+        "the page does not shape commands": config.physics.shaping,
+        "the page does not hold the meshes that collide with the table": config.physics.collisions,
+    }
+    return next((reason for reason, holds in reasons.items() if holds), "")
+
+
+def failures(run: RunDirectory, sim: str, agent: str) -> Iterator[tuple[int, int]]:
+    """Seeds and numbers of the episodes in which an agent failed, of evaluations whose reports are in the run."""
+    folder = run.path / "reports"
+    for report, episodes in read_reports(folder) if folder.is_dir() else ():
+        if (report["sim"], report["agent"], report["randomise"]) == (sim, agent, []):
+            yield from ((report["seed"], int(number)) for number in np.flatnonzero(~episodes["success"]))
+
+
+def facts_of(one: Shown) -> dict[str, Any]:
+    """Facts that the page has to know of a run."""
+    setup = one.env.setup
+    low, high = setup.robot.workspace
+    box = setup.task.goal_box(setup)
+    objects, limits = setup.task.scene(setup).objects, setup.robot.commands
+    named = {"trained": "trained", "ik": SCRIPT if objects else "ik"} | {one.agent: one.agent}
+    return {
+        "agents": {name: title for name, title in named.items() if one.policy is not None or name != "trained"},
+        "agent": one.agent,
+        "why": one.why,
+        "task": one.env.config.task,
+        "robot": one.scene,
+        "title": one.title,
+        "asks": setup.task.asks(setup.rules, setup.period),
+        "control_period": setup.period,
+        "joints": setup.robot.joint_names,
+        "limits": {"lower": limits.lower, "upper": limits.upper},
+        "speed": limits.speed,
+        "slides": setup.robot.chain.slides,
+        "objects": objects,
+        "actuators": setup.robot.actuators,
+        "goal": {
+            "low": box[0].tolist(),
+            "high": box[1].tolist(),
+            "moves": setup.rules.moves,
+            "orientation": setup.rules.asks_orientation,
+        },
+        "rules": {name: getattr(setup.rules, name, 0) for name in RULES},
+        "workspace": {"low": low, "high": high},
+        "top": setup.robot.table_top,
+        "knows_home_alone": knows_home_alone(one.env),
+    } | (_computed(one, one.functions) if one.functions else {"physics": None})
+
+
+def _computed(one: Shown, functions: Sequence[Program]) -> dict[str, Any]:
+    """What it needs beside that to compute a run itself."""
+    (least, most), (engine, exact) = one.env.action_bounds, engine_of(one.env)
+    held_out = [(one.seed, number) for number in range(DRAWN)]
+    return {
+        "physics": engine,
+        "exact": encoded(exact),
+        "action": {"low": least.tolist(), "high": most.tolist()},
+        "begins": {
+            name: {"count": len(episodes), "arrays": encoded(drawn(one.env, episodes))}
+            for name, episodes in (("held out", held_out), ("failures", one.failed[:DRAWN]))
+            if episodes
+        },
+        "constants": encoded(constants_of(functions)),
+    }
+
+
+def encoded(arrays: Mapping[str, np.ndarray]) -> dict[str, dict[str, str]]:
+    """Arrays by name as text, each with its type."""
+    kinds = {"i": "<i4", "b": "|b1"}
+    sent = {name: np.ascontiguousarray(one, kinds.get(one.dtype.kind, one.dtype)) for name, one in arrays.items()}
+    return {
+        name: {"type": one.dtype.str[1:], "data": base64.b64encode(one.tobytes()).decode()}
+        for name, one in sent.items()
+    }
