@@ -114,7 +114,7 @@ def example_state(env: Env) -> EnvState:
     opening: Any = ShapeDtypeStruct((1, len(env.setup.robot.actuators) - env.setup.robot.chain.n), jnp.float32)
     arm = SimState(begin.q, begin.q, *cast("Pose", (position, quaternion)), begin.bodies, contact, opening)
     shapes = jax.eval_shape(functions.begin, arm, begin)
-    return jax.tree.map(lambda one: jnp.zeros(one.shape, one.dtype), replace(shapes, key=begin.q))
+    return jax.tree.map(lambda one: np.zeros(one.shape, one.dtype), replace(shapes, key=begin.q))
 
 
 def _parts(record: Any) -> Shapes:

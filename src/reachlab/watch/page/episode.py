@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -26,8 +25,9 @@ from reachlab.emit.behaviour import (
 from reachlab.emit.program import Program
 from reachlab.emit.tracing import trace
 from reachlab.envs.core import Env
-from reachlab.envs.functions import EnvFunctions, EnvState
-from reachlab.envs.random_streams import REPORT_STREAM, episode_keys
+from reachlab.envs.functions import Begin, EnvFunctions, EnvState
+from reachlab.envs.random_streams import REPORT_STREAM, stream_key
+from reachlab.jax_setup import jit
 from reachlab.robots.kinematics.forward import components, forward_kinematics, link_frames
 from reachlab.robots.kinematics.scalars import Vec, rotation_from_quaternion
 from reachlab.sims.simulator import Moved
@@ -162,11 +162,14 @@ def drawn(env: Env, episodes: Sequence[tuple[int, int]]) -> dict[str, np.ndarray
     A gripper is wide open.
     """
     gripper, count = env.setup.robot.gripper, len(episodes)
+
+    @jit
+    def sample(seeds: Array, numbers: Array) -> Begin:
+        keys = jax.vmap(lambda seed, number: jax.random.fold_in(stream_key(seed, REPORT_STREAM), number))
+        return env.functions.sample_episode(keys(seeds, numbers))
+
     # Of one shape whatever their number: one program draws them.
-    keys = jnp.concatenate(
-        [episode_keys(seed, REPORT_STREAM, first, size) for seed, first, size in _stretches(episodes)]
-    )
-    begin = env.compile_whole(env.functions.sample_episode)(keys[np.arange(DRAWN) % count])
+    begin = sample(*np.resize(np.array(episodes, np.uint32), (DRAWN, 2)).T)
     openings = np.full((DRAWN, 1), gripper.widest) if gripper else np.zeros((DRAWN, 0))
     parts = {"q": np.concatenate([begin.q, openings], axis=1)}
     parts |= {GOAL + field.name: getattr(begin.goal, field.name) for field in fields(begin.goal)}
@@ -176,10 +179,3 @@ def drawn(env: Env, episodes: Sequence[tuple[int, int]]) -> dict[str, np.ndarray
         for name, part in parts.items()
         if part.size
     }
-
-
-def _stretches(episodes: Sequence[tuple[int, int]]) -> Iterator[tuple[int, int, int]]:
-    """Seed, first number and length of stretches of episodes that follow each other."""
-    for (seed, _), group in itertools.groupby(enumerate(episodes), lambda one: (one[1][0], one[1][1] - one[0])):
-        numbers = [number for _, (_, number) in group]
-        yield seed, numbers[0], len(numbers)
