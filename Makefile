@@ -11,7 +11,7 @@ PYTEST := NPROC=1 $(BIN)/python -m pytest -n 2 --dist worksteal
 QUICK := XLA_FLAGS="--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0"
 GYMNAX_VENV := .venv-gymnax
 
-.PHONY: demo check test lint types quick unit tiers slow kernels planted-faults bench bench-viewer foreign fuzz trust policies tables pictures docs docs-blocks three gymnax dist clean
+.PHONY: demo check test lint types quick unit tiers slow kernels planted-faults bench bench-page foreign fuzz trust policies tables pictures docs docs-blocks three gymnax dist clean
 
 demo: $(VENV)/installed
 	@$(BIN)/reachlab train --out $(RUN)
@@ -104,10 +104,10 @@ dist: $(VENV)/installed-dev
 bench: $(VENV)/installed
 	for suite in start speed kinematics learning; do $(BIN)/reachlab bench --suite $$suite; done
 
-bench-viewer: $(VENV)/installed-dev
-	TF_CPP_MIN_LOG_LEVEL=3 PYTHONPATH=tests $(BIN)/python -m browser.viewer $(TASKS)
+bench-page: $(VENV)/installed-dev
+	TF_CPP_MIN_LOG_LEVEL=3 PYTHONPATH=tests $(BIN)/python -m browser.live $(RUNS)
 
-# What of other projects is in the live page: it is part of the repository, and made anew only for other versions.
+# What of other projects is in the page: it is part of the repository, and made anew only for other versions.
 BROWSER := src/reachlab/watch/page
 PACK := import sys, zlib; sys.stdout.buffer.write(zlib.compress(sys.stdin.buffer.read(), 9))
 three:

@@ -17,10 +17,9 @@ import numpy as np
 from benchmarks.deploy import UNITS, lively_run
 from reachlab.agents.policy import Policy
 from reachlab.bench.table import Row, row
-from reachlab.emit.behaviour import as_measured, behaviour, rows_of
-from reachlab.watch.page.page import write_page
 from reachlab.deploy.export import export
 from reachlab.deploy.weights import named_weights
+from reachlab.emit.behaviour import as_measured, behaviour, rows_of
 from reachlab.emit.braced import JAVASCRIPT_HEAD, javascript_function
 from reachlab.emit.program import constants_of
 from reachlab.envs.consistency import check
@@ -35,6 +34,8 @@ from reachlab.settings.validation import InputError
 from reachlab.tasks import TASKS
 from reachlab.tasks.actions import ACTIONS
 from reachlab.tasks.observations import OBSERVATIONS
+from reachlab.watch.page.page import write_page
+from reachlab.watch.page.shown import load_shown
 
 TABLES = {"task": TASKS, "observation": OBSERVATIONS, "action": ACTIONS, "robot": ROBOTS}
 
@@ -60,10 +61,11 @@ def printed() -> Iterator[Row]:
                 found |= _in_javascript(run)
             except InputError as error:
                 refused[str(error).replace(place, "…")].append(label)
-            try:
-                pages += bool(write_page([run.path], Path(place) / "page.html"))
-            except InputError as error:
-                refused["a page: " + str(error).split(" needs ")[-1]].append(label)
+            shown = load_shown(run.path)
+            if shown.why:
+                refused["a page: " + shown.why].append(label)
+            else:
+                pages += bool(write_page([shown], Path(place) / "page.html"))
         for what, value in found.items():
             worst[what] = max(worst.get(what, (0.0, "")), (value, label))
     for what, (value, label) in worst.items():

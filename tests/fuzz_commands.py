@@ -51,7 +51,7 @@ from reachlab.tasks.observations import OBSERVATIONS
 from reachlab.tasks.paths import PATHS as GOAL_PATHS
 from reachlab.tasks.rewards import REWARDS
 from reachlab.tasks.targets import TARGETS
-from reachlab.watch import viewer
+from reachlab.watch.page import server
 
 SOUND = 0.75
 """Share of commands whose every value is allowed by itself; the others have any."""
@@ -219,7 +219,7 @@ def command(chance: random.Random, verbs: Sequence[str]) -> list[str]:
     for name in chance.sample(free, min(chance.choice([0, 1, 2, 3, 5, 8]), len(free))):
         flag, value = f"--{name.replace('_', '-')}", values(name, kinds[name], chance, sound=sound)
         words += [chance.choice([flag, f"--no-{flag[2:]}"])] if value is None else [flag, *value]
-    if verb in ("eval", "video") or (verb == "view" and "--save" in words and "--live" not in words):
+    if verb in ("eval", "video") or (verb == "view" and "--out" in words):
         words += ["--episodes", "2"] if "--episodes" not in words else []
     return words
 
@@ -343,8 +343,7 @@ def run(words: list[str], *, whole: bool) -> Outcome:
             stack.enter_context(mock.patch("reachlab.learn.train._train", built))
         stack.enter_context(mock.patch("reachlab.scale.sweep.Trials", built))
         stack.enter_context(mock.patch("reachlab.scale.cluster.Cluster._connect", built))
-        stack.enter_context(mock.patch.object(viewer.Viewer, "run"))
-        stack.enter_context(mock.patch.object(viewer.Viewer, "await_picture"))
+        stack.enter_context(mock.patch.object(server.PageServer, "serve"))
         stack.enter_context(mock.patch("reachlab.cli.verbs.run_suite", return_value=[]))
         stack.enter_context(mock.patch.object(logging.getLogger("reachlab"), "handlers", [handler]))
         stack.enter_context(contextlib.redirect_stdout(out))

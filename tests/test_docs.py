@@ -209,8 +209,7 @@ def test_a_command_that_fails_is_reported_and_a_marked_one_is_not_run(
         ("eval runs/first --episodes 300 --seed 1", "eval runs/first --seed 1 --episodes 4"),
         ("train --resume runs/first", "train --resume runs/first"),
         ("view runs/first", "view runs/first"),
-        ("view runs/first --live a.html", "view runs/first --live a.html"),
-        ("view runs/first --save a.html", "view runs/first --save a.html --episodes 1"),
+        ("view runs/first --out a.html", "view runs/first --out a.html --episodes 1"),
         ("list", "list"),
     ],
 )
@@ -219,6 +218,6 @@ def test_a_command_is_shortened(words: str, short: str) -> None:
 
 
 def test_only_extras_that_exist_can_be_installed(capsys: pytest.CaptureFixture[str]) -> None:
-    assert check_pip(["install", "-e", "."]) == check_pip(["install", "-e", ".[viewer,video]"]) == 0
-    assert check_pip(["install", "-e", ".[viewers]"]) == check_pip(["install", ".[viewer]"]) == 1
-    assert "viewers" in capsys.readouterr().err
+    assert check_pip(["install", "-e", "."]) == check_pip(["install", "-e", ".[sweep,video]"]) == 0
+    assert check_pip(["install", "-e", ".[videos]"]) == check_pip(["install", ".[sweep]"]) == 1
+    assert "videos" in capsys.readouterr().err

@@ -46,7 +46,7 @@ APART = ("reachlab.envs.gymnax_env",)
 LONGEST_FILE, LONGEST_FUNCTION = 300, 60
 """Lines of a source file, and of a function in it, beyond which it has two reasons to exist."""
 
-HEAVY = ("jax", "mujoco", "optax", "matplotlib", "pybullet", "viser")
+HEAVY = ("jax", "mujoco", "optax", "matplotlib", "pybullet")
 
 
 def folder_of(module: str) -> str:

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from faults.robot_parts import stl
-from reachlab.watch.page.physics import engine_of
 from reachlab.envs.core import Env
 from reachlab.envs.presets import configure
 from reachlab.envs.random_streams import env_keys
 from reachlab.settings.validation import InputError
 from reachlab.sims.mujoco import MujocoSimulator
+from reachlab.watch.page.physics import engine_of
 
 AXES = ("0 0 1", "0 1 0", "0 1 0", "0 0 1", "0 1 0", "0 0 1")
 """Of the joints of an arm whose masses follow from its meshes."""

@@ -363,9 +363,9 @@ def test_a_run_finds_its_arm_from_any_folder(
     assert len(make_setup(config).robot.spec().meshes) > 0
     said = reachlab("eval", "run", "--agent", "trained", "ik", "--episodes", 5, "--json")
     assert [report["robot"] for report in as_json(said)] == ["small", "small"]
-    for verb, *words in (("video", "--fps", 5), ("view", "--save", "page.html")):
+    for verb, *words in (("video", "--fps", 5), ("view", "--out", "page.html")):
         said = reachlab(verb, "run", "--agent", "ik", "--episodes", 1, *words)
-        assert said.status == 0 or "OpenGL" in said.err or "viewer" in said.err, said.err
+        assert said.status == 0 or "OpenGL" in said.err, said.err
 
 
 def test_baselines_need_no_run(reachlab: Shell) -> None:

@@ -32,7 +32,8 @@ FRAMES: dict[str, Callable[[], str]] = {f"live {name}": partial(_frame, name) fo
 def write_pages(site: Path) -> None:
     """Write the pages into a built site."""
     from reachlab.watch.page.page import write_page
+    from reachlab.watch.page.shown import load_shown
 
     (site / "live").mkdir(exist_ok=True)
     for name, policies in PAGES.items():
-        write_page(policies, site / "live" / f"{name}.html")
+        write_page(list(map(load_shown, policies)), site / "live" / f"{name}.html")

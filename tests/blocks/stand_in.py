@@ -32,7 +32,7 @@ ENDLESS = {("view",): 60.0, ("deploy", "ros2"): 8.0}
 READY = "Ctrl-C ends it"
 """What such a command says when it is ready to be interrupted, if it says anything."""
 
-WRITES = {"--save", "--live"}
+WRITES = {"--out"}
 """Flags with which `view` writes a page and ends."""
 
 
@@ -42,7 +42,7 @@ def shortened(words: list[str]) -> list[str]:
     few = dict(FEW.get(kind, {}))
     if "--resume" in words:
         few = {flag: value for flag, value in few.items() if flag == "--trials"}
-    if words[:2] == ["deploy", "ros2"] or (kind == "view" and "--save" not in words):
+    if words[:2] == ["deploy", "ros2"] or (kind == "view" and "--out" not in words):
         few = {}
     for flag, value in few.items():
         if flag in words:

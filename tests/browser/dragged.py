@@ -20,8 +20,9 @@ from browser.driver import chromium, opened
 from browser.live import SIZES, moment, open_live
 from browser.played import RUNS
 from reachlab.bench.table import Row, row, to_markdown
-from reachlab.watch.page.page import write_page
 from reachlab.jax_setup import use_compilation_cache
+from reachlab.watch.page.page import write_page
+from reachlab.watch.page.shown import load_shown
 
 SETTLING = 60.0
 """Time after which memory is measured first [s], or half of all where that is shorter."""
@@ -79,7 +80,7 @@ def figures(page: Page, run: str, minutes: float, seed: int) -> list[Row]:
     page.on("console", lambda message: said.append(message.text))
     page.on("pageerror", lambda error: said.append(str(error)))
     with tempfile.TemporaryDirectory() as folder:
-        write_page([Path(run)], Path(folder) / "page.html")
+        write_page([load_shown(Path(run))], Path(folder) / "page.html")
         open_live(page, Path(folder) / "page.html")
         random, deeds, began, early = np.random.default_rng(seed), 0, time.monotonic(), None
         while (passed := time.monotonic() - began) < 60 * minutes:

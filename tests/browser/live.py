@@ -13,6 +13,7 @@ from playwright.sync_api import Browser, Page
 from browser.driver import PATIENCE, opened, wait_until
 from reachlab.bench.table import Row, row
 from reachlab.watch.page.page import write_page
+from reachlab.watch.page.shown import load_shown
 
 STARTS = 5
 """Starts that are timed; the median counts."""
@@ -48,7 +49,7 @@ def live(browser: Browser, run: Path, others: Sequence[Path], task: str, folder:
     """Figures of a page of a run of a task, and the size of one of several."""
     file = folder / f"{task}.html"
     for runs in (others, [run]):
-        yield row(f"live_page_size/{task}", write_page(runs, file) / 1e6, "MB", runs=len(runs))
+        yield row(f"live_page_size/{task}", write_page(list(map(load_shown, runs)), file) / 1e6, "MB", runs=len(runs))
     for width, height in SIZES:
         with opened(browser, width, height) as page:
             yield from _measured(page, file, task, (width, height))

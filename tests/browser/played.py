@@ -24,11 +24,12 @@ from browser.driver import chromium, opened
 from browser.live import SIZES, open_live
 from reachlab.agents.acting import make_act
 from reachlab.bench.table import Row, row, to_markdown
-from reachlab.watch.page.page import load_shown, write_page
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState
 from reachlab.envs.random_streams import REPORT_STREAM, episode_keys
 from reachlab.jax_setup import use_compilation_cache
+from reachlab.watch.page.page import write_page
+from reachlab.watch.page.shown import load_shown
 
 RUNS = tuple(f"panda/{task}" for task in ("precise", "pose", "track", "clutter", "push", "lift"))
 """Policies whose pages are played."""
@@ -133,7 +134,7 @@ def main() -> None:
     use_compilation_cache()
     with tempfile.TemporaryDirectory() as folder, chromium() as browser, opened(browser, *SIZES[0]) as page:
         file = Path(folder) / "page.html"
-        write_page([Path(run) for run in words.runs], file)
+        write_page([load_shown(Path(run)) for run in words.runs], file)
         open_live(page, file)
         page.evaluate("reachlab.live.frame = () => {}")  # nothing is drawn
         rows = [one for number, run in enumerate(words.runs) for one in figures(page, run, number, words.episodes)]

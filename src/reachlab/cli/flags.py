@@ -226,7 +226,11 @@ class View(Checked):
     agent: Agent = "trained"
     seed: Seed = 1
     """Seed of the held-out episodes."""
-    out: Annotated[Path | None, Optional] = None
+    checkpoints: bool = False
+    """All checkpoints of the runs to choose from, not only the newest."""
+    out: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="", aliases=("--live", "--save"))] = (
+        None
+    )
     """Write the page to this file, and end: it needs neither server nor network. What a browser cannot compute is
     recorded in it."""
     episodes: Count = 5

@@ -89,10 +89,14 @@ def _write_page(arguments: View, out: Path) -> None:
 
 
 def _load(arguments: View) -> list[Shown]:
+    from reachlab.runs.shipped import find_run
     from reachlab.watch.page.shown import load_shown
 
     given = {name: getattr(arguments, name) for name in ("sim", "agent", "seed")}
-    return [load_shown(run, **given) for run in arguments.runs]
+    steps = {
+        run: reversed(find_run(run).checkpoint_steps()) if arguments.checkpoints else [None] for run in arguments.runs
+    }
+    return [load_shown(run, step=step, **given) for run in arguments.runs for step in steps[run]]
 
 
 def _serve_page(arguments: View) -> None:

@@ -12,8 +12,8 @@ import numpy as np
 from jax import ShapeDtypeStruct
 
 from reachlab.control.motion_limits import Motion, MotionLimits
-from reachlab.emit.behaviour import Behaviour
 from reachlab.deploy.c_library import OWN
+from reachlab.emit.behaviour import Behaviour
 from reachlab.emit.braced import c_declarations, c_function, c_numbers
 from reachlab.emit.program import Program
 from reachlab.emit.tracing import trace

@@ -17,7 +17,6 @@ import numpy as np
 from reachlab.agents.acting import make_act
 from reachlab.agents.policy import Policy
 from reachlab.control.motion_limits import MotionLimits
-from reachlab.emit.behaviour import as_measured, behaviour, rows_of
 from reachlab.deploy.bundle import controller_source
 from reachlab.deploy.c_library import CPolicy, compiler
 from reachlab.deploy.c_source import c_sources
@@ -27,6 +26,7 @@ from reachlab.deploy.onboard.folder import LIMITS, fingerprint, read_folder
 from reachlab.deploy.onboard.step import load_step
 from reachlab.deploy.onnx_network import OnnxNetwork
 from reachlab.deploy.weights import named_weights, onnx_model
+from reachlab.emit.behaviour import as_measured, behaviour, rows_of
 from reachlab.emit.program import constants_of
 from reachlab.emit.python import to_python
 from reachlab.envs.core import Env

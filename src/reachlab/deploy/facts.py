@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from reachlab.agents.policy import Policy
-from reachlab.emit.behaviour import BODIES, Behaviour
 from reachlab.deploy.onboard.folder import FORMAT, LIMITS
+from reachlab.emit.behaviour import BODIES, Behaviour
 from reachlab.envs.core import Env
 from reachlab.robots.robot import CATALOGUE, GRIPPER, Robot
 from reachlab.settings.json_form import to_json

@@ -95,9 +95,7 @@ class Player:
         self.success = success
         if self._touched:
             self.failed = "" if by_hand else self._failure()
-            self.over = bool(self.failed) or (
-                done and not (self._following or by_hand) and (success or not terminated)
-            )
+            self.over = bool(self.failed) or (done and not (self._following or by_hand) and (success or not terminated))
         elif done:
             self.over = True
             self.episodes += 1

@@ -42,7 +42,7 @@ class Hand {
   grab(event) {
     const number = this.holds || event.button ? -1 : this.over(event);
     if (number < 0) return;
-    const { position, low, high, falls } = this.things()[number], at = new THREE.Vector3(...position);
+    const thing = this.things()[number], { position, low, high, falls } = thing, at = new THREE.Vector3(...position);
     // What is on the table is moved along it: the pointer is followed there, not before the camera.
     const flat = falls || (low && low[2] === high[2]);
     const normal = flat ? new THREE.Vector3(0, 0, 1) : this.camera.getWorldDirection(new THREE.Vector3());
@@ -50,7 +50,7 @@ class Hand {
     const hit = this.hit(event);
     if (!hit) return;
     const offset = add(minus(position, hit), [0, 0, falls ? LIFTED : 0]);
-    this.held = { number, pointer: event.pointerId, offset };
+    this.held = { thing, pointer: event.pointerId, offset };
     this.canvas.setPointerCapture(event.pointerId);
     this.view.controls.enabled = false;
   }
@@ -62,8 +62,8 @@ class Hand {
     }
     if (event.pointerId !== this.held.pointer) return;
     this.canvas.style.cursor = "grabbing";
-    const { number, offset } = this.held, hit = this.hit(event), thing = this.things()[number];
-    if (!hit || !thing) return;
+    const { thing, offset } = this.held, hit = this.hit(event);
+    if (!hit) return;
     const place = add(hit, offset);
     this.asked = this.held.at = { thing, place: thing.low ? clipped(place, thing.low, thing.high) : place };
   }

@@ -132,7 +132,7 @@ class Live {
     players.forEach((player) => player.exchange?.(now));
     this.view.update();
     if (this.player.episode) this.draw(now);
-    else if (this.problem) this.panel.write({ problem: this.problem });
+    else this.panel.write({ state: "is made ready", problem: this.problem });
     this.pictures++;
   }
 

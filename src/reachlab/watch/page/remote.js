@@ -1,7 +1,7 @@
 /* Arms that the page does not compute: Python moves them while it serves the page, or they were recorded for it. */
 
-/** Steps that are asked for at once, and the time after which the arm is looked at where nothing is [ms]. */
-const MOST_STEPS = 50, GLANCE = 200;
+/** Steps that are asked for at once; the time after which the arm is looked at where nothing is, and after an error [ms]. */
+const MOST_STEPS = 50, GLANCE = 200, RETRY = 2000;
 
 /** Where Python listens, and the name of this page among others that it serves. */
 const ADDRESS = "play", PAGE = String(Math.random());
@@ -45,7 +45,7 @@ class Remote extends Listener {
   /** An arm of a run; `failed` is told where it cannot be moved, and why. */
   constructor(run, failed) {
     super(run);
-    Object.assign(this, { asked: { steps: 0 }, waits: false, refused: failed, looked: -Infinity });
+    Object.assign(this, { asked: { steps: 0 }, waits: false, refused: failed, looked: -Infinity, barred: 0 });
   }
 
   get ready() {
@@ -82,7 +82,7 @@ class Remote extends Listener {
   /** Ask for what was gathered, or look at the arm, unless an answer is still awaited. */
   async exchange(now) {
     const idle = !this.asked.steps && Object.keys(this.asked).length === 1;
-    if (this.waits || (idle && now - this.looked < GLANCE)) return;
+    if (this.waits || now < this.barred || (idle && now - this.looked < GLANCE)) return;
     const asked = { run: this.run.number, follow: Boolean(this.following), ...this.asked };
     Object.assign(this, { waits: true, asked: { steps: 0 }, looked: now });
     try {
@@ -94,6 +94,7 @@ class Remote extends Listener {
       this.refused("");
     } catch (error) {
       this.refused(error instanceof TypeError ? "What serves this page has ended." : error.message);
+      this.barred = now + RETRY;
     }
     this.waits = false;
   }

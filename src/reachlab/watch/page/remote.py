@@ -101,7 +101,7 @@ class Remote:
     def __init__(self, shown: Shown) -> None:
         """Arm of a run at the begin of its first episode."""
         self.player, self._shown = Player(shown.env, shown.seed), shown
-        self._reachable, self._picture = True, (-1, "")
+        self._reachable = True
         setup, n = shown.env.setup, shown.env.setup.robot.chain.n
 
         def arrays(state: Any) -> dict[str, Any]:
@@ -169,14 +169,11 @@ class Remote:
 
     def _observed(self) -> str | None:
         """What the policy observes now as an address of a PNG, if that is a picture."""
-        steps = (self.player.steps, self.player.number, self.player.clock)
-        if not self._shown.env.pictured:
+        if (picture := self.player.observed_picture()) is None:
             return None
-        if self._picture[0] != steps:
-            picture, file = self.player.observed_picture(), io.BytesIO()
-            Image.fromarray(picture[..., 0]).save(file, "png")
-            self._picture = steps, f"data:image/png;base64,{base64.b64encode(file.getvalue()).decode()}"
-        return self._picture[1]
+        file = io.BytesIO()
+        Image.fromarray(picture[..., 0]).save(file, "png")
+        return f"data:image/png;base64,{base64.b64encode(file.getvalue()).decode()}"
 
 
 def record(shown: Shown, episodes: int) -> list[list[Message]]:

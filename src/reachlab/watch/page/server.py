@@ -22,7 +22,7 @@ from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from socketserver import TCPServer
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Self, cast
 
 from reachlab.settings.validation import InputError
 
@@ -154,6 +154,7 @@ class _Server(ThreadingHTTPServer):
 
     daemon_threads = True
     block_on_close = False
+    request_queue_size = 2 * MOST_CONNECTIONS
 
     def __init__(self, address: tuple[str, int], page: PageServer) -> None:
         super().__init__(address, _Handler)
@@ -181,7 +182,6 @@ class _Server(ThreadingHTTPServer):
 class _Handler(BaseHTTPRequestHandler):
     """Answers one connection."""
 
-    server: _Server
     protocol_version = "HTTP/1.1"
     timeout = PATIENCE
     server_version, sys_version = "reachlab", ""
@@ -196,7 +196,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.send_header("Transfer-Encoding", "chunked")
         self.send_header("Cache-Control", "no-store")
         self.end_headers()
-        for part in self.server.page.parts():
+        for part in self._page().parts():
             self.wfile.write(b"%x\r\n%b\r\n" % (len(part), part))
         self.wfile.write(b"0\r\n\r\n")
 
@@ -213,11 +213,14 @@ class _Handler(BaseHTTPRequestHandler):
             self._say(HTTPStatus.FORBIDDEN, {"error": "only the page itself is answered."})
             return
         try:
-            self._say(HTTPStatus.OK, self.server.page.ask(Question(self.headers.get("X-Page", ""), text)))
+            self._say(HTTPStatus.OK, self._page().ask(Question(self.headers.get("X-Page", ""), text)))
         except InputError as error:
             self._say(HTTPStatus.BAD_REQUEST, {"error": str(error)})
         except TooLate:
             self._say(HTTPStatus.SERVICE_UNAVAILABLE, {"error": "the arm was not moved in time."})
+
+    def _page(self) -> PageServer:
+        return cast("_Server", self.server).page
 
     def _is_own(self) -> bool:
         """Whether it was asked by the address that was printed: a name that leads here too may be another page's."""

@@ -80,8 +80,10 @@ def settings_shown(trained: RunConfig, sim: str | None) -> RunConfig:
     return in_evaluation(trained, choose("simulator", sim or trained.sim, SIMULATORS))
 
 
-def load_shown(path: Path, *, sim: str | None = None, agent: str = "trained", seed: int = 1) -> Shown:
-    """The newest policy of a run, and who acts first: the page computes it where it can.
+def load_shown(
+    path: Path, *, sim: str | None = None, agent: str = "trained", seed: int = 1, step: int | None = None
+) -> Shown:
+    """The policy of a run's newest checkpoint, or after `step`, and who acts first; the page computes it if it can.
 
     Raises:
         InputError: the run cannot be read, or there is no such simulator or agent.
@@ -89,14 +91,15 @@ def load_shown(path: Path, *, sim: str | None = None, agent: str = "trained", se
     choose("agent", agent, AGENTS)
     run = find_run(path)
     env = Env(settings_shown(run.read_config(), sim), 1)
-    one = Shown(path.name, env, load_policy(run, env), "ik" if agent == SCRIPT else agent, seed)
-    why = why_streamed(env.config, one.agent)
+    name = path.name if step is None else f"{path.name}, {step:,} steps"
+    policy, agent = load_policy(run, env, step), "ik" if agent == SCRIPT else agent
+    why = why_streamed(env.config, agent)
     try:
-        functions = () if why else tuple(programs(env, one.policy))
+        functions = () if why else tuple(programs(env, policy))
     except InputError as error:
         functions, why = (), str(error).rstrip(".")
-    failed = tuple(failures(run, env.config.sim, one.agent))
-    return Shown(one.name, env, one.policy, one.agent, seed, functions, why, failed)
+    failed = tuple(failures(run, env.config.sim, agent))
+    return Shown(name, env, policy, agent, seed, functions, why, failed)
 
 
 def why_streamed(config: RunConfig, agent: str) -> str:
@@ -115,7 +118,7 @@ def failures(run: RunDirectory, sim: str, agent: str) -> Iterator[tuple[int, int
     """Seeds and numbers of the episodes in which an agent failed, of evaluations whose reports are in the run."""
     folder = run.path / "reports"
     for report, episodes in read_reports(folder) if folder.is_dir() else ():
-        if (report["sim"], report["agent"], report["randomise"]) == (sim, agent, []):
+        if (report["sim"], report["agent"], report["randomised"]) == (sim, agent, []):
             yield from ((report["seed"], int(number)) for number in np.flatnonzero(~episodes["success"]))
 
 

@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
+import itertools
 import os
+import signal
+import subprocess
+import sys
 from collections.abc import Iterator
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -17,14 +23,16 @@ from browser.driver import chromium, executable, opened, traffic, wait_until
 from browser.live import SIZES, arrived, moment, open_live
 from browser.played import in_page, natively
 from reachlab.cli import main as cli
-from reachlab.watch.page.page import load_shown, write_page
 from reachlab.envs.core import Env
 from reachlab.envs.presets import configure
 from reachlab.learn.ppo_method import TrainState, initial_state
 from reachlab.learn.train import train
 from reachlab.runs.directory import RunDirectory
 from reachlab.settings.config import RunConfig
-from reachlab.settings.json_form import override
+from reachlab.tasks.schema import SIZE
+from reachlab.watch.page.page import write_page
+from reachlab.watch.page.server import LOCAL
+from reachlab.watch.page.shown import load_shown
 from reachlab.watch.player import Player
 
 pytestmark = pytest.mark.slow
@@ -80,7 +88,7 @@ def precise(folder: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def both(folder: Path, tutorial: Path, precise: Path) -> Path:
-    write_page([tutorial, precise], folder / "both.html")
+    write_page([load_shown(tutorial), load_shown(precise)], folder / "both.html")
     return folder / "both.html"
 
 
@@ -144,7 +152,7 @@ def test_the_page_plays_episodes_as_the_engine_of_training_does(page: Page, both
 
 @pytest.fixture(scope="module")
 def bodies(folder: Path) -> Path:
-    write_page([Path(run) for run in BESIDE], folder / "bodies.html")
+    write_page([load_shown(Path(run)) for run in BESIDE], folder / "bodies.html")
     return folder / "bodies.html"
 
 
@@ -166,7 +174,7 @@ def test_bodies_move_in_the_page_as_in_training(page: Page, bodies: Path, run: s
         assert (np.linalg.norm(start - found.states[:, -3:], axis=1) > 0.02).all(), "the cube is moved"
 
 
-def test_a_goal_that_is_moved_is_followed_as_in_the_viewer(page: Page, both: Path, tutorial: Path) -> None:
+def test_a_goal_that_is_moved_is_followed_as_python_does(page: Page, both: Path, tutorial: Path) -> None:
     shown = load_shown(tutorial)
     player = Player(Env(shown.env.config, 1), seed=1)
     start, first = (np.array(row, float).tolist() for row in (player.moment.q, player.moment.target))
@@ -384,7 +392,7 @@ def test_random_goals_are_those_of_the_task(page: Page, folder: Path) -> None:
     names = ("pose", "track")
     configs = [configure(name, robot="so101" if name == "pose" else "ur5e", num_envs=8, hidden=(8,)) for name in names]
     runs = [unlearnt(config, folder / name) for name, config in zip(names, configs, strict=True)]
-    write_page(runs, folder / "goals.html")
+    write_page(list(map(load_shown, runs)), folder / "goals.html")
     open_live(page, folder / "goals.html")
     for number, run in enumerate(runs):
         env = load_shown(run).env
@@ -398,36 +406,223 @@ def test_random_goals_are_those_of_the_task(page: Page, folder: Path) -> None:
         assert 0.8 * env.setup.rules.start_noise < np.abs(away).max() <= env.setup.rules.start_noise + 1e-6
 
 
-# --- what is refused ------------------------------------------------------------------------------
+# --- what the page has beside -----------------------------------------------------------------------
 
 
-def test_what_a_page_cannot_show_is_refused_in_a_sentence(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for name, config, sentence in (
-        ("pictures", configure("tutorial", observation="image"), "needs pictures, which a live page does not have"),
-        ("solid", configure("precise", collisions=True), "a page does not hold the meshes that collide"),
-    ):
-        unlearnt(override(config, num_envs=8, hidden=(8,)), folder / name)
-        assert cli.main(["view", str(folder / name), "--live", str(folder / "no.html")]) == cli.WRONG_INPUT
-        assert sentence in capsys.readouterr().err
-    assert not (folder / "no.html").exists()
+def test_a_goal_is_turned_by_its_axes(page: Page, folder: Path) -> None:
+    run = unlearnt(configure("pose", robot="panda", num_envs=8, hidden=(8,)), folder / "turned")
+    write_page([load_shown(run, agent="ik")], folder / "turned.html")
+    open_live(page, folder / "turned.html")
+    page.get_by_label("Endless").check()
+    arrived(page)
+    before = moment(page)
+    turned = "reachlab.live.player.episode.state.goal_quaternion"
+    begun = page.evaluate(f"[...{turned}]")
+    moved = []
+    for knob in range(3):
+        x, y = moment(page)["knobs"][knob][3:5]
+        page.mouse.move(x, y)
+        page.mouse.down()
+        page.mouse.move(x + 20, y - 15, steps=4)
+        page.mouse.up()
+        page.wait_for_timeout(200)
+        moved.append(page.evaluate(f"[...{turned}]"))
+    angles = [2 * np.arccos(min(abs(np.dot(one, two)), 1)) for one, two in itertools.pairwise([begun, *moved])]
+    assert max(angles) > 0.05
+    assert apart(moment(page)["goal"], before["goal"]) < 3e-4
+    arrived(page)
+    assert page.evaluate("reachlab.live.player.episode.angle") < 0.05
+    assert moment(page)["episodes"] == before["episodes"]
 
 
-@pytest.mark.parametrize(
-    ("words", "sentence"),
-    [
-        (["a", "b"], "view needs one run directory, got 2: several go with --live."),
-        ([], "view needs one run directory, got 0: several go with --live."),
-        (["--live", "page.html"], "view needs at least one run directory."),
-        (["a", "--live", "page.html", "--save", "x.html"], "view --live makes no use of --save: leave it out."),
-        (["a", "--live", "page.html", "--port", "9"], "view --live makes no use of --port: leave it out."),
-        (["a", "--live", "none/page.html"], "there is no folder 'none'."),
-    ],
-)
-def test_wrong_words_are_refused_in_a_sentence(
-    words: list[str], sentence: str, capsys: pytest.CaptureFixture[str]
+def test_joints_are_moved_by_sliders_and_shown_at_their_limits(page: Page, both: Path) -> None:
+    open_live(page, both)
+    choose_precise(page)
+    page.get_by_text("Joints", exact=True).click()
+    rows = page.locator("#joints .slider")
+    assert rows.count() == 7
+    wait_until(lambda: rows.nth(0).locator("output").inner_text().endswith("°"), "where the joint is")
+    lower, upper = (page.evaluate(f"reachlab.live.shown.facts.limits.{side}[0]") for side in ("lower", "upper"))
+    rows.nth(0).locator("input").fill(str(upper))
+    assert page.get_by_role("button", name="sliders").get_attribute("aria-pressed") == "true"
+    joint = "reachlab.live.player.episode.state.q[0]"
+    wait_until(lambda: page.evaluate(joint) > upper - 0.05 * (upper - lower), "the joint's way")
+    wait_until(lambda: "limit" in (rows.nth(0).get_attribute("class") or ""), "its limit")
+    assert moment(page)["failed"] == ""
+    page.get_by_label("Frames of the links").check()
+    wait_until(lambda: page.evaluate("reachlab.live.drawing.arms[0].frames.every(({ visible }) => visible)"), "frames")
+    page.get_by_role("button", name="ik").click()
+    page.get_by_role("button", name="Reset").click()
+    arrived(page)
+
+
+def test_several_episodes_and_two_agents_are_shown_at_once(page: Page, bodies: Path) -> None:
+    open_live(page, bodies)
+    page.get_by_role("button", name="max").click()
+    page.get_by_label("At once").select_option("four episodes")
+    players = "reachlab.live.players"
+    ended = f"{players}.length === 4 && {players}.every(({{ episodes }}) => episodes)"
+    wait_until(lambda: page.evaluate(ended), "ends")
+    goals = page.evaluate(f"{players}.map(({{ episode }}) => episode.goal[0])")
+    assert len(set(goals)) == 4
+    page.get_by_label("At once").select_option("policy and baseline")
+    wait_until(lambda: page.evaluate(f"{players}.length === 2 && {players}[1].episodes > 2"), "more ends")
+    episodes = page.evaluate(f"{players}.map(({{ episodes, episode }}) => [episodes, ...episode.goal])")
+    assert abs(episodes[0][0] - episodes[1][0]) <= 1
+    labels = [page.locator(f"#who{i}").inner_text() for i in (0, 1)]
+    assert labels[0].startswith("trained: ")
+    assert labels[1].startswith("script: ")
+    page.get_by_label("At once").select_option("one episode")
+    wait_until(lambda: page.evaluate(f"{players}.length === 1"), "one arm")
+    wait_until(lambda: not page.locator("#who0").is_visible(), "no label")
+
+
+def test_failures_of_an_evaluation_are_played_again(page: Page, tutorial: Path, folder: Path) -> None:
+    words = ["--episodes", "200", "--seed", "3"]
+    assert cli.main(["eval", str(tutorial), "--agent", "trained", *words]) == cli.DONE
+    shown = load_shown(tutorial)
+    assert shown.failed
+    assert {seed for seed, _ in shown.failed} == {3}
+    write_page([shown], folder / "failed.html")
+    open_live(page, folder / "failed.html")
+    page.locator("#episodes").select_option(f"failures ({len(shown.failed)})")
+    page.get_by_role("button", name="max").click()
+    wait_until(lambda: moment(page)["episodes"] >= len(shown.failed), "all of them")
+    after = moment(page)
+    assert after["successes"] <= 0.1 * after["episodes"]
+
+
+def test_every_checkpoint_can_be_chosen(page: Page, folder: Path) -> None:
+    run = folder / "two"
+    few = {"num_envs": 8, "hidden": (8,), "total_steps": 2000, "checkpoint_interval": 1, "report_episodes": 1}
+    train(configure("precise", **few), run)
+    steps = sorted((int(one.name.removeprefix("step_")) for one in (run / "checkpoints").iterdir()), reverse=True)
+    assert len(steps) > 1
+    assert cli.main(["view", str(run), "--checkpoints", "--out", str(folder / "two.html")]) == cli.DONE
+    open_live(page, folder / "two.html")
+    named = page.locator("#policy option").all_inner_texts()
+    assert [name.partition(", ")[2] for name in named] == [f"{step:,} steps" for step in steps]
+
+
+# --- what Python computes -------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def served(*words: str) -> Iterator[str]:
+    """Address of a page that a process serves, which ends quietly."""
+    command = [sys.executable, "-m", "reachlab", "view", *words, "--port", "21000"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout
+        line = process.stdout.readline()
+        assert line.startswith(f"Page: http://{LOCAL}:")
+        try:
+            yield line.split()[1]
+        finally:
+            process.send_signal(signal.SIGINT)
+            process.communicate(timeout=30)
+        assert process.returncode == 0
+
+
+@pytest.fixture
+def asking(browser: Browser) -> Iterator[Page]:
+    """A page that asks nobody but its own server."""
+    with opened(browser, *SIZES[0]) as page:
+        seen = traffic(page)
+        yield page
+        assert all(url.startswith((f"http://{LOCAL}:", "data:", "blob:")) for url in seen.requests)
+
+
+def streamed(page: Page, url: str) -> None:
+    page.goto(url)
+    page.wait_for_function("window.reachlab && reachlab.moment()", timeout=60_000)
+
+
+def test_a_page_that_is_served_computes_what_it_can(asking: Page, precise: Path) -> None:
+    with served(str(precise)) as url:
+        seen = traffic(asking)
+        streamed(asking, url)
+        wait_until(lambda: moment(asking)["steps"] > 20, "steps")
+        assert not [one for one in seen.requests if one.endswith("/play")]
+        file = precise / "page.html"
+        wait_until(file.exists, "the page as a file")
+    assert "connect-src" not in file.read_text(encoding="utf-8")
+
+
+@pytest.mark.skipif(find_spec("pybullet") is None, reason="needs the extra pybullet")
+def test_an_arm_in_pybullet_is_streamed_and_follows_the_mouse(asking: Page, tutorial: Path) -> None:
+    with served(str(tutorial), "--sim", "pybullet", "--agent", "ik") as url:
+        streamed(asking, url)
+        asking.get_by_label("Endless").check()
+        arrived(asking)
+        before = moment(asking)
+        asking.mouse.move(before["x"], before["y"])
+        asking.mouse.down()
+        asking.mouse.move(before["x"] + DRAGGED, before["y"], steps=5)
+        wait_until(lambda: apart(moment(asking)["goal"], before["goal"]) > 0.03, "the goal's move")
+        arrived(asking)
+        asking.mouse.up()
+        assert apart(moment(asking)["tool"], moment(asking)["goal"]) < 0.1
+        asking.get_by_role("button", name="Pause").click()
+        asking.wait_for_timeout(500)
+        steps = asking.evaluate("reachlab.live.player.steps")
+        asking.get_by_role("button", name="Step").click()
+        wait_until(lambda: asking.evaluate("reachlab.live.player.steps") == steps + 1, "a step")
+        asking.get_by_text("Joints", exact=True).click()
+        joint = asking.evaluate("reachlab.live.player.episode.state.q[0]")
+        asking.get_by_role("button", name="Continue").click()
+        asking.locator("#joints .slider input").first.fill(str(joint + 0.5))
+        wait_until(
+            lambda: abs(asking.evaluate("reachlab.live.player.episode.state.q[0]") - joint - 0.5) < 0.02, "the joint"
+        )
+    wait_until(lambda: "has ended" in asking.inner_text("#problem"), "the end is said")
+
+
+OBSERVED = """(() => {
+    const image = document.getElementById("picture"), canvas = document.createElement("canvas");
+    if (!image.complete || !image.naturalWidth) return null;
+    [canvas.width, canvas.height] = [image.naturalWidth, image.naturalHeight];
+    const context = canvas.getContext("2d");
+    context.drawImage(image, 0, 0);
+    const bytes = context.getImageData(0, 0, canvas.width, canvas.height).data;
+    return Array.from(bytes).filter((_, i) => i % 4 === 0);
+})()"""
+"""Greys of the picture that the panel shows, row by row; null while there is none."""
+
+
+@pytest.fixture(scope="module")
+def pictures(folder: Path) -> Path:
+    return unlearnt(configure("tutorial", observation="image", num_envs=8, hidden=(8,)), folder / "pictures")
+
+
+def test_the_picture_that_a_policy_observes_is_shown(asking: Page, pictures: Path) -> None:
+    with served(str(pictures), "--agent", "ik") as url:
+        streamed(asking, url)
+        wait_until(lambda: asking.evaluate(OBSERVED) is not None, "a picture")
+        first = asking.evaluate(OBSERVED)
+        assert len(first) == SIZE**2
+        assert len(set(first)) > 5
+        wait_until(lambda: asking.evaluate(OBSERVED) not in (None, first), "another picture")
+
+
+def test_what_cannot_be_computed_is_recorded_in_a_file(
+    page: Page, folder: Path, pictures: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert cli.main(["view", *words]) == cli.WRONG_INPUT
-    assert sentence in capsys.readouterr().err
+    run, out = str(pictures), folder / "recorded.html"
+    assert cli.main(["view", run, "panda/push", "--agent", "ik", "--episodes", "3", "--out", str(out)]) == cli.DONE
+    assert "pictures is recorded for the page, 3 episodes" in capsys.readouterr().err
+    open_live(page, out)
+    page.get_by_role("button", name="max").click()
+    wait_until(lambda: page.evaluate("reachlab.live.player.number") == 2, "the third episode")
+    assert page.locator("#picture").is_visible()
+    before = moment(page)
+    page.mouse.move(before["x"], before["y"])
+    page.mouse.down()
+    page.mouse.move(before["x"] + DRAGGED, before["y"])
+    page.mouse.up()
+    assert not page.locator("#joints").is_visible()
+    page.locator("#policy").select_option(index=1)
+    page.wait_for_function("reachlab.live.shown.facts.task === 'push' && reachlab.moment().reached")
+    assert page.locator("#joints").is_visible()
 
 
 def test_the_page_is_small_whole_and_keeps_the_licence(both: Path) -> None:
@@ -438,4 +633,4 @@ def test_the_page_is_small_whole_and_keeps_the_licence(both: Path) -> None:
     assert "MuJoCo 3.14.0" in text
     assert "Apache License" in text
     assert "{{" not in text.split("<script>")[0]
-    assert not [tag for tag in ("<script src", '<link rel="stylesheet', "@import", "import(") if tag in text]
+    assert not [tag for tag in ("<script src", '<link rel="stylesheet', "@import") if tag in text]
