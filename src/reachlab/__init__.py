@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from reachlab.scale.trials import SweepConfig
     from reachlab.settings.config import RunConfig
     from reachlab.settings.validation import InputError
+    from reachlab.watch.page.view import view
     from reachlab.watch.plots import plot
     from reachlab.watch.video import write_video
 
@@ -61,6 +62,7 @@ _HOMES = {
     "plot": "watch.plots",
     "sweep": "scale.sweep",
     "train": "learn.train",
+    "view": "watch.page.view",
     "write_video": "watch.video",
 }
 
@@ -90,6 +92,7 @@ __all__ = [
     "plot",
     "sweep",
     "train",
+    "view",
     "write_video",
 ]
 

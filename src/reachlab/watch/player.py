@@ -12,7 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from reachlab.agents.acting import make_act
+from reachlab.agents import AGENTS
+from reachlab.agents.acting import Function, make_act
 from reachlab.agents.policy import Policy
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState, Transition
@@ -56,7 +57,7 @@ class Player:
     def __init__(self, env: Env, seed: int) -> None:
         """Player of the held-out targets of a seed, on an environment of a single episode."""
         self._env, self._seed = env, seed
-        self._advances: dict[str, Advance] = {}
+        self._advances: dict[str | Function, Advance] = {}
         self._init = env.compile_whole(env.init)
         setup = env.setup
         self._place, self._begin_task = make_place(setup), jit(partial(_begun, env))
@@ -78,8 +79,8 @@ class Player:
         self._going_back = False
         self._look()
 
-    def step(self, agent: str, policy: Policy | None, wanted: np.ndarray | None = None) -> None:
-        """Take one control step with an agent of `AGENTS`, or towards a joint command `[n]` that is `wanted`."""
+    def step(self, agent: str | Function, policy: Policy | None, wanted: np.ndarray | None = None) -> None:
+        """Take one control step with an agent, see `make_act`, or towards a joint command `[n]` that is `wanted`."""
         if agent not in self._advances:
             self._advances[agent] = make_advance(self._env, agent)
         by_hand = wanted is not None
@@ -107,7 +108,7 @@ class Player:
         most = setup.period * np.array(setup.robot.commands.speed)
         return (last + np.clip(wanted - last, -most, most)).astype(np.float32)
 
-    def _way_back(self, agent: str) -> np.ndarray:
+    def _way_back(self, agent: str | Function) -> np.ndarray:
         """Joint command `[n]` on the way back home; not a number where the agent acts, whose way is remembered."""
         if self._going_back and self._way and agent == TRAINED:
             return self._way.pop()
@@ -241,7 +242,7 @@ def _begun(env: Env, state: EnvState) -> tuple[Errors, Any]:
     return errors, task.begin(setup, errors)
 
 
-def played(player: Player, agent: str, policy: Policy | None, stride: int) -> Iterator[None]:
+def played(player: Player, agent: str | Function, policy: Policy | None, stride: int) -> Iterator[None]:
     """Plays the episode that has begun, and stops at its begin, at every `stride`-th step and at its end."""
     yield
     while not player.over:
@@ -250,7 +251,7 @@ def played(player: Player, agent: str, policy: Policy | None, stride: int) -> It
             yield
 
 
-def make_advance(env: Env, agent: str) -> Advance:
+def make_advance(env: Env, agent: str | Function) -> Advance:
     """Function that gives state, transition and random key after a control step of an agent, which may follow.
 
     A joint command `[n]` that is a number is taken in place of the agent's.
@@ -267,7 +268,9 @@ def make_advance(env: Env, agent: str) -> Advance:
             instead = jnp.where(rests[:, None], state.command, command)
         return act(policy, state, key, instead=instead)
 
-    return env.compile_whole(advance)
+    # What is no function of arrays alone is called outside of JAX's traces.
+    traced = isinstance(agent, str) and not AGENTS[agent].remembers
+    return env.compile_whole(advance) if traced else advance
 
 
 def knows_home_alone(env: Env) -> bool:

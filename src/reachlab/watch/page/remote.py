@@ -81,7 +81,6 @@ def checked(asked: Asked) -> Asked:
     Raises:
         InputError: it has not.
     """
-    choose("agent", asked.agent, AGENTS)
     for name, sizes in {"goal": (0, 3, 7), "body": (0, 4)}.items():
         if (count := len(getattr(asked, name))) not in sizes:
             allowed = " or ".join(map(str, sizes[1:]))
@@ -132,9 +131,10 @@ class Remote:
         if asked.body:
             player.move_body(int(asked.body[0]), np.array(asked.body[1:]))
         command = np.array(asked.command, np.float32) if asked.command else None
+        agent = self._shown.agent if asked.agent == self._shown.agent_name else asked.agent
         for _ in range(asked.steps):
             if not player.over:
-                player.step(asked.agent, self._shown.policy, command)
+                player.step(agent, self._shown.policy, command)
         return self.message()
 
     def _check(self, asked: Asked) -> None:
@@ -143,6 +143,7 @@ class Remote:
         Raises:
             InputError: it does not.
         """
+        choose("agent", asked.agent, [*AGENTS, self._shown.agent_name])
         bodies, joints = len(self.player.moment.blocks), len(self._shown.env.setup.robot.actuators)
         if asked.body and asked.body[0] not in range(bodies):
             raise InputError(f"body must begin with a number below {bodies}, got {asked.body[0]:g}.")

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from reachlab.agents import AGENTS
+from reachlab.agents.acting import Function, name_of
 from reachlab.agents.policy import Policy
 from reachlab.emit.program import Program, constants_of
 from reachlab.envs.core import Env
@@ -46,7 +47,7 @@ class Shown:
         name: what it is called.
         env: its environment, of one episode.
         policy: the policy; None where only baselines act.
-        agent: who acts first, of `AGENTS`.
+        agent: who acts first, of `AGENTS`, or a function of observations.
         seed: of the held-out episodes.
         functions: what the page computes it with; empty where Python computes it.
         why: why that is so, as the end of a sentence; empty where the page does.
@@ -56,11 +57,16 @@ class Shown:
     name: str
     env: Env
     policy: Policy | None
-    agent: str = "trained"
+    agent: str | Function = "trained"
     seed: int = 1
     functions: tuple[Program, ...] = ()
     why: str = ""
     failed: tuple[tuple[int, int], ...] = ()
+
+    @property
+    def agent_name(self) -> str:
+        """What who acts first is called."""
+        return name_of(self.agent)
 
     @property
     def title(self) -> str:
@@ -92,22 +98,26 @@ def load_shown(
     run = find_run(path)
     env = Env(settings_shown(run.read_config(), sim), 1)
     name = path.name if step is None else f"{path.name}, {step:,} steps"
-    policy, agent = load_policy(run, env, step), "ik" if agent == SCRIPT else agent
+    one = shown_in(env, "ik" if agent == SCRIPT else agent, load_policy(run, env, step), seed=seed, name=name)
+    return replace(one, failed=tuple(failures(run, env.config.sim, one.agent_name)))
+
+
+def shown_in(env: Env, agent: str | Function, policy: Policy | None, *, seed: int, name: str) -> Shown:
+    """An agent in an environment of one episode, computed by the page if it can."""
     why = why_streamed(env.config, agent)
     try:
-        functions = () if why else tuple(programs(env, policy))
+        functions = () if why or policy is None else tuple(programs(env, policy))
     except InputError as error:
         functions, why = (), str(error).rstrip(".")
-    failed = tuple(failures(run, env.config.sim, agent))
-    return Shown(name, env, policy, agent, seed, functions, why, failed)
+    return Shown(name, env, policy, agent, seed, functions, why or "the page has no policy" * (policy is None))
 
 
-def why_streamed(config: RunConfig, agent: str) -> str:
+def why_streamed(config: RunConfig, agent: str | Function) -> str:
     """Why a page cannot compute what is shown by itself; empty where nothing is known that hinders it."""
     reasons = {
         f"the page has no {config.sim}": config.sim not in ENGINES,
         "the page draws no pictures for a policy": OBSERVATIONS[config.rules.observation].pictured,
-        f"the page has no agent {agent}": agent not in PLAYED,
+        f"the page has no agent {name_of(agent)}": agent not in PLAYED,
         "the page does not shape commands": config.physics.shaping,
         "the page does not hold the meshes that collide with the table": config.physics.collisions,
     }
@@ -128,10 +138,10 @@ def facts_of(one: Shown) -> dict[str, Any]:
     low, high = setup.robot.workspace
     box = setup.task.goal_box(setup)
     objects, limits = setup.task.scene(setup).objects, setup.robot.commands
-    named = {"trained": "trained", "ik": SCRIPT if objects else "ik"} | {one.agent: one.agent}
+    named = {one.agent_name: one.agent_name, "trained": "trained", "ik": SCRIPT if objects else "ik"}
     return {
         "agents": {name: title for name, title in named.items() if one.policy is not None or name != "trained"},
-        "agent": one.agent,
+        "agent": one.agent_name,
         "why": one.why,
         "task": one.env.config.task,
         "robot": one.scene,
