@@ -88,6 +88,12 @@ class Arm {
     return axes;
   }
 
+  /** Draw no shadows, nor mark where they may fall. */
+  simplify() {
+    this.shadows.visible = false;
+    this.group.traverse(({ material }) => { if (material?.stencilWrite) material.stencilWrite = false; });
+  }
+
   /** Draw a player's moment. */
   draw({ episode, path, trail }) {
     const { links, fingers } = episode.frames(), turn = episode.state.goal_quaternion, n = links.length - 1;

@@ -24,17 +24,23 @@ class Chart {
     });
   }
 
-  /** Draw where the players are now. */
-  draw(players) {
+  /** Note where the players are now. */
+  note(players) {
     players.forEach(({ episode }, i) => {
       const way = this.ways[i], last = way.points[way.points.length - 1];
       if (last && last[0] === episode.clock) return;
       if (last && last[0] > episode.clock) way.points = [];
       way.points.push([episode.clock, this.height(episode.distance)]);
       if (way.points.length > POINTS) way.points.shift();
-      const [[first]] = way.points, wide = Math.max(this.steps, episode.clock - first);
-      way.line.setAttribute("points", way.points.map(([x, y]) => `${(100 * (x - first)) / wide},${y}`).join(" "));
     });
+  }
+
+  /** Draw what was noted. */
+  draw() {
+    for (const { line, points } of this.ways.filter((way) => way.points.length)) {
+      const [[first]] = points, wide = Math.max(this.steps, points[points.length - 1][0] - first);
+      line.setAttribute("points", points.map(([x, y]) => `${((100 * (x - first)) / wide).toFixed(1)},${y.toFixed(1)}`).join(" "));
+    }
   }
 
   /** How far below the upper edge a distance [m] is drawn, of 100. */

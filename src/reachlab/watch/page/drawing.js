@@ -18,7 +18,10 @@ class Drawing {
   /** A drawing on a canvas, of marks in these colours and lengths; empty until arms are shown. */
   constructor(canvas, marks) {
     this.marks = marks;
-    this.renderer = new THREE.WebGLRenderer({ canvas, antialias: !inSoftware(), stencil: true });
+    // Opaque: what lies below it need not be mixed in.
+    const context = canvas.getContext("webgl2", { antialias: !inSoftware(), stencil: true, alpha: false });
+    if (!context) throw new Error("the browser does not draw in three dimensions (WebGL 2)");
+    this.renderer = new THREE.WebGLRenderer({ canvas, context });
     this.renderer.setClearColor(BACKGROUND);
     this.camera = new THREE.PerspectiveCamera();
     this.camera.up.set(0, 0, 1);
@@ -38,9 +41,9 @@ class Drawing {
     const columns = Math.ceil(Math.sqrt(count)), [x, y] = [0, 1].map((axis) => extent(scene.points, axis) + BETWEEN * scene.scale);
     const places = Array.from({ length: count }, (_, i) => [-x * Math.floor(i / columns), y * (i % columns), 0]);
     this.arms = places.map((place) => new Arm(scene, run, shapes, this.marks, place));
-    for (const { group, shadows } of this.arms) {
-      this.scene.add(group);
-      shadows.visible = !this.simple;
+    for (const arm of this.arms) {
+      this.scene.add(arm.group);
+      if (this.simple) arm.simplify();
     }
     /** Points `[3]` m that have to be in view. */
     this.points = places.flatMap((place) => scene.points.map((point) => add(point, place)));
@@ -74,7 +77,7 @@ class Drawing {
     if (mean < SLOW) return;
     if (!this.simple) {
       this.simple = true;
-      this.arms.forEach(({ shadows }) => { shadows.visible = false; });
+      this.arms.forEach((arm) => arm.simplify());
     } else if (this.ratio > 1) {
       this.ratio = Math.max(1, 0.7 * this.ratio);
       this.width = 0;

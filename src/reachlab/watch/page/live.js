@@ -10,8 +10,8 @@ const FASTEST = 12;
 /** Within how many success distances the goal of an object is taken. */
 const AROUND = 3;
 
-/** Updates of the panel's figures in a second [1/s]. */
-const TEXT_RATE = 10;
+/** Updates of the panel's figures in a second [1/s], and where drawing takes long: they are drawn too. */
+const TEXT_RATE = 10, SLOW_TEXT_RATE = 4;
 
 /** The page: the runs that it holds, and the loop that plays one of them on one arm or several. */
 class Live {
@@ -141,7 +141,7 @@ class Live {
     for (const one of drawing.arms.flatMap(({ frames }) => frames)) one.visible = joints.frames.checked;
     drawing.draw(players);
     this.hand.mark(this.player.episode.reached);
-    this.chart.draw(players);
+    this.chart.note(players);
     drawing.keepPace(now);
     this.tell(now);
   }
@@ -199,13 +199,14 @@ class Live {
 
   tell(now) {
     const passed = (now - this.told) / 1000, { players } = this;
-    if (passed < 1 / TEXT_RATE) return;
+    if (passed < 1 / (this.drawing.simple ? SLOW_TEXT_RATE : TEXT_RATE)) return;
     this.rate = this.told ? (this.steps - this.counted) / passed : 0;
     Object.assign(this, { told: now, counted: this.steps });
     const counted = this.paired ? players.slice(0, 1) : players;
     const sum = (name) => counted.reduce((so_far, player) => so_far + player[name], 0);
     this.panel.tell(this.player, { episodes: sum("episodes"), successes: sum("successes") }, this.rate, this.problem);
     this.joints.tell(this.player.episode.state.q, this.panel.agent === BY_HAND);
+    this.chart.draw();
     this.label();
   }
 
@@ -256,7 +257,7 @@ async function begin() {
       const bodies = things.filter(({ body }) => body).map(at), knobs = things.slice(1).filter(({ body }) => !body).map(at);
       return {
         ...{ tool, goal, box, x, y, bodies, knobs, distance, clock, reached, over },
-        ...{ failed, successes, episodes, steps, pictures },
+        ...{ failed, successes, episodes, steps, pictures, time: live.before },
       };
     },
   };
