@@ -29,7 +29,8 @@ SETTLING = 60.0
 
 
 def heap(page: Page) -> float:
-    """Memory of the page's scripts after what is not used is gone [bytes]."""
+    """Memory of the page's scripts where it shows one arm, after what is not used is gone [bytes]."""
+    page.locator("#once").select_option(index=0)
     browser = page.context.new_cdp_session(page)
     browser.send("HeapProfiler.collectGarbage")
     used: float = browser.send("Runtime.getHeapUsage")["usedSize"]
@@ -38,9 +39,9 @@ def heap(page: Page) -> float:
 
 
 def drag(page: Page, random: np.random.Generator) -> None:
-    """Take the goal, a body or the view somewhere."""
+    """Take the goal, its axes, a body or the view somewhere."""
     now = moment(page)
-    places = [(now["x"], now["y"]), *(one[3:5] for one in now["bodies"]), (60.0, 60.0)]
+    places = [(now["x"], now["y"]), *(one[3:5] for one in now["bodies"] + now["knobs"]), (60.0, 60.0)]
     x, y = places[random.integers(len(places))]
     page.mouse.move(x, y)
     page.mouse.down()
@@ -58,10 +59,20 @@ def press(page: Page, random: np.random.Generator) -> None:
 
 def slide(page: Page, random: np.random.Generator) -> None:
     """Move any slider to its end."""
-    sliders = [one for one in page.locator("#perturb input").all() if one.is_visible()]
+    page.evaluate("document.getElementById('joints').open = true")
+    sliders = [one for one in page.locator("input[type=range]").all() if one.is_visible()]
     if sliders:
         one = sliders[random.integers(len(sliders))]
         one.fill(one.get_attribute("min" if random.random() < 0.5 else "max") or "0")
+
+
+def choose(page: Page, random: np.random.Generator) -> None:
+    """Show another number of arms, or tick a box."""
+    if random.random() < 0.5:
+        page.locator("#once").select_option(index=int(random.integers(4)))
+    else:
+        boxes = page.locator("input[type=checkbox]:visible")
+        boxes.nth(int(random.integers(boxes.count()))).click()
 
 
 def resize(page: Page, random: np.random.Generator) -> None:
@@ -70,7 +81,13 @@ def resize(page: Page, random: np.random.Generator) -> None:
     page.set_viewport_size({"width": width, "height": height})
 
 
-DEEDS: dict[Callable[[Page, np.random.Generator], None], float] = {drag: 0.7, press: 0.2, slide: 0.05, resize: 0.05}
+DEEDS: dict[Callable[[Page, np.random.Generator], None], float] = {
+    drag: 0.68,
+    press: 0.2,
+    slide: 0.05,
+    choose: 0.02,
+    resize: 0.05,
+}
 """What the hand does, and how often."""
 
 

@@ -70,6 +70,7 @@ class Live {
     this.drawing.fit();
     this.view.begin();
     this.chart.begin(run.facts, count);
+    this.players.slice(1).forEach(({ simulator }) => simulator.free?.()); // each but the first has one of its own
     this.players = Array.from({ length: count }, (_, i) => this.makePlayer(run, i));
     this.rests = this.players.map(() => PAUSE);
     if (run.functions) this.vary();

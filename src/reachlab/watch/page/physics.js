@@ -26,6 +26,12 @@ class Physics {
     this.usual = Object.fromEntries(names.map((name) => [name, this.model[name].slice()]));
   }
 
+  /** Give back the engine's memory. */
+  free() {
+    this.data.delete();
+    this.model.delete();
+  }
+
   /** Make servos and objects so many times as stiff, as heavy and as rough as in training. */
   vary({ gain, mass, friction }) {
     const { model, layout, usual, engine } = this;
