@@ -19,6 +19,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from playwright.sync_api import Browser, Page
 
 from browser.driver import PATIENCE, chromium, executable, opened, wait_until
@@ -40,6 +41,9 @@ SECONDS, SETTLING = 5.0, 3.0
 
 SIZES = ((1280, 800), (390, 844))
 """Pages of a computer and of a telephone [pixels]."""
+
+DRAGS, REST, STILL = 20, 0.6, 0.002
+"""Drags; and the arm rests where its tool has moved by less than this [m] for so long [s]."""
 
 SHOWN = "window.reachlab && reachlab.moment() && reachlab.moment().pictures > 1"
 """Whether an arm is drawn."""
@@ -123,9 +127,40 @@ def _measured(page: Page, file: Path, run: str, window: tuple[int, int]) -> Iter
     first = statistics.median(seen)
     yield row(f"page_first_picture/{run}", first, "s", starts=STARTS, worst=round(max(seen), 2), window=window)
     yield from _paced(page, run, window)
+    if window == SIZES[0] and not page.evaluate("reachlab.live.shown.facts.objects"):
+        yield from _followed(page, run)
     page.get_by_role("button", name="max").click()
     _, steps = _counted(page)
     yield row(f"page_fastest/{run}", steps, "steps/s", window=window)
+
+
+def _followed(page: Page, run: str) -> Iterator[Row]:
+    """Whether the arm comes to rest at a goal that is dragged somewhere and held, in *Endless*."""
+    random, resting, begun_again = np.random.default_rng(0), [], 0
+    for _ in range(DRAGS):
+        now = moment(page)
+        x, y = now["x"], now["y"]
+        page.mouse.move(x, y)
+        page.mouse.down()
+        page.mouse.move(x + random.uniform(-150, 150), y + random.uniform(-100, 100), steps=10)
+        resting.append(_at_rest(page))
+        begun_again += bool(moment(page)["failed"])
+        page.mouse.up()
+    yield row(f"page_drags_followed/{run}", sum(one is not None for one in resting), "drags", drags=DRAGS)
+    yield row(f"page_worst_at_rest/{run}", 1000 * max(one or 0.0 for one in resting), "mm", begun_again=begun_again)
+
+
+def _at_rest(page: Page) -> float | None:
+    """Distance to the goal once the arm is there and has not moved for a while [m]; None where it does not rest."""
+    end, before = time.monotonic() + PATIENCE, moment(page)
+    while time.monotonic() < end:
+        time.sleep(REST)
+        now = moment(page)
+        still = np.linalg.norm(np.subtract(now["tool"], before["tool"])) < STILL
+        if still and now["reached"]:
+            return now["distance"]
+        before = now
+    return None
 
 
 def _paced(page: Page, run: str, window: tuple[int, int]) -> Iterator[Row]:

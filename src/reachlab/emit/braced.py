@@ -43,12 +43,16 @@ class Language:
         counter: declares the counter of a loop.
         declared: declares a variable, of its kind, name and, of an array, size.
         constant: a number.
+        table: an array of whole numbers, of its name and numbers.
+        hoists: arrays are made once, outside of the function.
     """
 
     name: str
     counter: str
     declared: Callable[[str, str, int | None], str]
     constant: Callable[[Any], str]
+    table: Callable[[str, Sequence[int]], str]
+    hoists: bool = False
 
 
 def _c_declared(kind: str, name: str, size: int | None) -> str:
@@ -63,6 +67,10 @@ def _c_number(value: Any) -> str:
     return f"(R({value!r}))" if value < 0 else f"R({value!r})"
 
 
+def _c_table(name: str, numbers: Sequence[int]) -> str:
+    return f"static const int {name}[] = {{ {', '.join(map(str, numbers))} }};"
+
+
 def _javascript_declared(kind: str, name: str, size: int | None) -> str:
     del kind
     return f"const {name} = new Float64Array({size})" if size else f"let {name}"
@@ -75,8 +83,16 @@ def _javascript_number(value: Any) -> str:
     return f"({text})" if value < 0 else text
 
 
-C = Language("c", "int", _c_declared, _c_number)
-JAVASCRIPT = Language("javascript", "let", _javascript_declared, _javascript_number)
+def _javascript_table(name: str, numbers: Sequence[int]) -> str:
+    return f"const {name} = Int32Array.of({','.join(map(str, numbers))});"
+
+
+C = Language("c", "int", _c_declared, _c_number, _c_table)
+JAVASCRIPT = Language("javascript", "let", _javascript_declared, _javascript_number, _javascript_table, hoists=True)
+
+LONGEST_GATHER = 8
+"""More numbers than these are gathered in a loop, by a table of their places: engines of JavaScript do not optimise a
+function that is long."""
 
 JAVASCRIPT_HEAD = """\
 /** The nearest integer, of two the even one. */
@@ -89,16 +105,23 @@ function toEven(x) {
 
 
 class _Printer:
-    """Statements of a program in a language."""
+    """Statements of a program in a language.
+
+    Attributes:
+        head: lines that stand before the function: tables, and arrays where they are made once.
+    """
 
     def __init__(self, program: Program, language: Language) -> None:
-        self._language, self._depth = language, 0
+        self._language, self._depth, self._program = language, 0, program.name
+        self.head: list[str] = []
+        self._tables: dict[tuple[int, ...], str] = {}
         self._names = {one: one.name for one in program.inputs}
         self._names |= {one.variable: f"{program.name}_k{number}" for number, one in enumerate(program.constants)}
 
     def name(self, variable: Variable) -> str:
         """The name of a variable."""
-        return self._names.setdefault(variable, f"v{len(self._names)}")
+        prefix = f"{self._program}_" * (self._language.hoists and variable.size is not None)
+        return self._names.setdefault(variable, f"{prefix}v{len(self._names)}")
 
     def atom(self, atom: Any) -> str:
         """A number."""
@@ -120,6 +143,21 @@ class _Printer:
     def _declared(self, variable: Variable, name: str = "") -> str:
         return self._language.declared(variable.kind, name or self.name(variable), variable.size)
 
+    def _made(self, variable: Variable, name: str = "") -> Iterator[str]:
+        """The declaration of an array, where it stands in the function."""
+        line = f"{self._declared(variable, name)};"
+        if self._language.hoists:
+            self.head.append(line)
+        else:
+            yield line
+
+    def _table(self, numbers: tuple[int, ...]) -> str:
+        """The name of a table of numbers."""
+        if numbers not in self._tables:
+            self._tables[numbers] = name = f"{self._program}_t{len(self._tables)}"
+            self.head.append(self._language.table(name, numbers))
+        return self._tables[numbers]
+
     def _each(self, size: int | None, line: str, counter: str = "i") -> str:
         return f"for ({self._language.counter} {counter} = 0; {counter} < {size}; ++{counter}) {line}"
 
@@ -132,7 +170,7 @@ class _Printer:
     def _statement(self, one: Any) -> Iterator[str]:
         target, name, declared = one.target, self.name(one.target), self._declared(one.target)
         if target.size is not None:
-            yield f"{declared};"
+            yield from self._made(target)
         match one:
             case Compute(operation=operation, operands=operands):
                 value = written(operation, self._language.name).format(*map(self._at, operands))
@@ -146,6 +184,8 @@ class _Printer:
                 ends = np.cumsum(sizes)
                 for part, size, end in zip(parts, sizes, ends, strict=True):
                     yield self._each(size, f"{name}[i + {end - size}] = {self._at(part)};")
+            case Gather(source=source, indices=indices) if len(indices) > LONGEST_GATHER:
+                yield self._each(len(indices), f"{name}[i] = {self.name(source)}[{self._table(indices)}[i]];")
             case Gather(source=source, indices=indices):
                 yield " ".join(f"{name}[{i}] = {self.name(source)}[{index}];" for i, index in enumerate(indices))
             case Product(left=left, right=right, shape=(m, k, n)):
@@ -161,7 +201,7 @@ class _Printer:
         for one in loop.carried:
             declared, name = self._declared(one.variable), self.name(one.variable)
             if one.variable.size is not None:
-                yield f"{declared};"
+                yield from self._made(one.variable)
             yield self._set(one.variable, one.first, declared if one.variable.size is None else name)
         lines = list(self.block(loop.before))
         if loop.rounds is None:
@@ -178,7 +218,7 @@ class _Printer:
         for one, name in names.items():
             declared = self._declared(one.variable, f"{name}_then")
             if one.variable.size is not None:
-                yield f"{declared};"
+                yield from self._made(one.variable, f"{name}_then")
             yield self._set(one.variable, one.then, f"{name}_then" if one.variable.size else declared)
         for one, name in names.items():
             size = one.variable.size
@@ -215,7 +255,7 @@ def c_function(program: Program) -> str:
         lines += [f"{output.name}[{i}] = {printer.atom(atom)};" for i, atom in enumerate(output.atoms)]
     given = [*(f"const {one}" for one in c_declarations(program.inputs)), *results]
     head = f"static void {program.name}({', '.join(given)})"
-    return "\n".join([*tables, head, "{", *(INDENT + line for line in lines), "}", ""])
+    return "\n".join([*tables, *printer.head, head, "{", *(INDENT + line for line in lines), "}", ""])
 
 
 # --- JavaScript -----------------------------------------------------------------------------------
@@ -224,9 +264,10 @@ def c_function(program: Program) -> str:
 def javascript_function(program: Program) -> str:
     """A function in JavaScript: of an object of arrays by name, giving another; constants are in `CONSTANTS`."""
     printer = _Printer(program, JAVASCRIPT)
-    lines = [f"const {printer.name(one.variable)} = CONSTANTS[{one.name!r}];" for one in program.constants]
-    lines += printer.block(program.body)
+    constants = [f"const {printer.name(one.variable)} = CONSTANTS[{one.name!r}];" for one in program.constants]
+    lines = list(printer.block(program.body))
     results = ", ".join(f"{one.name}: [{', '.join(map(printer.atom, one.atoms))}]" for one in program.outputs)
     lines.append(f"return {{ {results} }};")
     given = ", ".join(one.name for one in program.inputs)
-    return "\n".join([f"function {program.name}({{ {given} }}) {{", *(INDENT + line for line in lines), "}", ""])
+    body = [f"function {program.name}({{ {given} }}) {{", *(INDENT + line for line in lines), "}", ""]
+    return "\n".join([*constants, *printer.head, *body])

@@ -1,4 +1,4 @@
-"""A goal that is put somewhere by a person: in the viewer by hand, or in code."""
+"""A goal that is put somewhere by a person: in the page by hand, or in code."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Goals that are put somewhere by a person: in the viewer by hand, or in code."""
+"""Goals that are put somewhere by a person: in the page by hand, or in code."""
 
 from __future__ import annotations
 

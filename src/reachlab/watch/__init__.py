@@ -1,1 +1,1 @@
-"""What people look at: plots, videos and the viewer."""
+"""What people look at: plots, videos and the page."""

@@ -1,4 +1,4 @@
-"""What a viewer or a video shows of an arm at one moment."""
+"""What a page or a video shows of an arm at one moment."""
 
 from __future__ import annotations
 
