@@ -25,7 +25,7 @@ from reachlab.envs.presets import configure
 from reachlab.settings.validation import InputError
 from reachlab.watch.page import server as server_module
 from reachlab.watch.page.document import page_head
-from reachlab.watch.page.episode import programs
+from reachlab.watch.page.episode import programs, sampled
 from reachlab.watch.page.page import page_body
 from reachlab.watch.page.remote import MOST_STEPS, Remote, read_asked, record
 from reachlab.watch.page.server import LOCAL, MOST_BYTES, MOST_CONNECTIONS, PageServer, is_local
@@ -122,7 +122,8 @@ def test_joints_are_moved_by_hand_no_faster_than_they_are(server: PageServer, ar
 
 def test_what_is_told_is_what_the_functions_of_a_page_take() -> None:
     one = shown("clutter", robot="panda", obstacles=(1, 1))
-    ask_for = next(program for program in programs(Env(one.env.config, 1), _nobody(one)) if program.name == "ask")
+    found = programs(one.env, _nobody(one), sampled(one.env, [(1, 0)]))
+    ask_for = next(program for program in found if program.name == "ask")
     told = Remote(one).message()
     assert {output.name for output in ask_for.outputs} <= set(told)
     links = one.env.setup.robot.chain.n + 1

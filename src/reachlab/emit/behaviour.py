@@ -19,7 +19,7 @@ from reachlab.emit.tracing import trace
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvFunctions, EnvState
 from reachlab.robots.kinematics.forward import Pose, forward_kinematics
-from reachlab.sims.simulator import SimState
+from reachlab.sims.simulator import Begin, SimState
 from reachlab.tasks.schema import SIZE
 
 GOAL, BODIES = "goal_", "bodies_"
@@ -104,17 +104,22 @@ def as_measured(functions: EnvFunctions) -> EnvFunctions:
     return replace(functions, randomise=(), limits=None)
 
 
-def example_state(env: Env) -> EnvState:
-    """A state of one environment that shows what goals, bodies and progress are made of; nothing is computed."""
+def example_state(env: Env, begin: Begin | None = None) -> EnvState:
+    """A state of one environment that shows what goals, bodies and progress are made of; nothing is computed.
+
+    Where begins of episodes `[B, …]` are at hand, they need not be traced again.
+    """
     functions = as_measured(env.functions)
-    key = jax.random.split(jax.random.key(0), 1)
-    begin = jax.eval_shape(functions.sample_episode, key)
+    if begin is None:
+        like = jax.eval_shape(functions.sample_episode, jax.random.split(jax.random.key(0), 1))
+    else:
+        like: Begin = jax.tree.map(lambda one: ShapeDtypeStruct((1, *one.shape[1:]), one.dtype), begin)
     position, quaternion = (ShapeDtypeStruct((1, size), jnp.float32) for size in (3, 4))
     contact: Any = ShapeDtypeStruct((1, 0), jnp.bool_)
     opening: Any = ShapeDtypeStruct((1, len(env.setup.robot.actuators) - env.setup.robot.chain.n), jnp.float32)
-    arm = SimState(begin.q, begin.q, *cast("Pose", (position, quaternion)), begin.bodies, contact, opening)
-    shapes = jax.eval_shape(functions.begin, arm, begin)
-    return jax.tree.map(lambda one: np.zeros(one.shape, one.dtype), replace(shapes, key=begin.q))
+    arm = SimState(like.q, like.q, *cast("Pose", (position, quaternion)), like.bodies, contact, opening)
+    shapes = jax.eval_shape(functions.begin, arm, like)
+    return jax.tree.map(lambda one: np.zeros(one.shape, one.dtype), replace(shapes, key=like.q))
 
 
 def _parts(record: Any) -> Shapes:

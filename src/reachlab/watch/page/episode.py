@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import functools
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -25,12 +26,12 @@ from reachlab.emit.behaviour import (
 from reachlab.emit.program import Program
 from reachlab.emit.tracing import trace
 from reachlab.envs.core import Env
-from reachlab.envs.functions import Begin, EnvFunctions, EnvState
+from reachlab.envs.functions import EnvFunctions, EnvState
 from reachlab.envs.random_streams import REPORT_STREAM, stream_key
 from reachlab.jax_setup import jit
 from reachlab.robots.kinematics.forward import components, forward_kinematics, link_frames
 from reachlab.robots.kinematics.scalars import Vec, rotation_from_quaternion
-from reachlab.sims.simulator import Moved
+from reachlab.sims.simulator import Begin, Moved
 from reachlab.tasks.actions import ACTIONS
 from reachlab.tasks.task import TaskSetup
 
@@ -59,8 +60,8 @@ class Episodes:
     like: EnvState
 
 
-def programs(env: Env, policy: Policy) -> list[Program]:
-    """Programs of a policy in an environment.
+def programs(env: Env, policy: Policy, begin: Begin) -> list[Program]:
+    """Programs of a policy in an environment whose episodes begin like those that are given.
 
     What either agent commands, what a step led to, a goal that is asked for anew, one that is put somewhere, and the
     links.
@@ -68,7 +69,7 @@ def programs(env: Env, policy: Policy) -> list[Program]:
     Raises:
         InputError: one of them computes what cannot be printed.
     """
-    page, chain = Episodes(as_measured(env.functions), policy, example_state(env)), env.setup.robot.chain
+    page, chain = Episodes(as_measured(env.functions), policy, example_state(env, begin)), env.setup.robot.chain
     like, asked = page.like, decision_inputs(env, page.like)
     goal = {GOAL + field.name: getattr(like.goal, field.name) for field in fields(like.goal)}
     goal = {name: ShapeDtypeStruct(part.shape[1:], part.dtype) for name, part in goal.items() if part.size}
@@ -156,26 +157,31 @@ def arrays_of(setup: TaskSetup, state: EnvState) -> dict[str, Array]:
     return {name: part[0] for name, part in named.items() if part.size} | single
 
 
-def drawn(env: Env, episodes: Sequence[tuple[int, int]]) -> dict[str, np.ndarray]:
-    """Joints, goals and bodies `[k, …]` by name in which held-out episodes begin, given by seed and number.
+@functools.lru_cache(maxsize=1)
+def _sampler(env: Env) -> Callable[[np.ndarray, np.ndarray], Begin]:
+    """Program that samples the begins of episodes of seeds and numbers, `DRAWN` of each."""
 
-    A gripper is wide open.
-    """
-    gripper, count = env.setup.robot.gripper, len(episodes)
-
-    @jit
     def sample(seeds: Array, numbers: Array) -> Begin:
         keys = jax.vmap(lambda seed, number: jax.random.fold_in(stream_key(seed, REPORT_STREAM), number))
         return env.functions.sample_episode(keys(seeds, numbers))
 
-    # Of one shape whatever their number: one program draws them.
-    begin = sample(*np.resize(np.array(episodes, np.uint32), (DRAWN, 2)).T)
-    openings = np.full((DRAWN, 1), gripper.widest) if gripper else np.zeros((DRAWN, 0))
+    return jit(sample)
+
+
+def sampled(env: Env, episodes: Sequence[tuple[int, int]]) -> Begin:
+    """Begins of held-out episodes given by seed and number, one after the other until there are `DRAWN`."""
+    return _sampler(env)(*np.resize(np.array(episodes, np.uint32), (DRAWN, 2)).T)
+
+
+def drawn(env: Env, begin: Begin) -> dict[str, np.ndarray]:
+    """Joints, goals and bodies `[B, …]` by name in which episodes begin; a gripper is wide open."""
+    gripper, count = env.setup.robot.gripper, len(begin.q)
+    openings = np.full((count, 1), gripper.widest) if gripper else np.zeros((count, 0))
     parts = {"q": np.concatenate([begin.q, openings], axis=1)}
     parts |= {GOAL + field.name: getattr(begin.goal, field.name) for field in fields(begin.goal)}
     parts |= {BODIES + field.name: getattr(begin.bodies, field.name) for field in fields(begin.bodies)}
     return {
-        name: np.asarray(part, part.dtype if part.dtype.kind == "i" else np.float32)[:count]
+        name: np.asarray(part, part.dtype if part.dtype.kind == "i" else np.float32)
         for name, part in parts.items()
         if part.size
     }

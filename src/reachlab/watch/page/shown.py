@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 
 from reachlab.agents import AGENTS
@@ -24,8 +25,9 @@ from reachlab.runs.shipped import find_run
 from reachlab.settings.config import RunConfig
 from reachlab.settings.validation import InputError, choose
 from reachlab.sims import SIMULATORS
+from reachlab.sims.simulator import Begin
 from reachlab.tasks.observations import OBSERVATIONS
-from reachlab.watch.page.episode import DRAWN, PLAYED, drawn, programs
+from reachlab.watch.page.episode import DRAWN, PLAYED, drawn, programs, sampled
 from reachlab.watch.page.physics import engine_of
 from reachlab.watch.player import knows_home_alone
 
@@ -49,6 +51,7 @@ class Shown:
         policy: the policy; None where only baselines act.
         agent: who acts first, of `AGENTS`, or a function of observations.
         seed: of the held-out episodes.
+        begin: of the seed's first episodes `[DRAWN, …]`, where the page computes them.
         functions: what the page computes it with; empty where Python computes it.
         why: why that is so, as the end of a sentence; empty where the page does.
         failed: seeds and numbers of held-out episodes that failed in evaluations whose reports are in the run.
@@ -59,6 +62,7 @@ class Shown:
     policy: Policy | None
     agent: str | Function = "trained"
     seed: int = 1
+    begin: Begin | None = None
     functions: tuple[Program, ...] = ()
     why: str = ""
     failed: tuple[tuple[int, int], ...] = ()
@@ -104,12 +108,14 @@ def load_shown(
 
 def shown_in(env: Env, agent: str | Function, policy: Policy | None, *, seed: int, name: str) -> Shown:
     """An agent in an environment of one episode, computed by the page if it can."""
-    why = why_streamed(env.config, agent)
+    why = why_streamed(env.config, agent) or "the page has no policy" * (policy is None)
+    if why or policy is None:
+        return Shown(name, env, policy, agent, seed, why=why)
+    begin = sampled(env, [(seed, number) for number in range(DRAWN)])
     try:
-        functions = () if why or policy is None else tuple(programs(env, policy))
+        return Shown(name, env, policy, agent, seed, begin, tuple(programs(env, policy, begin)))
     except InputError as error:
-        functions, why = (), str(error).rstrip(".")
-    return Shown(name, env, policy, agent, seed, functions, why or "the page has no policy" * (policy is None))
+        return Shown(name, env, policy, agent, seed, why=str(error).rstrip("."))
 
 
 def why_streamed(config: RunConfig, agent: str | Function) -> str:
@@ -170,15 +176,17 @@ def facts_of(one: Shown) -> dict[str, Any]:
 def _computed(one: Shown, functions: Sequence[Program]) -> dict[str, Any]:
     """What it needs beside that to compute a run itself."""
     (least, most), (engine, exact) = one.env.action_bounds, engine_of(one.env)
-    held_out = [(one.seed, number) for number in range(DRAWN)]
+    begins = {"held out": one.begin}
+    if failed := one.failed[:DRAWN]:
+        begins["failures"] = jax.tree.map(lambda x: x[: len(failed)], sampled(one.env, failed))
     return {
         "physics": engine,
         "exact": encoded(exact),
         "action": {"low": least.tolist(), "high": most.tolist()},
         "begins": {
-            name: {"count": len(episodes), "arrays": encoded(drawn(one.env, episodes))}
-            for name, episodes in (("held out", held_out), ("failures", one.failed[:DRAWN]))
-            if episodes
+            name: {"count": len(begin.q), "arrays": encoded(drawn(one.env, begin))}
+            for name, begin in begins.items()
+            if begin
         },
         "constants": encoded(constants_of(functions)),
     }
