@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import contextlib
 import io
+import itertools
 import json
 import socket
 import threading
@@ -14,11 +15,13 @@ from functools import partial
 from http.client import HTTPConnection
 from pathlib import Path
 from typing import Any
+from urllib.request import Request, urlopen
 
 import numpy as np
 import pytest
 from PIL import Image
 
+import reachlab
 from reachlab.cli import main as cli
 from reachlab.envs.core import Env
 from reachlab.envs.presets import configure
@@ -371,3 +374,45 @@ def test_wrong_words_are_refused_in_a_sentence(
     monkeypatch.chdir(tmp_path)
     assert cli.main(["view", *words]) == cli.WRONG_INPUT
     assert sentence in capsys.readouterr().err
+
+
+# --- from Python ----------------------------------------------------------------------------------
+
+
+def test_a_function_of_observations_is_shown(arm: Shown, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    observed: list[tuple[int, ...]] = []
+
+    def still(observation: np.ndarray) -> np.ndarray:
+        observed.append(observation.shape)
+        return np.zeros((1, arm.env.action_bounds[0].size), np.float32)
+
+    looks = itertools.count()
+    asked: list[dict[str, Any]] = []
+
+    def ended() -> bool:
+        if next(looks) == 0:
+            url = capsys.readouterr().out.split()[1]
+            body = json.dumps({"agent": "still", "steps": 3}).encode()
+            headers = {"Content-Type": "application/json"}
+
+            def look() -> None:
+                with urlopen(Request(url + "/play", body, headers), timeout=PATIENCE) as answer:
+                    asked.append(json.load(answer))
+
+            threading.Thread(target=look).start()
+        return bool(asked)
+
+    reachlab.view(arm.env, still, port=20_200, ended=ended)
+    assert asked[0]["clock"] == [3]
+    assert observed[0][0] == 1
+    reachlab.view(arm.env, still, out=tmp_path / "still.html", episodes=1)
+    assert (tmp_path / "still.html").stat().st_size > 100_000
+
+
+def test_what_cannot_be_shown_is_refused(arm: Shown) -> None:
+    with pytest.raises(InputError, match="agent 'trained' needs a policy"):
+        reachlab.view(arm.env)
+    with pytest.raises(InputError, match="Did you mean 'planner'"):
+        reachlab.view(arm.env, "planer")
+    with pytest.raises(InputError, match="view shows one environment, got 2: make it with num_envs=1"):
+        reachlab.view(Env(arm.env.config, 2), "ik")
