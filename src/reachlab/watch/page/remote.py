@@ -17,7 +17,7 @@ from reachlab.jax_setup import jit
 from reachlab.settings.json_form import build
 from reachlab.settings.validation import Checked, Coordinate, InputError, Length, Range, choose
 from reachlab.watch.page.episode import arrays_of, links_of
-from reachlab.watch.page.shapes import FingerFrames
+from reachlab.watch.page.shapes import Figure
 from reachlab.watch.page.shown import Shown
 from reachlab.watch.player import TRAINED, Player, played
 
@@ -107,7 +107,7 @@ class Remote:
             return {**arrays_of(setup, state), **links_of(setup.robot.chain, state.arm.q[0, :n])}
 
         self._arrays: Callable[[Any], dict[str, Any]] = jit(arrays)
-        self._fingers = FingerFrames(setup.robot)
+        self._figure = Figure(setup.robot)
 
     def play(self, asked: Asked) -> Message:
         """Do what is asked for, and tell what came of it.
@@ -158,7 +158,7 @@ class Remote:
         return arrays | {
             "success": [moment.reached],
             "counted": [round(moment.error or 0.0, DIGITS)],
-            "fingers": [[_plain(axes), _plain(position)] for axes, position in self._fingers(moment.q)],
+            "fingers": [[_plain(one[:3, :3].T), _plain(one[:3, 3])] for one in self._figure.move(moment.q)],
             "over": player.over,
             "failed": player.failed,
             "episodes": player.episodes,

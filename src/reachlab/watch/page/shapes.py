@@ -30,13 +30,10 @@ NORMAL_STEPS = 4
 
 def scene(robot: Robot) -> dict[str, Any]:
     """All that a page draws of an arm: its view, and parts in the frames of its links as solids.js reads them."""
-    model = scene_spec(robot).compile()
-    data, links = mujoco.MjData(model), links_of_bodies(model)
-    widest = [robot.gripper.widest] if robot.gripper else []
-    posture = robot.posture(np.array([*robot.home, *widest]))
-    data.qpos[model.jnt_qposadr[: len(posture)]] = posture
-    mujoco.mj_kinematics(model, data)
-    frames = np.concatenate([robot.chain.links_at(robot.home), _fingers(model, data, robot.chain.n)])
+    figure = Figure(robot)
+    model, data, links = figure.model, figure.data, links_of_bodies(figure.model)
+    fingers = figure.move(robot.posture(np.array(robot.at_home)))
+    frames = np.concatenate([robot.chain.links_at(robot.home), fingers])
     to_links, target = np.linalg.inv(frames), model.body("target").id
     parts, buffers, corners = [], [], np.array(robot.workspace_edges()).reshape(-1, 3).tolist()
     for one in solids(model):
@@ -65,29 +62,27 @@ def scene(robot: Robot) -> dict[str, Any]:
     }
 
 
-class FingerFrames:
-    """Where the bodies of joints after an arm's own are: its fingers."""
+class Figure:
+    """An arm as it is drawn, in its scene.
+
+    Attributes:
+        model, data: of the scene.
+    """
 
     def __init__(self, robot: Robot) -> None:
-        """Of an arm in its scene."""
-        self._model, self._n = scene_spec(robot).compile(), robot.chain.n
-        self._data = mujoco.MjData(self._model)
+        """Of an arm."""
+        self.model, self._n = scene_spec(robot).compile(), robot.chain.n
+        self.data = mujoco.MjData(self.model)
 
-    def __call__(self, q: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Axes `[3, 3]`, a row each, and position `[3]` m of each at joints of arm and fingers `[n + k]`."""
-        model, data = self._model, self._data
+    def move(self, q: np.ndarray) -> np.ndarray:
+        """Move joints of arm and fingers to `[n + k]`; the frames `[k, 4, 4]` of the bodies of the fingers there."""
+        model, data = self.model, self.data
         data.qpos[model.jnt_qposadr[: len(q)]] = q
         mujoco.mj_kinematics(model, data)
         bodies = model.jnt_bodyid[self._n : len(q)]
-        return [(data.xmat[body].reshape(3, 3).T.copy(), data.xpos[body].copy()) for body in bodies]
-
-
-def _fingers(model: mujoco.MjModel, data: mujoco.MjData, n: int) -> np.ndarray:
-    """Frames `[k, 4, 4]` of the bodies of joints after the arm's `n`."""
-    bodies = model.jnt_bodyid[n:]
-    frames = np.tile(np.eye(4), (len(bodies), 1, 1))
-    frames[:, :3, :3], frames[:, :3, 3] = data.xmat[bodies].reshape(-1, 3, 3), data.xpos[bodies]
-    return frames
+        frames = np.tile(np.eye(4), (len(bodies), 1, 1))
+        frames[:, :3, :3], frames[:, :3, 3] = data.xmat[bodies].reshape(-1, 3, 3), data.xpos[bodies]
+        return frames
 
 
 def packed(mesh: Mesh) -> tuple[dict[str, Any], bytes]:
