@@ -84,7 +84,8 @@ def _write_page(arguments: View, out: Path) -> None:
     shown = _load(arguments)
     for one in shown:
         if one.why:
-            note(f"{one.name} is recorded for the page, {arguments.episodes} episodes: {one.why}.")
+            count = f"{arguments.episodes} episode{'s'[: arguments.episodes > 1]}"
+            note(f"{one.name} is recorded for the page, {count}: {one.why}.")
     say(f"Written: {out}, {write_page(shown, out, arguments.episodes) / 1e6:.2f} MB")
 
 
