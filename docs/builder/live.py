@@ -1,4 +1,4 @@
-"""Pages of the site in which policies that come with it run; see `reachlab view --live`."""
+"""Pages of the site in which policies that come with it run; see `reachlab view --out`."""
 
 from __future__ import annotations
 
