@@ -43,7 +43,7 @@ class Asked(Checked):
         agent: who acts.
         begin: a new episode.
         proceed: what follows an episode that has ended.
-        follow: no success ends an episode.
+        follow: no success ends an episode; None leaves that as it is.
         goal: where to put the goal `[3]` m, and after it a quaternion, wxyz, where it is turned; empty where it stays.
         body: number of a body and where to put it `[4]` m; empty where all stay.
         command: joint command `[n]` in place of the agent's; empty where the agent acts.
@@ -54,7 +54,7 @@ class Asked(Checked):
     agent: str = TRAINED
     begin: bool = False
     proceed: bool = False
-    follow: bool = False
+    follow: bool | None = None
     goal: Annotated[tuple[Coordinate, ...], Length(7)] = ()
     body: Annotated[tuple[Coordinate, ...], Length(4)] = ()
     command: Annotated[tuple[Coordinate, ...], Length(1000)] = ()
@@ -122,7 +122,8 @@ class Remote:
         elif asked.proceed:
             player.proceed()
         self._reachable = True if asked.begin or asked.proceed else self._reachable
-        player.follow(asked.follow)
+        if asked.follow is not None:
+            player.follow(asked.follow)
         if asked.goal:
             place, turn = np.array(asked.goal[:3]), np.array(asked.goal[3:])
             turn = turn / np.linalg.norm(turn) if turn.size else None

@@ -136,7 +136,7 @@ class PageServer:
                 raise InputError(f"run must be below {len(arms)}, got {asked.run}.")
             if asked.run not in made:
                 made[asked.run] = arms[asked.run]()
-            asked = asked if self._may_move(question.page) else replace(asked, steps=0, proceed=False)
+            asked = asked if self._may_move(question.page) else replace(asked, steps=0, proceed=False, follow=None)
             question.answer.set_result(made[asked.run].play(asked))
         except InputError as error:
             question.answer.set_exception(error)
