@@ -625,6 +625,21 @@ def test_what_cannot_be_computed_is_recorded_in_a_file(
     assert page.locator("#joints").is_visible()
 
 
+def test_a_policy_in_onnx_is_recorded_as_one_of_another_library(
+    page: Page, folder: Path, precise: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    exported, out = folder / "exported", folder / "onnx.html"
+    assert cli.main(["export", str(precise), "--out", str(exported)]) == cli.DONE
+    assert cli.main(["view", str(exported), "--episodes", "1", "--out", str(out)]) == cli.DONE
+    assert (
+        "exported is recorded for the page, 1 episode: the page computes no policy of another"
+        in capsys.readouterr().err
+    )
+    open_live(page, out)
+    page.wait_for_function("reachlab.moment().over")
+    assert page.evaluate("reachlab.live.panel.agent") == "trained"
+
+
 def test_the_page_is_small_whole_and_keeps_the_licence(both: Path) -> None:
     text = both.read_text(encoding="utf-8")
     assert len(text.encode()) < 5e6

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from reachlab.agents import AGENTS
-from reachlab.cli.flags import Eval
+from reachlab.cli.flags import Eval, View
 from reachlab.envs.presets import preset
 from reachlab.settings.config import RunConfig
 from reachlab.settings.json_form import override
@@ -44,12 +44,10 @@ def find_subjects(arguments: Eval) -> list[Subject]:
     """
     from reachlab.runs.shipped import find_run
 
-    for name in () if any(map(_is_zip, arguments.runs)) else ("trust", "normaliser"):
-        if vars(arguments)[name]:
-            raise InputError(f"--{name} goes with a model of Stable-Baselines3: name its .zip, or leave it out.")
+    check_trust(arguments)
     made = []
     for path in arguments.runs or (None,):
-        model = _model(arguments, path) if path else None
+        model = find_model(arguments, path) if path else None
         run = find_run(path) if path and not model else None
         made.append(Subject(str(path or ""), _settings(arguments, run, model), run, model))
     first, *others = made
@@ -66,6 +64,17 @@ def find_subjects(arguments: Eval) -> list[Subject]:
     return made
 
 
+def check_trust(arguments: Eval | View) -> None:
+    """Make sure that there is a model where the flags say that it is trusted.
+
+    Raises:
+        InputError: there is none.
+    """
+    for name in () if any(map(_is_zip, arguments.runs)) else ("trust", "normaliser"):
+        if vars(arguments)[name]:
+            raise InputError(f"--{name} goes with a model of Stable-Baselines3: name its .zip, or leave it out.")
+
+
 def _is_zip(path: Path) -> bool:
     """Whether a path names a model of Stable-Baselines3."""
     return path.suffix == ".zip" and not path.is_dir()
@@ -76,7 +85,12 @@ def _is_onnx(path: Path) -> bool:
     return (path.suffix == ".onnx" and not path.is_dir()) or (path / "policy.onnx").is_file()
 
 
-def _model(arguments: Eval, path: Path) -> SavedModel | OnnxNetwork | None:
+def is_model(path: Path) -> bool:
+    """Whether a path names a model of another library, and no run."""
+    return _is_zip(path) or _is_onnx(path)
+
+
+def find_model(arguments: Eval | View, path: Path) -> SavedModel | OnnxNetwork | None:
     """The model of Stable-Baselines3 or the policy in ONNX that is named, if one is.
 
     Raises:

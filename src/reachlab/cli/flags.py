@@ -220,7 +220,12 @@ class View(Checked):
     """Watch runs in the browser, and move goals, bodies and joints by hand: one page, with the physics of training."""
 
     runs: Annotated[tuple[Path, ...], tyro.conf.Positional]
-    """Run directories to choose from, or policies that come with reachlab, as `panda/precise`."""
+    """Run directories to choose from, policies that come with reachlab, as `panda/precise`, policies in ONNX (.onnx or
+    an export) or models of Stable-Baselines3 (.zip)."""
+    trust: bool = False
+    """The model's file may run code: it is unpickled."""
+    normaliser: Annotated[Path | None, Optional] = None
+    """What `VecNormalize.save` wrote, if the model was trained with one; it is unpickled too."""
     sim: Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")] = None
     """Simulator; by default the run's own."""
     agent: Agent = "trained"

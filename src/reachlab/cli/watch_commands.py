@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json as jsonlib
 import webbrowser
+from collections.abc import Iterator
 from contextlib import closing
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from reachlab.agents import AGENTS
+from reachlab.cli.eval_subjects import check_trust, find_model, is_model
 from reachlab.cli.flags import Plot, Video, View
 from reachlab.cli.preparation import prepare
 from reachlab.envs.presets import in_simulator
@@ -76,6 +78,7 @@ def _write_page(arguments: View, out: Path) -> None:
     usual = View(arguments.runs)
     if foreign := [name for name in ("host", "port", "open") if getattr(arguments, name) != getattr(usual, name)]:
         raise InputError(f"view --out serves nothing, so --{foreign[0]} has no effect: leave it out.")
+    check_trust(arguments)
     prepare()
     from reachlab.cli.console import note, say
     from reachlab.watch.page.page import check_folder, write_page
@@ -90,14 +93,37 @@ def _write_page(arguments: View, out: Path) -> None:
 
 
 def _load(arguments: View) -> list[Shown]:
+    """What the page shows of each run and each model of another library.
+
+    Raises:
+        InputError: one of them cannot be read, or a model does not say what it was trained in.
+    """
+    return [one for path in arguments.runs for one in _shown_of(arguments, path)]
+
+
+def _shown_of(arguments: View, path: Path) -> Iterator[Shown]:
+    from reachlab.envs.core import Env
     from reachlab.runs.shipped import find_run
-    from reachlab.watch.page.shown import load_shown
+    from reachlab.watch.page.shown import load_shown, settings_shown, shown_in
 
     given = {name: getattr(arguments, name) for name in ("sim", "agent", "seed")}
-    steps = {
-        run: reversed(find_run(run).checkpoint_steps()) if arguments.checkpoints else [None] for run in arguments.runs
-    }
-    return [load_shown(run, step=step, **given) for run in arguments.runs for step in steps[run]]
+    model = find_model(arguments, path)
+    if not model:
+        for step in reversed(find_run(path).checkpoint_steps()) if arguments.checkpoints else [None]:
+            yield load_shown(path, step=step, **given)
+        return
+    if not model.config:
+        raise InputError(
+            f"'{path}' does not say in which environment it was trained: show it from Python, with `reachlab.view`."
+        )
+    env = Env(settings_shown(model.config, arguments.sim), 1)
+    model.check(env.schema)
+
+    def trained(observation: Any) -> Any:
+        return model.act(observation)
+
+    agent = trained if AGENTS[choose("agent", arguments.agent, AGENTS)].trained else arguments.agent
+    yield shown_in(env, agent, None, seed=arguments.seed, name=path.name)
 
 
 def _serve_page(arguments: View) -> None:
@@ -108,10 +134,11 @@ def _serve_page(arguments: View) -> None:
     from reachlab.watch.page.document import page_head
     from reachlab.watch.page.server import PageServer, is_local
 
-    runs = [find_run(run) for run in arguments.runs]
+    check_trust(arguments)
+    runs = [find_run(path) for path in arguments.runs if not is_model(path)]
     engine = "mujoco" in [arguments.sim or run.read_config().sim for run in runs]
     with PageServer(arguments.host, arguments.port) as server, Interrupts() as interrupts:
-        server.add(page_head(runs[0].path.name, engine=engine, served=True))
+        server.add(page_head(arguments.runs[0].name, engine=engine, served=True))
         say(f"Page: {server.url}   Ctrl-C ends it.")
         if not is_local(arguments.host):
             note(
@@ -129,7 +156,7 @@ def _serve_page(arguments: View) -> None:
         for one in shown:
             if one.why:
                 note(f"{one.name} is computed here and streamed to the page: {one.why}.")
-        if not is_shipped(runs[0]) and all(one.functions for one in shown):
+        if all(one.functions for one in shown) and not is_shipped(runs[0]):
             file = runs[0].path / PAGE
             say(f"The same page as a file: {file}, {write_parts(shown, body, file) / 1e6:.2f} MB")
         server.serve([partial(Remote, one) for one in shown], lambda: interrupts.received is not None)

@@ -123,6 +123,7 @@ def why_streamed(config: RunConfig, agent: str | Function) -> str:
     reasons = {
         f"the page has no {config.sim}": config.sim not in ENGINES,
         "the page draws no pictures for a policy": OBSERVATIONS[config.rules.observation].pictured,
+        "the page computes no policy of another library": not isinstance(agent, str),
         f"the page has no agent {name_of(agent)}": agent not in PLAYED,
         "the page does not shape commands": config.physics.shaping,
         "the page does not hold the meshes that collide with the table": config.physics.collisions,
