@@ -165,7 +165,7 @@ def _sampler(env: Env) -> Callable[[np.ndarray, np.ndarray], Begin]:
         keys = jax.vmap(lambda seed, number: jax.random.fold_in(stream_key(seed, REPORT_STREAM), number))
         return env.functions.sample_episode(keys(seeds, numbers))
 
-    return jit(sample)
+    return jit(sample, brief=True)
 
 
 def sampled(env: Env, episodes: Sequence[tuple[int, int]]) -> Begin:

@@ -106,7 +106,7 @@ class Remote:
         def arrays(state: Any) -> dict[str, Any]:
             return {**arrays_of(setup, state), **links_of(setup.robot.chain, state.arm.q[0, :n])}
 
-        self._arrays: Callable[[Any], dict[str, Any]] = jit(arrays)
+        self._arrays: Callable[[Any], dict[str, Any]] = jit(arrays, brief=True)
         self._figure = Figure(setup.robot)
 
     def play(self, asked: Asked) -> Message:
