@@ -316,6 +316,7 @@ def test_the_arm_follows_a_finger(browser: Browser, both: Path) -> None:
         finger("touchMove", before["x"] - share * DRAGGED, before["y"] - share * DRAGGED)
     wait_until(lambda: apart(moment(page)["goal"], before["goal"]) > 0.03, "the goal's move")
     arrived(page)
+    assert apart(moment(page)["tool"], moment(page)["goal"]) < 0.01
     finger("touchEnd")
     page.close()
 

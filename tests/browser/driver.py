@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import contextlib
-import io
 import shutil
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
-import numpy as np
-from PIL import Image
-from playwright.sync_api import Browser, Page, WebSocket, sync_playwright
+from playwright.sync_api import Browser, Page, sync_playwright
 
 NAMES = ("chromium", "chromium-browser", "google-chrome")
 
@@ -27,9 +24,6 @@ FLAGS = (
 PATIENCE = 60.0
 """Time in which anything awaited has to happen [s]."""
 
-COLOURS = 100
-"""Something is drawn where there are more colours than this."""
-
 
 @dataclass(frozen=True)
 class Traffic:
@@ -37,11 +31,9 @@ class Traffic:
 
     Attributes:
         requests: every address that they asked for.
-        messages: sizes of the messages that came through their web sockets, in characters or bytes.
     """
 
     requests: list[str] = field(default_factory=list)
-    messages: list[int] = field(default_factory=list)
 
 
 def executable() -> str | None:
@@ -73,19 +65,9 @@ def opened(browser: Browser, width: int, height: int) -> Iterator[Page]:
 def traffic(page: Page) -> Traffic:
     """Traffic of a page from now on."""
     seen = Traffic()
-
-    def listen(socket: WebSocket) -> None:
-        seen.requests.append(socket.url)
-        socket.on("framereceived", lambda payload: seen.messages.append(len(payload)))
-
     page.on("request", lambda request: seen.requests.append(request.url))
-    page.on("websocket", listen)
+    page.on("websocket", lambda socket: seen.requests.append(socket.url))
     return seen
-
-
-def picture(page: Page) -> np.ndarray:
-    """What a page shows, `[height, width, 3]` uint8."""
-    return np.asarray(Image.open(io.BytesIO(page.screenshot())).convert("RGB"))
 
 
 def wait_until(happened: Callable[[], bool], what: str, patience: float = PATIENCE) -> None:
@@ -99,17 +81,3 @@ def wait_until(happened: Callable[[], bool], what: str, patience: float = PATIEN
         if time.monotonic() > end:
             raise TimeoutError(f"{what} did not happen within {patience:g} s")
         time.sleep(0.05)
-
-
-def open_scene(page: Page, url: str) -> None:
-    """Open an address and wait until a scene is drawn."""
-    page.goto(url)
-    wait_until(lambda: drawn(picture(page)), "a picture")
-
-
-def drawn(picture: np.ndarray) -> bool:
-    """Whether something is drawn in the middle: many colours, not one."""
-    height, width, _ = picture.shape
-    middle = picture[height // 4 : -height // 4, width // 4 : -width // 4].reshape(-1, 3)
-    # As single numbers: unique rows take 0.17 s, in which the browser would draw.
-    return len(np.unique(middle @ np.array([1, 256, 256**2]))) > COLOURS

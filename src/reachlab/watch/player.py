@@ -159,11 +159,6 @@ class Player:
         self._following, self._touched = following, self._touched or following
         self.over = self.over and (bool(self.failed) or not following)
 
-    def prepare_hand(self) -> None:
-        """Compile what moving the target takes, and begin the episode again."""
-        self.move_target(self.moment.target, self.moment.target_orientation)
-        self.begin(self.number)
-
     @property
     def on_path(self) -> bool:
         """Whether the target moves by itself."""
