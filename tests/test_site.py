@@ -175,4 +175,4 @@ def test_a_picture_that_is_missing_is_reported(tmp_path: Path) -> None:
 @pytest.mark.skipif(executable() is None, reason="needs Chromium")
 def test_a_page_that_is_too_wide_for_a_phone_is_reported(tmp_path: Path) -> None:
     assert not list(misfits(_site(tmp_path)))
-    assert any("wide on a phone" in line for line in misfits(_site(tmp_path, width=600)))
+    assert any("wide on a phone" in line for line in list(misfits(_site(tmp_path, width=600))))
