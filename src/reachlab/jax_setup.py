@@ -15,6 +15,7 @@ from jax.stages import Wrapped
 
 from reachlab.settings.reading import cache_folder
 from reachlab.settings.validation import InputError
+from reachlab.traced import keep_in
 
 CPU_OPTIONS: dict[str, str | int] = {
     # Without this XLA's CPU compiler drops optimisation barriers before it fuses (see `scalars.once`).
@@ -52,8 +53,9 @@ def use_compilation_cache() -> None:
     """Keep compiled programs in the user's cache folder, unless `JAX_COMPILATION_CACHE_DIR` says where."""
     if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
         jax.config.update("jax_compilation_cache_dir", str(cache_folder() / "jax"))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
+    keep_in(Path(str(jax.config.values["jax_compilation_cache_dir"])) / "traced")
 
 
 def dispatch_inline() -> None:

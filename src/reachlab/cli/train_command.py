@@ -60,7 +60,6 @@ def _learn(arguments: Train | Distil, config: RunConfig, verb: str) -> None:
     from reachlab.cli.progress import TrainDisplay, print_training
     from reachlab.learn.train import train as run_training
     from reachlab.runs.directory import read_config
-    from reachlab.watch.plots import plot as draw
 
     out = arguments.resume or arguments.out or Path("runs") / f"{time.strftime('%Y%m%d-%H%M%S')}-{config.task}"
     sinks = tuple(name for name, wanted in vars(arguments.sinks).items() if wanted)
@@ -68,6 +67,8 @@ def _learn(arguments: Train | Distil, config: RunConfig, verb: str) -> None:
     base = read_config(arguments.config) if isinstance(arguments, Train) and arguments.config else None
     with TrainDisplay(config) as display, _collector(arguments, config) as collect:
         result = run_training(config, out, display, resume=resume, base=base, sinks=sinks, collect=collect)
+    from reachlab.watch.plots import plot as draw
+
     draw([out], out / "curve.png")
     if arguments.json:
         print(jsonlib.dumps(result.to_json()))

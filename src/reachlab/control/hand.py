@@ -86,12 +86,13 @@ def towards(drive: Drive, now: Situation, velocity: Array, turn: Array) -> Array
     held = jnp.broadcast_to(jnp.array(drive.robot.down), (len(turn), 4))
     quaternion = turned(held, turn)
     place = now.tool_position + max(*drive.lag, drive.period) * velocity
-    q = now.q
-    for _ in range(PASSES):
+
+    def nearer(_: int, q: Array) -> Array:
         if not chain.poses:
             q = _rolled(drive.robot, q, quaternion)
-        q = ik_displace(chain, q, place - forward_kinematics(chain, q).position, quaternion)
-    return _together(drive, now, q)
+        return ik_displace(chain, q, place - forward_kinematics(chain, q).position, quaternion)
+
+    return _together(drive, now, jax.lax.fori_loop(0, PASSES, nearer, now.q))
 
 
 def swing(drive: Drive, now: Situation, velocity: Array) -> Array:

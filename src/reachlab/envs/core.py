@@ -90,17 +90,20 @@ class Env:
             self.pictured,
             shaped_within(self.setup) if config.physics.shaping else None,
         )
-        # The functions around the simulator's steps: traced with them, or compiled one by one.
+        # The functions around the simulator's steps: traced with them, or compiled one by one, where an engine takes
+        # most of the time.
         parts = (f.sample_episode, f.chained_start, f.begin, f.command, f.judge, f.merge, f.continued)
-        self._parts = SimpleNamespace(**{one.__name__: one if simulated else jit(one) for one in parts})
+        self._parts = SimpleNamespace(**{one.__name__: one if simulated else jit(one, brief=True) for one in parts})
         self._sample_some = in_parts(f.sample_episode) if solved_for(setup) and not simulated else None
         # With pictures a simulator that can be traced is compiled here: only the pictures are drawn on the host.
         whole = jit if simulated and self.pictured else lambda function: function
         self._init, self._reset = whole(self._init_all), whole(self._reset_some)
         self._steps = functools.cache(lambda times: whole(functools.partial(self._repeat, times)))
         chain, capsules = setup.robot.chain, lambda: setup.robot.capsules
-        self._clearances = jit(lambda q, here: clearances(capsules(), capsules_at(chain, capsules(), q), here))
-        self._observe, self._view_samples = jit(f.observe), jit(f.view_samples)
+        self._clearances = jit(
+            lambda q, here: clearances(capsules(), capsules_at(chain, capsules(), q), here), brief=True
+        )
+        self._observe, self._view_samples = jit(f.observe, brief=True), jit(f.view_samples, brief=True)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
         """Copy of its own, which continues as this one."""
@@ -223,11 +226,16 @@ class Env:
             state = self.init(jax.random.split(jax.random.key(0), self.num_envs))
             self.render_observation(state, np.arange(self.num_envs) == 0)
 
+    @functools.cached_property
+    def identity(self) -> str:
+        """All that its functions depend on beside their arguments."""
+        return repr((replace(self.config, seed=0), self.setup.robot, self.setup.lag, self.num_envs))
+
     # --- for callers ------------------------------------------------------------------------------
 
     def compile_part(self, function: Callable[..., Any]) -> Callable[..., Any]:
         """A function beside the simulator: itself where a caller traces everything, compiled where none can."""
-        return function if self.traced else jit(function)
+        return function if self.traced else jit(function, brief=True)
 
     def compile_whole(self, function: Callable[..., Any]) -> Callable[..., Any]:
         """A function that uses this environment, compiled as a whole where everything can be traced."""

@@ -34,7 +34,7 @@ def in_parts(
         begin = sample_episode(jax.random.wrap_key_data(bits), goal)
         return begin._replace(key=jax.random.key_data(begin.key))
 
-    compiled = jit(sample)
+    compiled = jit(sample, brief=True)
 
     def sample_some(keys: Array, goal: Goal | None, mask: np.ndarray) -> Begin:
         given = jax.tree.map(np.asarray, (jax.random.key_data(keys), goal))

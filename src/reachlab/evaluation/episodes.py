@@ -22,6 +22,7 @@ from reachlab.robots.shapes.clearance import capsules_at, self_distance
 from reachlab.robots.shapes.self_contact import meeting
 from reachlab.sims import SIMULATORS
 from reachlab.tasks.task import TaskSetup
+from reachlab.traced import kept
 
 Watch = Callable[[int], None]
 """Called with the number of episodes that have ended."""
@@ -123,12 +124,12 @@ def make_runner(env: Env, agent: str | Function) -> Runner:
             carry = begin(keys)
             return jax.lax.while_loop(lambda c: ~c[1].done.all(), lambda c: advance(policy, c), carry)[1]
 
-        return Runner(jit(run), BATCH)
+        return Runner(jit(kept(run, f"episodes of {agent}", env.identity)), BATCH)
 
     if env.traced and isinstance(agent, str):
         advance = jit(advance)
     else:
-        count_step = jit(count_step)
+        count_step = jit(count_step, brief=True)
 
     def run_on_host(policy: Policy | None, keys: Array, watch: Watch = ignore) -> Episodes:
         carry, tracks = begin(keys), []
@@ -177,7 +178,7 @@ def _make_meets(env: Env) -> Meets | None:
     robot = env.setup.robot
     if "dynamics" not in SIMULATORS[env.config.sim].gives or not (capsules := robot.capsules).pairs:
         return None
-    near = jit(lambda q: self_distance(capsules, capsules_at(robot.chain, capsules, q)) < 0)
+    near = jit(lambda q: self_distance(capsules, capsules_at(robot.chain, capsules, q)) < 0, brief=True)
     exactly = functools.cache(lambda: meeting(robot))
 
     def meets(q: Array, rows: np.ndarray) -> np.ndarray:

@@ -115,7 +115,6 @@ class _Lessons:
         self._known = replace(env.functions, setup=replace(env.setup, rules=rules), randomise=())
         self._pictures = Pictures(env, config.dagger.capacity)
         self._decide, self._add, self._learn = jit(self._decision), jit(add), jit(self._update)
-        self._finite = jit(_finite)
 
     def iterate(self, state: DistilState) -> tuple[DistilState, Watched]:
         """State after pictures were collected and learnt from, and what it is judged by."""
@@ -126,7 +125,7 @@ class _Lessons:
         metrics = {**_statistics(tally), **losses, "pictures": collected.buffer.count}
         learner = replace(learner, steps=learner.steps + self._config.loop.iteration_steps)
         new = replace(collected, learner=learner, key=key)
-        watched = Watched(metrics, self._finite(new, metrics), new.buffer.label)
+        watched = Watched(metrics, _finite(new, metrics), new.buffer.label)
         return (new if watched.sound else state), watched
 
     def _collect(self, state: DistilState, key: Array) -> tuple[DistilState, Counter[str]]:
@@ -242,11 +241,10 @@ def _statistics(tally: Counter[str]) -> dict[str, Array]:
 
 
 def _finite(state: DistilState, metrics: dict[str, Array]) -> Finite:
-    fine = jnp.array(True)
     return Finite(
-        observation=fine,
+        observation=True,
         action=all_finite(state.buffer),
-        reward=fine,
+        reward=True,
         environment=all_finite(state.env),
         gradient=all_finite(metrics["gradient_norm"]),
         loss=all_finite(metrics),

@@ -30,6 +30,7 @@ from reachlab.runs.files import write_synced
 from reachlab.runs.metrics import Metrics
 from reachlab.settings.config import RunConfig
 from reachlab.settings.validation import InputError
+from reachlab.traced import kept
 
 VALIDATE_FROM = 0.9
 """Success rate of training episodes from which validations are worth their time, or `stop_success` if it is lower."""
@@ -109,8 +110,13 @@ class Loop:
         shape = jax.eval_shape(lambda: self.method.initial_state(env, config, config.seed, self.given))
         saved = self._saved_state(shape) if resume else None
         with ThreadPoolExecutor(2) as pool:
-            begin = jit(lambda seed: self.method.initial_state(env, config, seed, self.given), brief=True)
-            begun = pool.submit(begin, np.uint32(config.seed))
+            begin = kept(
+                lambda seed: self.method.initial_state(env, config, seed, self.given),
+                f"first state of {config.method}",
+                env.identity,
+                like=shape,
+            )
+            begun = pool.submit(jit(begin, brief=True), np.uint32(config.seed))
             runner = pool.submit(self._compiled_runner, shape.learner.policy)
             self._step = self.method.compile_iteration(env, config, shape, None)
             self.runner = runner.result()
@@ -160,7 +166,7 @@ class Loop:
         except EngineError as error:
             self._stop(state, metrics, str(error), error.rollout)
         row = {name: float(x) for name, x in sorted(jax.device_get(watched.metrics).items())}
-        if missing := jax.device_get(watched.finite).missing():
+        if missing := watched.finite.missing():
             self._stop(state, metrics, f"a number is not finite in: {', '.join(missing)}", watched.rollout)
         self.now = replace(
             self.now,

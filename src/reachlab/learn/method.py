@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from reachlab.envs.core import Env
@@ -16,24 +16,22 @@ from reachlab.settings.config import RunConfig
 
 
 class Finite(NamedTuple):
-    """For each kind of number whether all of them are finite `[]`, causes before what they lead to."""
+    """For each kind of number whether all of them are finite, causes before what they lead to."""
 
-    observation: Array
-    action: Array
-    reward: Array
-    environment: Array
-    gradient: Array
-    loss: Array
-    parameter: Array
+    observation: bool
+    action: bool
+    reward: bool
+    environment: bool
+    gradient: bool
+    loss: bool
+    parameter: bool
 
     def missing(self) -> list[str]:
         """Kinds of which one number or more is not finite."""
         return [kind for kind, finite in self._asdict().items() if not finite]
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class Watched:
+class Watched(NamedTuple):
     """What an iteration is judged by.
 
     Attributes:
@@ -47,9 +45,9 @@ class Watched:
     rollout: object
 
     @property
-    def sound(self) -> Array:
+    def sound(self) -> bool:
         """Whether every number is finite."""
-        return jnp.stack(self.finite).all()
+        return all(self.finite)
 
 
 class Method(NamedTuple):
@@ -61,7 +59,7 @@ class Method(NamedTuple):
             configuration, the seed and what was loaded.
         compile_iteration: the function that gives the next state and what it is judged by, of the environment, the
             configuration, a state, or its shapes, and how experience is collected, by default in this process. If a
-            number is not finite the state is the one before. It may use up the state that it is given.
+            number is not finite the state is the one before.
         shares: whether its experience can be collected elsewhere, by a `rollout.Collect`.
     """
 
@@ -71,7 +69,7 @@ class Method(NamedTuple):
     shares: bool = False
 
 
-def all_finite(tree: object) -> Array:
-    """Whether every number in a pytree is finite `[]`."""
+def all_finite(tree: object) -> bool:
+    """Whether every number in a pytree is finite: on the host, as in a program it is a fifth of what is compiled."""
     floats = [leaf for leaf in jax.tree.leaves(tree) if jnp.issubdtype(leaf.dtype, jnp.floating)]
-    return jnp.array([jnp.isfinite(leaf).all() for leaf in floats], bool).all()
+    return all(bool(np.isfinite(leaf).all()) for leaf in floats)

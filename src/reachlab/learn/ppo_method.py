@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any
 
 import jax
-import jax.numpy as jnp
 from jax import Array
 
 from reachlab.envs.core import Env
@@ -20,6 +19,7 @@ from reachlab.learn.learner import Learner, make_initial_policy, make_learner, m
 from reachlab.learn.method import Finite, Method, Watched, all_finite
 from reachlab.learn.rollout import Collect, Rollout, collect, episode_statistics, host_collector
 from reachlab.settings.config import RunConfig
+from reachlab.traced import kept
 
 
 @jax.tree_util.register_dataclass
@@ -32,9 +32,8 @@ class TrainState:
     key: Array
 
 
-Tree = TypeVar("Tree")
-Learn = Callable[[Learner, Rollout, EnvState, Array], tuple[Learner, Watched]]
-Keep = Callable[[Array, TrainState, TrainState], TrainState]
+Metrics = dict[str, Array]
+Learn = Callable[[Learner, Rollout, Array], tuple[Learner, Metrics]]
 Iteration = Callable[[TrainState], tuple[TrainState, Watched]]
 
 
@@ -57,37 +56,40 @@ def compile_iteration(env: Env, config: RunConfig, shape: TrainState, elsewhere:
     Where everything is traced it is one program; else the environment steps on the host, between compiled parts.
     """
 
-    def learn(learner: Learner, rollout: Rollout, state: EnvState, key: Array) -> tuple[Learner, Watched]:
+    def learn(learner: Learner, rollout: Rollout, key: Array) -> tuple[Learner, Metrics]:
         new, metrics = ppo.update(learner, rollout, key, config)
-        watched = Watched({**episode_statistics(rollout), **metrics}, _finite(rollout, state, metrics, new), rollout)
-        return _select(watched.sound, new, learner), watched
+        return new, {**episode_statistics(rollout), **metrics}
 
-    def iterate(gather: Collect, learn: Learn, keep: Keep, state: TrainState) -> tuple[TrainState, Watched]:
+    def iterate(gather: Collect, learn: Learn, state: TrainState) -> tuple[TrainState, Metrics, Rollout]:
         key, for_rollout, for_update = jax.random.split(state.key, 3)
         after, rollout = gather(env, state.learner.policy, state.env, for_rollout, config.loop)
-        learner, watched = learn(state.learner, rollout, after, for_update)
-        return keep(watched.sound, TrainState(learner, after, key), TrainState(learner, state.env, state.key)), watched
+        learner, metrics = learn(state.learner, rollout, for_update)
+        return TrainState(learner, after, key), metrics, rollout
 
     if env.traced:
-        return jit(partial(iterate, collect, learn, _select), donate=(0,)).lower(shape).compile()
-    gather = elsewhere or host_collector()
-    return partial(iterate, gather, jit(learn, donate=(0,)), lambda sound, new, old: new if sound else old)
+        whole = kept(partial(iterate, collect, learn), "iteration of PPO", env.identity)
+        compiled = jit(whole).lower(shape).compile()
+    else:
+        compiled = partial(iterate, elsewhere or host_collector(), jit(learn))
+
+    def judged(state: TrainState) -> tuple[TrainState, Watched]:
+        new, metrics, rollout = compiled(state)
+        watched = Watched(metrics, _finite(rollout, new, metrics), rollout)
+        return new if watched.sound else state, watched
+
+    return judged
 
 
-def _finite(rollout: Rollout, state: EnvState, metrics: dict[str, Array], learner: Learner) -> Finite:
+def _finite(rollout: Rollout, state: TrainState, metrics: Metrics) -> Finite:
     return Finite(
         observation=all_finite((rollout.observation, rollout.next_observation)),
         action=all_finite((rollout.output, rollout.log_prob)),
         reward=all_finite(rollout.reward),
-        environment=all_finite((rollout.distance, state)),
+        environment=all_finite((rollout.distance, state.env)),
         gradient=all_finite(metrics["gradient_norm"]),
         loss=all_finite(metrics),
-        parameter=all_finite(learner),
+        parameter=all_finite(state.learner),
     )
-
-
-def _select(sound: Array, new: Tree, old: Tree) -> Tree:
-    return jax.tree.map(lambda a, b: jnp.where(sound, a, b), new, old)
 
 
 PPO = Method(lambda _config, _resume: None, initial_state, compile_iteration, shares=True)

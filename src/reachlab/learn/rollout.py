@@ -83,11 +83,11 @@ def host_collector(first: int = 0, of: int | None = None) -> Collect:
 
     For environments from the `first` on, `of` so many in all, it gives the rows that all of them together would have.
     """
-    choose = jit(sample_action)
+    choose = jit(sample_action, brief=True)
 
     @functools.cache
     def draw(*shape: int) -> Wrapped:
-        return jit(jax.vmap(lambda key: jax.random.normal(key, shape)))
+        return jit(jax.vmap(lambda key: jax.random.normal(key, shape)), brief=True)
 
     def collect(env: Env, policy: Policy, state: EnvState, key: Array, config: LoopConfig) -> tuple[EnvState, Rollout]:
         rows, observation = [], env.observe_now(state)

@@ -21,6 +21,9 @@ GROUP = "reachlab.extensions"
 IMPORTED: list[str] = []
 """Extensions that were imported by name or file, as new runs remember them."""
 
+INSTALLED: list[str] = []
+"""Extensions of installed packages that were imported."""
+
 
 @functools.cache
 def import_installed() -> None:
@@ -32,8 +35,14 @@ def import_installed() -> None:
     for entry in entry_points(group=GROUP):
         try:
             entry.load()
+            INSTALLED.append(entry.value)
         except Exception as error:
             raise InputError(f"extension {entry.value!r} cannot be imported: {_why(error)}.") from error
+
+
+def extended() -> bool:
+    """Whether an extension was imported."""
+    return bool(IMPORTED or INSTALLED)
 
 
 def import_extension(name: str) -> None:

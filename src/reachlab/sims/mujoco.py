@@ -75,7 +75,7 @@ class MujocoSimulator(Drawn):
         self._begin = self._batch.state[0].copy()
         # What `engine` and `bodies` the arms have now, as long as they are as they were given.
         self._given: tuple[Array, Bodies] | None = None
-        self._pose = jit(lambda q: forward_kinematics(robot.chain, q))
+        self._pose = jit(lambda q: forward_kinematics(robot.chain, q), brief=True)
 
     def reset(self, state: SimState | None, begin: Begin, mask: BatchArray | None) -> SimState:
         """See `Simulator.reset`."""

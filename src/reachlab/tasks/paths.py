@@ -97,10 +97,21 @@ def _sample_circle(setup: TaskSetup, key: Array, speed: Array) -> Array:
     for_radius, for_axes, for_centre, for_phase = jax.random.split(key, 4)
     largest = float((high - low).min()) / 2
     radius = jax.random.uniform(for_radius, minval=SMALLEST_RADIUS * largest, maxval=largest)
-    axes, _ = jnp.linalg.qr(jax.random.normal(for_axes, (3, 2)))
+    axes = _axes(jax.random.normal(for_axes, (3, 2)))
     centre = low + radius + jax.random.uniform(for_centre, (3,)) * (high - low - 2 * radius)
     phase = jax.random.uniform(for_phase, maxval=2 * jnp.pi)
     return jnp.concatenate([jnp.stack([speed / radius, phase]), centre, (radius * axes.T).ravel()])
+
+
+def _axes(z: Array) -> Array:
+    """The first factor of `z = QR` `[3, 2]` with the signs of LAPACK's `geqrf`, without LAPACK: see `make_policy`."""
+    one, other = z.T
+    diagonal = -jnp.copysign(jnp.linalg.norm(one), one[0])
+    mirror = one.at[0].add(-diagonal)  # Householder's: what it mirrors the second column to has the sign of its second
+    mirrored = other - 2 * mirror * (mirror @ other) / (mirror @ mirror)
+    first = one / diagonal
+    second = other - first * (first @ other)
+    return jnp.stack([first, -jnp.copysign(1.0, mirrored[1]) * second / jnp.linalg.norm(second)], axis=1)
 
 
 def _on_circle(setup: TaskSetup, numbers: Array, time: Array) -> Place:

@@ -7,7 +7,6 @@ import itertools
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import minimize
 
 from reachlab.robots.kinematics.chain import significant
 
@@ -127,6 +126,8 @@ def cut(triangles: np.ndarray, normal: np.ndarray, height: float) -> tuple[np.nd
 
 def _fit(triangles: np.ndarray) -> Fitted:
     """The smallest capsule that contains all corners, and so the triangles too."""
+    from scipy.optimize import minimize  # half a second, which who finds the capsules in the cache need not wait
+
     points = triangles.reshape(-1, 3)
     some = points[:: 1 + len(points) // MANY]
     some = some[np.unique(np.round(_directions() @ some.T, FINE).argmax(axis=1))]
