@@ -10,7 +10,7 @@ from jax import Array
 from reachlab.control.bodies import turned
 from reachlab.control.situation import Drive, Situation
 from reachlab.robots.kinematics.forward import components, forward_kinematics, norm
-from reachlab.robots.kinematics.inverse import ik_displace, ik_point_step
+from reachlab.robots.kinematics.inverse import ik_approach, ik_point_step
 from reachlab.robots.kinematics.scalars import rotation_from_quaternion
 from reachlab.robots.robot import Robot
 
@@ -90,7 +90,7 @@ def towards(drive: Drive, now: Situation, velocity: Array, turn: Array) -> Array
     def nearer(_: int, q: Array) -> Array:
         if not chain.poses:
             q = _rolled(drive.robot, q, quaternion)
-        return ik_displace(chain, q, place - forward_kinematics(chain, q).position, quaternion)
+        return ik_approach(chain, q, place, quaternion)
 
     return _together(drive, now, jax.lax.fori_loop(0, PASSES, nearer, now.q))
 

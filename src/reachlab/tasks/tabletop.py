@@ -14,7 +14,7 @@ from jax import Array
 from reachlab.jax_setup import jit
 from reachlab.robots.kinematics.chain import Chain
 from reachlab.robots.kinematics.forward import angle_between, components, forward_kinematics
-from reachlab.robots.kinematics.inverse import ik_displace
+from reachlab.robots.kinematics.inverse import ik_approach
 from reachlab.robots.kinematics.scalars import Vec, rotation_from_quaternion
 from reachlab.robots.robot import Box, Robot
 from reachlab.settings.cache import kept
@@ -110,7 +110,7 @@ def _there(chain: Chain, home: Array, held: Array, points: Array) -> Array:
     turned = jnp.broadcast_to(held, (len(points), 4))
 
     def closer(_: int, q: Array) -> Array:
-        return ik_displace(chain, q, points - forward_kinematics(chain, q).position, turned)
+        return ik_approach(chain, q, points, turned)
 
     q = jax.lax.fori_loop(0, STEPS, closer, jnp.broadcast_to(home, (len(points), chain.n)))
     tool = forward_kinematics(chain, q)

@@ -10,7 +10,15 @@ import numpy as np
 from jax import Array
 
 from reachlab.robots.kinematics.chain import Chain
-from reachlab.robots.kinematics.forward import approach_axis, components, forward_kinematics, frames_at, jacobian
+from reachlab.robots.kinematics.forward import (
+    approach_axis,
+    components,
+    forward_kinematics,
+    frames_at,
+    jacobian,
+    stack,
+)
+from reachlab.robots.kinematics.scalars import solve_positive
 
 SAMPLES = 8192
 """Random joint vectors from which homes are found."""
@@ -149,6 +157,7 @@ def _turned(chain: Chain, base: np.ndarray, q: Array, tilt: Array) -> Array:
     columns = jacobian(chain, q)[..., 3:, :]
     columns -= axis[..., :, None] * jnp.einsum("bi,bij->bj", axis, columns)[..., None, :]
     gram = jnp.einsum("bij,bkj->bik", columns, columns) + DAMPING * jnp.eye(3)
-    step = jnp.einsum("bij,bi->bj", columns, jnp.linalg.solve(gram, turn[..., None])[..., 0])
+    weights = solve_positive([[gram[:, i, j] for j in range(i + 1)] for i in range(3)], components(turn))
+    step = jnp.einsum("bij,bi->bj", columns, stack(weights, turn))
     step *= jnp.minimum(1.0, LONGEST_STEP / jnp.maximum(jnp.abs(step).max(axis=-1, keepdims=True), TINY))
     return jnp.clip(q + step, jnp.array(chain.lower), jnp.array(chain.upper))

@@ -5,8 +5,8 @@ from __future__ import annotations
 import functools
 import itertools
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -17,7 +17,8 @@ from reachlab.jax_setup import compile_together
 from reachlab.robots.derive.home import SAMPLES, Candidates, rounded, turned_candidates
 from reachlab.robots.kinematics.chain import Chain, significant
 from reachlab.robots.kinematics.forward import forward_kinematics, turned
-from reachlab.robots.kinematics.inverse import ik_displace, ik_point_step
+from reachlab.robots.kinematics.inverse import ik_approach, ik_point_step
+from reachlab.robots.kinematics.scalars import Rotation, Vec
 from reachlab.robots.robot import TUTORIAL_WORKSPACE, Box
 
 SHARE = 0.999
@@ -94,14 +95,11 @@ def derive(
         home: the file's.
         free: whether the arm does not touch itself at a joint vector `[n]`.
     """
-    tilts = TILTS[:1] if chain.poses else TILTS
-    vectors, points = (np.zeros((PROBES, size), np.float32) for size in (chain.n, 3))
-    held, anyhow, find = compile_together(
-        (functools.partial(_held, chain), (vectors[0], points)),
-        (functools.partial(_anyhow, chain), (vectors, points)),
-        (functools.partial(turned_candidates, chain, base), (np.zeros((SAMPLES, chain.n), np.float32), np.float32(0))),
-    )
-    candidates = Candidates(chain, base, tilts, find)
+    tilts, (rotation, offset) = TILTS[:1] if chain.poses else TILTS, chain.frames[-1]
+    tool = np.array([*rotation, offset], np.float32), np.array(chain.approach, np.float32)
+    programs = _programs(replace(chain, frames=chain.frames[:-1], approach=()))
+    held, anyhow, find = (functools.partial(one, *tool) for one in programs)
+    candidates = Candidates(chain, base, tilts, functools.partial(find, base.astype(np.float32)))
     search = _Search(chain, speed, base, candidates.reach, held, anyhow)
     tried = [(np.array(home), turn, FAR_BETTER**2) for turn in QUARTERS] if home else []
     for turn, tilt in itertools.product(QUARTERS, tilts):
@@ -125,6 +123,30 @@ def derive(
     goal_box, goal_share = search.verified(goals[0] if goals else workspace, anyhow_from_home, None)
     there, shares = tuple(q.tolist()), {"workspace": share, "goal_box": goal_share}
     return Derived(there, orientation(chain, there), workspace, goal_box, shares)
+
+
+@functools.cache
+def _programs(arm: Chain) -> list[Callable[..., Any]]:
+    """`_held`, `_anyhow` and `turned_candidates`, compiled for an arm with any tool: its frame `[4, 3]`, and approach.
+
+    An arm is looked at with the tool of its file and with a gripper.
+    """
+    tool, (vectors, points) = np.zeros((4, 3), np.float32), (np.zeros((PROBES, n), np.float32) for n in (arm.n, 3))
+
+    def with_tool(function: Callable[..., Any]) -> Callable[..., Any]:
+        def call(tool: Array, approach: Array, *arguments: Any) -> Any:
+            *rotation, offset = (Vec(*column) for column in tool)
+            frames = (*arm.frames, (Rotation(*rotation), offset))
+            return function(replace(arm, frames=frames, approach=tuple(approach)), *arguments)
+
+        return call
+
+    sampled, given = np.zeros((SAMPLES, arm.n), np.float32), (tool, points[0])
+    return compile_together(
+        (with_tool(_held), (*given, vectors[0], points)),
+        (with_tool(_anyhow), (*given, vectors, points)),
+        (with_tool(turned_candidates), (*given, points[0], sampled, np.float32(0))),
+    )
 
 
 def orientation(chain: Chain, home: tuple[float, ...]) -> tuple[float, ...]:
@@ -211,7 +233,7 @@ def _held(chain: Chain, home: Array, points: Array) -> tuple[Array, Array]:
     def step(number: Array, q: Array) -> Array:
         share = jnp.minimum((number + 1) / STEPS, 1.0)
         aim = start.position + share * (points - start.position)
-        return ik_displace(chain, q, aim - forward_kinematics(chain, q).position, quaternion)
+        return ik_approach(chain, q, aim, quaternion)
 
     q = jax.lax.fori_loop(0, STEPS + SETTLING, step, jnp.broadcast_to(home, (len(points), chain.n)))
     pose = forward_kinematics(chain, q)

@@ -64,14 +64,17 @@ class Chain:
         return transform[:3, 3], quaternion
 
     def links_at(self, q: Sequence[float] | np.ndarray) -> np.ndarray:
-        """Transforms `[n + 1, 4, 4]` of the links at one joint vector `[n]`, without JAX.
+        """Transforms `[..., n + 1, 4, 4]` of the links at joint vectors `[..., n]`, without JAX.
 
         Link 0 is the base, in the world's frame; link `k + 1` is what joint `k` moves, in the frame `F_0 J_0 ... J_k`.
         """
-        transforms = [np.eye(4)]
-        for (rotation, offset), slide, value in zip(self.frames[:-1], self.slides, q, strict=True):
-            transforms.append(transforms[-1] @ _matrix(rotation, offset) @ _joint_transform(slide, float(value)))
-        return np.stack(transforms)
+        values = np.asarray(q, float)
+        transforms = [np.broadcast_to(np.eye(4), (*values.shape[:-1], 4, 4))]
+        for (rotation, offset), slide, value in zip(
+            self.frames[:-1], self.slides, np.moveaxis(values, -1, 0), strict=True
+        ):
+            transforms.append(transforms[-1] @ _matrix(rotation, offset) @ _joint_transform(slide, value))
+        return np.stack(transforms, axis=-3)
 
 
 DIGITS = 6
@@ -196,10 +199,15 @@ def _align_z(position: np.ndarray, axis: np.ndarray) -> np.ndarray:
     return _transform(position, half if half[0] > ROUND_TO_EXACT else np.array([0.0, 1.0, 0.0, 0.0]))
 
 
-def _joint_transform(slide: bool, value: float) -> np.ndarray:
+def _joint_transform(slide: bool, value: float | np.ndarray) -> np.ndarray:
+    """Transforms `[..., 4, 4]` of a joint that is moved by `value [...]`."""
+    transform = np.tile(np.eye(4), (*np.shape(value), 1, 1))
     if slide:
-        return _transform(np.array([0.0, 0.0, value]), np.array([1.0, 0.0, 0.0, 0.0]))
-    return _transform(np.zeros(3), np.array([np.cos(value / 2), 0.0, 0.0, np.sin(value / 2)]))
+        transform[..., 2, 3] = value
+        return transform
+    cos, sin = np.cos(value), np.sin(value)
+    transform[..., :2, :2] = np.stack([np.stack([cos, -sin], -1), np.stack([sin, cos], -1)], -2)
+    return transform
 
 
 def _matrix(rotation: Rotation, offset: Vec | np.ndarray) -> np.ndarray:

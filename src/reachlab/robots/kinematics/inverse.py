@@ -79,11 +79,20 @@ def ik_displace(chain: Chain, q: Array, displacement: Array, quaternion: Array) 
     orientation. `q` within the limits stays within them, and finite input gives finite output. Of an arm with fewer
     than six joints the tool's tilt alone is held: the angle of `Chain.approach` from straight down, outward.
     """
-    parts = components(q)
-    angular, columns = _orientation(chain, frames_at(chain, parts), quaternion)
-    linear = Vec(*components(displacement))
+    frames = frames_at(chain, components(q))
+    return _pose_step(chain, q, frames, Vec(*components(displacement)), quaternion)
+
+
+def ik_approach(chain: Chain, q: Array, position: Array, quaternion: Array) -> Array:
+    """The same step towards a tool at `position [..., 3]` m."""
+    frames = frames_at(chain, components(q))
+    return _pose_step(chain, q, frames, Vec(*components(position)).minus(frames.position), quaternion)
+
+
+def _pose_step(chain: Chain, q: Array, frames: Frames, linear: Vec, quaternion: Array) -> Array:
+    angular, columns = _orientation(chain, frames, quaternion)
     turn = angular.times(_shrink(MAX_TURN, angular.norm()))
-    return stack(_bounded_step(chain, parts, columns, linear, turn, DAMPING, MAX_JOINT_STEP), q)
+    return stack(_bounded_step(chain, components(q), columns, linear, turn, DAMPING, MAX_JOINT_STEP), q)
 
 
 def ik_point_step(chain: Chain, q: Array, command: Array, displacement: Array) -> Array:

@@ -101,7 +101,7 @@ def _pairs(capsules: Capsules, chain: Chain, home: tuple[float, ...]) -> tuple[t
     if not pairs:
         return ()
     random = np.random.default_rng(0).uniform(chain.lower, chain.upper, (SAMPLES, chain.n))
-    frames = np.stack([chain.links_at(q) for q in (home, *random)])[:, links]
+    frames = chain.links_at(np.vstack([home, random]))[:, links]
     turns, places = frames[..., :3, :3], frames[..., :3, 3].transpose(2, 1, 0)
     sides = (np.einsum("bcij,cj->icb", turns, points) + places for points in (capsules.starts, capsules.ends))
     meet = pair_distances(capsules, Segments(*sides), pairs) < 0
