@@ -11,12 +11,12 @@ import os
 import platform
 import sys
 from collections.abc import Callable, Iterator, Sequence
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
-import optax
 from jax import export
 
 from reachlab.settings.extensions import extended
@@ -92,7 +92,7 @@ def _form(value: Any) -> Any:
     if dataclasses.is_dataclass(value):
         parts = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
         return _named(value, {name: _form(part) for name, part in parts.items() if name not in _static(type(value))})
-    if isinstance(value, tuple) and (fields := getattr(value, "_fields", None)):
+    if isinstance(value, tuple) and (fields := getattr(value, "_fields", None)) is not None:
         return _named(value, {name: _form(part) for name, part in zip(fields, value, strict=True)})
     if isinstance(value, dict):
         return {"dict": {name: _form(part) for name, part in value.items()}}
@@ -162,7 +162,7 @@ def _surroundings() -> tuple[object, ...]:
     """All that every trace depends on: this package, the libraries, how JAX is set, and the machine."""
     source = [(path.name, path.stat().st_size, path.stat().st_mtime_ns) for path in _sources()]
     options = sorted((name, repr(value)) for name, value in jax.config.values.items() if "cache" not in name)
-    versions = jax.__version__, optax.__version__, np.__version__, sys.version, platform.machine()
+    versions = jax.default_backend(), jax.__version__, version("optax"), np.__version__, sys.version, platform.machine()
     return *source, *options, *versions
 
 

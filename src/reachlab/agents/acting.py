@@ -81,15 +81,20 @@ def make_act(env: Env, agent: str | Function) -> Act:
     if entry.remembers:
         return entry.load()(env)
     decide: Agent = entry.load()
-    decided = env.compile_part(lambda policy, state, key, picture: decide(env, policy, state, key, picture))
+
+    @env.compile_part
+    def decided(policy: Policy | None, state: EnvState, key: Array, picture: Any) -> tuple[Array, Array]:
+        key, now = jax.random.split(key)
+        return decide(env, policy, state, now, picture), key
+
     draws = env.pictured and entry.trained
 
     def act(
         policy: Policy | None, state: EnvState, key: Array, mask: Array | None = None, instead: Array | None = None
     ) -> tuple[EnvState, Transition, Array]:
-        key, now = jax.random.split(key)
         picture = env.render_observation(state, None if mask is None else np.asarray(mask)) if draws else None
-        state, transition = env.step(state, decided(policy, state, now, picture), instead=instead)
+        action, key = decided(policy, state, key, picture)
+        state, transition = env.step(state, action, instead=instead)
         return state, transition, key
 
     return act

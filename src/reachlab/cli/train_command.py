@@ -9,6 +9,7 @@ from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any
 
+from reachlab.cli.console import note, say
 from reachlab.cli.flags import STUDENT, Distil, Train
 from reachlab.cli.preparation import prepare
 from reachlab.envs.presets import distillation, in_simulator
@@ -55,8 +56,11 @@ def _learn(arguments: Train | Distil, config: RunConfig, verb: str) -> None:
         )
     if arguments.resume and _is_finished(arguments, config, arguments.resume):
         return
+    note(
+        f"Preparing task {config.task} on {config.robot} in {config.sim}: what has to be compiled takes 5 to 20 s the"
+        " first time, and 1 to 3 s later."
+    )
     prepare()
-    from reachlab.cli.console import note, say
     from reachlab.cli.progress import TrainDisplay, print_training
     from reachlab.learn.train import train as run_training
     from reachlab.runs.directory import read_config

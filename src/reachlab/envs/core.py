@@ -31,6 +31,7 @@ from reachlab.tasks.observations import OBSERVATIONS
 from reachlab.tasks.scenes import clearances
 from reachlab.tasks.schema import SIZE, Observed
 from reachlab.tasks.targets import solved_for
+from reachlab.traced import kept
 
 TOUCHING = 0.005
 """Distance within which an arm that touches something touches a body [m]: it has moved on since."""
@@ -93,8 +94,9 @@ class Env:
         # The functions around the simulator's steps: traced with them, or compiled one by one, where an engine takes
         # most of the time.
         parts = (f.sample_episode, f.chained_start, f.begin, f.command, f.judge, f.merge, f.continued)
-        self._parts = SimpleNamespace(**{one.__name__: one if simulated else jit(one, brief=True) for one in parts})
-        self._sample_some = in_parts(f.sample_episode) if solved_for(setup) and not simulated else None
+        self._parts = SimpleNamespace(**{one.__name__: one if simulated else self._part(one) for one in parts})
+        sample_some = in_parts(f.sample_episode, self._part) if solved_for(setup) and not simulated else None
+        self._sample_some = sample_some
         # With pictures a simulator that can be traced is compiled here: only the pictures are drawn on the host.
         whole = jit if simulated and self.pictured else lambda function: function
         self._init, self._reset = whole(self._init_all), whole(self._reset_some)
@@ -104,6 +106,9 @@ class Env:
             lambda q, here: clearances(capsules(), capsules_at(chain, capsules(), q), here), brief=True
         )
         self._observe, self._view_samples = jit(f.observe, brief=True), jit(f.view_samples, brief=True)
+
+    def _part(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        return jit(kept(function, function.__name__, self.identity), brief=True)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
         """Copy of its own, which continues as this one."""

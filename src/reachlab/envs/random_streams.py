@@ -7,6 +7,8 @@ with numbers that no split reaches.
 
 from __future__ import annotations
 
+import functools
+
 import jax
 import numpy as np
 from jax import Array
@@ -33,7 +35,12 @@ def stream_key(seed: int | Array, stream: int) -> Array:
 
 def episode_keys(seed: int | Array, stream: int, first: int, count: int) -> Array:
     """Keys of the episodes `first ... first + count - 1` of a seed's stream; they depend on nothing else."""
-    return jax.vmap(jax.random.fold_in, (None, 0))(stream_key(seed, stream), jax.numpy.arange(first, first + count))
+    return _episode_keys(np.uint32(seed) if isinstance(seed, int) else seed, stream, first, count)
+
+
+@functools.partial(jax.jit, static_argnames="count")
+def _episode_keys(seed: Array, stream: int, first: int, count: int) -> Array:
+    return jax.vmap(jax.random.fold_in, (None, 0))(stream_key(seed, stream), first + jax.numpy.arange(count))
 
 
 def env_keys(seed: int, num_envs: int) -> Array:

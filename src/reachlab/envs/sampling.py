@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from operator import itemgetter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
 from jax import Array
 
 from reachlab.control.situation import Goal
-from reachlab.jax_setup import jit
 
 if TYPE_CHECKING:
     from reachlab.sims.simulator import Begin
@@ -23,10 +22,11 @@ many, since the program takes longer to compile than to run."""
 
 def in_parts(
     sample_episode: Callable[[Array, Goal | None], Begin],
+    compiled: Callable[[Callable[..., Any]], Callable[..., Any]],
 ) -> Callable[[Array, Goal | None, np.ndarray], Begin]:
     """Function that samples what episodes of a `mask [B]` begin with; what it gives for the others means nothing.
 
-    Otherwise it is as `sample_episode` is, see `EnvFunctions.sample_episode`.
+    Otherwise it is as `sample_episode` is, see `EnvFunctions.sample_episode`, and `compiled` as it says.
     """
 
     # Keys travel as their bits, which NumPy can hold.
@@ -34,13 +34,13 @@ def in_parts(
         begin = sample_episode(jax.random.wrap_key_data(bits), goal)
         return begin._replace(key=jax.random.key_data(begin.key))
 
-    compiled = jit(sample, brief=True)
+    compiled_sample = compiled(sample)
 
     def sample_some(keys: Array, goal: Goal | None, mask: np.ndarray) -> Begin:
         given = jax.tree.map(np.asarray, (jax.random.key_data(keys), goal))
         rows, together = np.flatnonzero(mask), min(TOGETHER, len(keys))
         parts = np.resize(rows, (max(-(-len(rows) // together), 1), together))
-        sampled = [compiled(*jax.tree.map(itemgetter(part), given)) for part in parts]
+        sampled = [compiled_sample(*jax.tree.map(itemgetter(part), given)) for part in parts]
         place = np.zeros(len(keys), int)
         place[rows] = np.arange(len(rows))
         begin: Begin = jax.tree.map(lambda *x: np.concatenate(x)[place], *sampled)

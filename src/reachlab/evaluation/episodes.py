@@ -24,6 +24,12 @@ from reachlab.sims import SIMULATORS
 from reachlab.tasks.task import TaskSetup
 from reachlab.traced import kept
 
+FEW = 20_000
+"""Episodes up to which those of a simulator in JAX take less time than a thorough compiler."""
+
+Carry = tuple[EnvState, "Episodes", Array]
+"""States under way, what is known of their episodes, and the agent's key."""
+
 Watch = Callable[[int], None]
 """Called with the number of episodes that have ended."""
 
@@ -99,21 +105,26 @@ class Runner:
     on_host: bool = False
 
 
-def make_runner(env: Env, agent: str | Function) -> Runner:
-    """Runner for an agent of `agents.AGENTS`, or for a function."""
+def make_runner(env: Env, agent: str | Function, episodes: int = FEW) -> Runner:
+    """Runner for an agent of `agents.AGENTS`, or for a function, which is going to run so many episodes."""
     moves = env.setup.rules.moves
     traced = env.traced and isinstance(agent, str) and not moves
     init = env.init if traced else env.compile_whole(env.init)
     meets = None if traced else _make_meets(env)
 
-    def begin(keys: Array) -> tuple[EnvState, Episodes, Array]:
+    @env.compile_part
+    def unplayed(state: EnvState, keys: Array) -> tuple[Episodes, Array]:
+        begun = _unplayed(state, env.setup, judged=meets is not None)
+        return begun, jax.random.fold_in(keys[0], AGENT_STREAM)
+
+    def begin(keys: Array) -> Carry:
         state = init(keys)
-        return state, _unplayed(state, env.setup, judged=meets is not None), jax.random.fold_in(keys[0], AGENT_STREAM)
+        return state, *unplayed(state, keys)
 
     act = make_act(env, agent)
     count_step = functools.partial(_count, setup=env.setup)
 
-    def advance(policy: Policy | None, carry: tuple[EnvState, Episodes, Array]) -> tuple[EnvState, Episodes, Array]:
+    def advance(policy: Policy | None, carry: Carry) -> Carry:
         state, episodes, key = carry
         state, transition, key = act(policy, state, key, ~episodes.done)
         return state, count_step(episodes, state, transition), key
@@ -124,29 +135,38 @@ def make_runner(env: Env, agent: str | Function) -> Runner:
             carry = begin(keys)
             return jax.lax.while_loop(lambda c: ~c[1].done.all(), lambda c: advance(policy, c), carry)[1]
 
-        return Runner(jit(kept(run, f"episodes of {agent}", env.identity)), BATCH)
+        return Runner(jit(kept(run, f"episodes of {agent}", env.identity), brief=episodes <= FEW), BATCH)
 
     if env.traced and isinstance(agent, str):
         advance = jit(advance)
     else:
         count_step = jit(count_step, brief=True)
+    return Runner(functools.partial(_run_on_host, begin, advance, meets, moves=moves), env.num_envs, on_host=True)
 
-    def run_on_host(policy: Policy | None, keys: Array, watch: Watch = ignore) -> Episodes:
-        carry, tracks = begin(keys), []
-        while (ended := int(np.asarray(carry[1].done).sum())) < len(keys):
-            watch(ended)
-            before, carry = carry[1], advance(policy, carry)
-            if meets:  # which episodes have ended or met before is known
-                state, now, key = carry
-                touched = np.asarray(now.touched)
-                touched = touched | meets(now.motion[0], ~(np.asarray(before.done) | touched))
-                carry = state, replace(now, touched=touched), key
-            if moves:
-                goal = carry[0].goal
-                tracks.append((goal.position, goal.velocity, carry[0].arm.tool_position))
-        return replace(carry[1], track=Track(*np.stack(tracks, axis=2))) if moves else carry[1]
 
-    return Runner(run_on_host, env.num_envs, on_host=True)
+def _run_on_host(
+    begin: Callable[[Array], Carry],
+    advance: Callable[[Policy | None, Carry], Carry],
+    meets: Meets | None,
+    policy: Policy | None,
+    keys: Array,
+    watch: Watch = ignore,
+    *,
+    moves: bool,
+) -> Episodes:
+    carry, tracks = begin(keys), []
+    while (ended := int(np.asarray(carry[1].done).sum())) < len(keys):
+        watch(ended)
+        before, carry = carry[1], advance(policy, carry)
+        if meets:  # which episodes have ended or met before is known
+            state, now, key = carry
+            touched = np.asarray(now.touched)
+            touched = touched | meets(now.motion[0], ~(np.asarray(before.done) | touched))
+            carry = state, replace(now, touched=touched), key
+        if moves:
+            goal = carry[0].goal
+            tracks.append((goal.position, goal.velocity, carry[0].arm.tool_position))
+    return replace(carry[1], track=Track(*np.stack(tracks, axis=2))) if moves else carry[1]
 
 
 def _unplayed(state: EnvState, setup: TaskSetup, *, judged: bool) -> Episodes:

@@ -168,7 +168,8 @@ def examine(
     """
     seed, episodes = whole_number("seed", seed, 0, LAST_SEED), whole_number("episodes", episodes, 1, MOST_EPISODES)
     start = time.perf_counter()
-    result = run_episodes(runner or make_runner(env, agent), policy, seed, REPORT_STREAM, episodes, watch=watch)
+    runner = runner or make_runner(env, agent, episodes)
+    result = run_episodes(runner, policy, seed, REPORT_STREAM, episodes, watch=watch)
     return summarise(env, agent, result, seed, time.perf_counter() - start, checkpoint), result
 
 

@@ -82,7 +82,7 @@ class Loop:
         self.config, self.env, self.run, self.watch, self.start = config, env, run, watch, start
         self.now = Counters(0)
         self.checkpoints = Checkpoints(run, config)
-        self.runner = make_runner(env, "trained")
+        self.runner = make_runner(env, "trained", max(config.loop.validation_episodes, config.loop.report_episodes))
 
     @property
     def validated(self) -> bool:

@@ -92,8 +92,7 @@ def _leaf(name: str, array: np.ndarray, wanted: Any, *, key: bool) -> jax.Array:
         raise InputError(f"it does not fit the run's configuration at {name!r}")
     if array.dtype.kind == "f" and not np.isfinite(array).all():
         raise InputError(f"it holds numbers at {name!r} that are not finite")
-    # A copy: training reuses the memory of its state.
-    return jax.random.wrap_key_data(jax.numpy.array(array)) if key else jax.numpy.array(array)
+    return jax.random.wrap_key_data(jax.device_put(array)) if key else jax.device_put(array)
 
 
 def _plain(leaf: Any) -> np.ndarray:
