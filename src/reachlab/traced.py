@@ -10,7 +10,7 @@ import json
 import os
 import platform
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -26,14 +26,16 @@ _folder: list[Path] = []
 DIGEST = 32
 """Length of the checksum in front of an entry [bytes]: what is damaged would crash XLA's reader."""
 
+MOST = 200
+"""Entries that are kept, of about 50 kB each; the oldest go."""
 
 MOST_LEAVES = 10_000
 """More than any pytree here has."""
 
 
-def keep_in(folder: Path) -> None:
-    """Keep what is traced from here on in this folder."""
-    _folder[:] = [folder]
+def keep_in(folder: Path | None) -> None:
+    """Keep what is traced from here on in this folder, or nothing."""
+    _folder[:] = [folder] if folder else []
 
 
 def kept(function: Callable[..., Any], name: str, *settings: object, like: Any = None) -> Callable[..., Any]:
@@ -155,16 +157,15 @@ def _write(file: Path, program: export.Exported, form: Any) -> None:
         file.parent.mkdir(parents=True, exist_ok=True)
         part.write_bytes(hashlib.sha256(content).digest() + content)
         part.replace(file)
+        for old in sorted(file.parent.glob("*.traced"), key=lambda entry: -entry.stat().st_mtime_ns)[MOST:]:
+            old.unlink(missing_ok=True)
 
 
 @functools.cache
 def _surroundings() -> tuple[object, ...]:
     """All that every trace depends on: this package, the libraries, how JAX is set, and the machine."""
-    source = [(path.name, path.stat().st_size, path.stat().st_mtime_ns) for path in _sources()]
+    files = sorted(Path(__file__).parent.rglob("*.py"))
+    source = [(str(path), path.stat().st_size, path.stat().st_mtime_ns) for path in files]
     options = sorted((name, repr(value)) for name, value in jax.config.values.items() if "cache" not in name)
     versions = jax.default_backend(), jax.__version__, version("optax"), np.__version__, sys.version, platform.machine()
     return *source, *options, *versions
-
-
-def _sources() -> Iterator[Path]:
-    return iter(sorted(Path(__file__).parent.rglob("*.py")))

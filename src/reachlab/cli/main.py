@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import gc
 import io
 import itertools
 import os
@@ -79,6 +80,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return _run(list(sys.argv[1:] if arguments is None else arguments))
         finally:
             sys.stdout.flush()
+            if arguments is None:
+                gc.freeze()  # else what is left is looked through as Python ends, for half a second after a training
     except ImportError:
         if not asked:
             raise

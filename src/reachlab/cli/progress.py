@@ -6,6 +6,8 @@ import math
 import time
 from collections import Counter
 from dataclasses import replace
+from importlib import import_module
+from threading import Thread
 from typing import TYPE_CHECKING
 
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
@@ -107,6 +109,8 @@ class TrainDisplay(Bar):
         if self.first is None:  # from here on it is known that no setting is refused
             note(explained(config))
             self.first = progress
+            # Half a second, for the picture at the end, while XLA computes.
+            Thread(target=import_module, args=("reachlab.watch.plots",), daemon=True).start()
         self.last = progress
         names = {
             "successes": "success_rate",
