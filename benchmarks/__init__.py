@@ -49,6 +49,10 @@ SUITES: dict[str, Lazy] = {
         "Every pair of tasks, observations, actions and robots, exported to Python, C, JavaScript and a page.",
         "benchmarks.printed:printed",
     ),
+    "programs": Lazy(
+        "The programs that a first training of each kind compiles, and how long each takes.",
+        "benchmarks.programs:programs",
+    ),
     "scale": Lazy(
         "Rollouts by Ray workers and trials of sweeps, and what more workers would come to.",
         "benchmarks.scale:scale",

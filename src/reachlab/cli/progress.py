@@ -93,7 +93,8 @@ class TrainDisplay(Bar):
 
     def __init__(self, config: RunConfig) -> None:
         """Display of a run; it shows nothing before its first progress."""
-        super().__init__("compiling")  # training may stop early, so the bar has no total
+        # Training may stop early, so the bar has no total.
+        super().__init__("loading, and compiling: 5 to 20 s the first time, then 1 to 3 s")
         self._config = config
         self._next_line = 0.0
         # Training episodes that have ended since their success was last shown, and what was shown.

@@ -6,45 +6,28 @@ import functools
 import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from reachlab.jax_setup import compile_together
-from reachlab.robots.derive.home import SAMPLES, Candidates, rounded, turned_candidates
+from reachlab.robots.derive.home import Candidates, rounded
+from reachlab.robots.derive.reaching import NODES, PROBES, programs_of
 from reachlab.robots.kinematics.chain import Chain, significant
-from reachlab.robots.kinematics.forward import forward_kinematics, turned
-from reachlab.robots.kinematics.inverse import ik_approach, ik_point_step
-from reachlab.robots.kinematics.scalars import Rotation, Vec
 from reachlab.robots.robot import TUTORIAL_WORKSPACE, Box
 
 SHARE = 0.999
 """A derived box holds at most one point in a thousand that the tool cannot reach."""
 
-NODES = (15, 10, 13)
-"""Points of the grid on which boxes are looked for: forward, to one side (and as many to the other), and up."""
-
 NEAREST, WIDEST, HIGHEST, LOWEST_GOAL = 0.15, 0.8, 0.9, 0.08
 """Where the grid begins in front of the base, and ends at its sides and above it; and the height above which points in
 the air lie: shares of the arm's reach."""
-
-STEPS, SETTLING = 64, 16
-"""Steps on the straight way from home to a point, and steps in which the arm comes to rest there."""
-
-CLOSE, TURNED = 2e-3, 0.1
-"""A point is reached when the tool is this close to it [m], and, where it is held, turned by less than this [rad]."""
 
 TRAVEL = 1.2
 """Points in the air are near enough to home that every joint gets there in this time at its speed limit [s]."""
 
 NOISE = 0.3
 """Starts from which points in the air have to be reached: every joint within this of home [rad or m]."""
-
-PROBES = NODES[0] * (2 * NODES[1] - 1) * NODES[2]
-"""Random points of which the share is measured: as many as the grid has, so that nothing is compiled twice."""
 
 SHRINK, SHRINKS = 0.04, 15
 """A box that holds too many points out of reach is made smaller by this share, so many times at most."""
@@ -97,7 +80,7 @@ def derive(
     """
     tilts, (rotation, offset) = TILTS[:1] if chain.poses else TILTS, chain.frames[-1]
     tool = np.array([*rotation, offset], np.float32), np.array(chain.approach, np.float32)
-    programs = _programs(replace(chain, frames=chain.frames[:-1], approach=()))
+    programs = programs_of(replace(chain, frames=chain.frames[:-1], approach=()))
     held, anyhow, find = (functools.partial(one, *tool) for one in programs)
     candidates = Candidates(chain, base, tilts, functools.partial(find, base.astype(np.float32)))
     search = _Search(chain, speed, base, candidates.reach, held, anyhow)
@@ -123,30 +106,6 @@ def derive(
     goal_box, goal_share = search.verified(goals[0] if goals else workspace, anyhow_from_home, None)
     there, shares = tuple(q.tolist()), {"workspace": share, "goal_box": goal_share}
     return Derived(there, orientation(chain, there), workspace, goal_box, shares)
-
-
-@functools.cache
-def _programs(arm: Chain) -> list[Callable[..., Any]]:
-    """`_held`, `_anyhow` and `turned_candidates`, compiled for an arm with any tool: its frame `[4, 3]`, and approach.
-
-    An arm is looked at with the tool of its file and with a gripper.
-    """
-    tool, (vectors, points) = np.zeros((4, 3), np.float32), (np.zeros((PROBES, n), np.float32) for n in (arm.n, 3))
-
-    def with_tool(function: Callable[..., Any]) -> Callable[..., Any]:
-        def call(tool: Array, approach: Array, *arguments: Any) -> Any:
-            *rotation, offset = (Vec(*column) for column in tool)
-            frames = (*arm.frames, (Rotation(*rotation), offset))
-            return function(replace(arm, frames=frames, approach=tuple(approach)), *arguments)
-
-        return call
-
-    sampled, given = np.zeros((SAMPLES, arm.n), np.float32), (tool, points[0])
-    return compile_together(
-        (with_tool(_held), (*given, vectors[0], points)),
-        (with_tool(_anyhow), (*given, vectors, points)),
-        (with_tool(turned_candidates), (*given, points[0], sampled, np.float32(0))),
-    )
 
 
 def orientation(chain: Chain, home: tuple[float, ...]) -> tuple[float, ...]:
@@ -224,32 +183,6 @@ class _Search:
                 low, high = np.minimum(low, holds), np.maximum(high, holds)
         low, high = np.round(low, 3), np.round(high, 3)
         return (tuple(low.tolist()), tuple(high.tolist())), share
-
-
-def _held(chain: Chain, home: Array, points: Array) -> tuple[Array, Array]:
-    start = forward_kinematics(chain, home)
-    quaternion = jnp.broadcast_to(start.quaternion, (len(points), 4))
-
-    def step(number: Array, q: Array) -> Array:
-        share = jnp.minimum((number + 1) / STEPS, 1.0)
-        aim = start.position + share * (points - start.position)
-        return ik_approach(chain, q, aim, quaternion)
-
-    q = jax.lax.fori_loop(0, STEPS + SETTLING, step, jnp.broadcast_to(home, (len(points), chain.n)))
-    pose = forward_kinematics(chain, q)
-    apart = jnp.linalg.norm(pose.position - points, axis=-1)
-    return (apart < CLOSE) & (turned(chain, pose.quaternion, quaternion) < TURNED), q
-
-
-def _anyhow(chain: Chain, starts: Array, points: Array) -> tuple[Array, Array]:
-    begun = forward_kinematics(chain, starts).position
-
-    def step(number: Array, q: Array) -> Array:
-        aim = begun + jnp.minimum((number + 1) / STEPS, 1.0) * (points - begun)
-        return q + ik_point_step(chain, q, q, aim - forward_kinematics(chain, q).position)
-
-    q = jax.lax.fori_loop(0, STEPS + SETTLING, step, starts)
-    return jnp.linalg.norm(forward_kinematics(chain, q).position - points, axis=-1) < CLOSE, q
 
 
 def largest_box(
