@@ -57,16 +57,16 @@ def _learn(arguments: Train | Distil, config: RunConfig, verb: str) -> None:
     if arguments.resume and _is_finished(arguments, config, arguments.resume):
         return
     from reachlab.cli.progress import TrainDisplay, print_training
-    from reachlab.runs.directory import read_config
 
     out = arguments.resume or arguments.out or Path("runs") / f"{time.strftime('%Y%m%d-%H%M%S')}-{config.task}"
     sinks = tuple(name for name, wanted in vars(arguments.sinks).items() if wanted)
     resume = arguments.resume is not None
-    base = read_config(arguments.config) if isinstance(arguments, Train) and arguments.config else None
     with TrainDisplay(config) as display:
         prepare()
         from reachlab.learn.train import train as run_training
+        from reachlab.runs.directory import read_config
 
+        base = read_config(arguments.config) if isinstance(arguments, Train) and arguments.config else None
         with _collector(arguments, config) as collect:
             result = run_training(config, out, display, resume=resume, base=base, sinks=sinks, collect=collect)
     from reachlab.watch.plots import plot as draw
