@@ -332,8 +332,9 @@ def test_an_interruption_is_told_by_its_status(reachlab: Shell, monkeypatch: pyt
     assert reachlab("list") == Said(130, "", "reachlab: interrupted.\n")
 
 
-def test_a_backend_that_mujoco_does_not_know_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_backend_that_mujoco_does_not_know_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MUJOCO_GL", "bogus")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))  # where nothing is listed yet
     said = in_a_process("list")
     assert (said.status, said.out) == (cli.WRONG_INPUT, "")
     assert said.err.startswith("reachlab: MuJoCo does not load with MUJOCO_GL='bogus' (")

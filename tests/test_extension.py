@@ -16,6 +16,7 @@ from reachlab.cli import main as cli
 from reachlab.robots.catalogue import ROBOTS
 from reachlab.runs.metrics import read_metrics
 from reachlab.runs.sinks import SINKS
+from reachlab.settings import extensions
 from reachlab.sims import SIMULATORS
 from reachlab.tasks import TASKS
 from reachlab.tasks.actions import ACTIONS
@@ -77,7 +78,10 @@ def test_what_is_added_is_trained_on_evaluated_and_loaded(tmp_path: Path, sim: s
     loaded.env.close()
 
 
-def test_what_is_added_is_listed_and_evaluated_by_the_command_line(capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_added_is_listed_and_evaluated_by_the_command_line(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(extensions, "INSTALLED", ["extension"])
     assert cli.main(["list", "--json"]) == cli.DONE
     listed = json.loads(capsys.readouterr().out)
     assert {"hover", "three_link", "sluggish", "height", "joint_step", "squared", "nudge"} <= {

@@ -19,6 +19,7 @@ import jax
 import numpy as np
 from jax import export
 
+from reachlab.settings.cache import package
 from reachlab.settings.extensions import extended
 
 _folder: list[Path] = []
@@ -164,8 +165,6 @@ def _write(file: Path, program: export.Exported, form: Any) -> None:
 @functools.cache
 def _surroundings() -> tuple[object, ...]:
     """All that every trace depends on: this package, the libraries, how JAX is set, and the machine."""
-    files = sorted(Path(__file__).parent.rglob("*.py"))
-    source = [(str(path), path.stat().st_size, path.stat().st_mtime_ns) for path in files]
     options = sorted((name, repr(value)) for name, value in jax.config.values.items() if "cache" not in name)
     versions = jax.default_backend(), jax.__version__, version("optax"), np.__version__, sys.version, platform.machine()
-    return *source, *options, *versions
+    return *package(), *options, *versions

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json as jsonlib
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib.metadata import version
 from typing import Any
 
 from reachlab.bench import SUITES, run_suite
@@ -18,6 +19,8 @@ from reachlab.cli.sweep_command import sweep
 from reachlab.cli.sweep_flags import Sweep
 from reachlab.cli.train_command import distil, train
 from reachlab.cli.watch_commands import plot, video, view
+from reachlab.settings.cache import kept, package
+from reachlab.settings.extensions import extended
 from reachlab.settings.validation import choose
 
 
@@ -38,10 +41,26 @@ def bench(arguments: Bench) -> None:
 
 
 def list_names(arguments: List) -> None:
-    """Run `reachlab list`."""
+    """Run `reachlab list`; what it says is kept, since half of the package has to be loaded to find it."""
+    from reachlab.cli.console import print_table
+
+    names = (
+        _names() if extended() else kept("names", (package(), version("reachlab")), _names, dict, lambda names: names)
+    )
+    chosen = [choose("kind", kind.replace("-", " "), names) for kind in arguments.kind]
+    names = {kind: names[kind] for kind in chosen or names}
+    if arguments.json:
+        print(jsonlib.dumps(names))
+    else:
+        for kind, entries in names.items():
+            print_table(kind, ("name", "what it is"), list(entries.items()))
+
+
+def _names() -> dict[str, dict[str, str]]:
+    """Names that settings may have, by kind, with what each is."""
     prepare()
     from reachlab.agents import AGENTS
-    from reachlab.cli.console import print_table, task_and_success
+    from reachlab.cli.console import task_and_success
     from reachlab.envs.presets import preset
     from reachlab.robots.catalogue import ROBOTS
     from reachlab.runs.shipped import shipped, told
@@ -56,7 +75,7 @@ def list_names(arguments: List) -> None:
     from reachlab.tasks.targets import TARGETS
     from reachlab.tasks.tutorial import AT_GOAL
 
-    names: dict[str, dict[str, str]] = {
+    return {
         "tasks": {
             name: f"{task_and_success(config)[0]}. Unless told otherwise: simulator {config.sim}, observation"
             f" {config.rules.observation}, action {config.rules.action}, reward {config.rules.reward}"
@@ -78,13 +97,6 @@ def list_names(arguments: List) -> None:
         "policies": {name: told(run) for name, run in shipped().items()},
         "suites": {name: suite.summary for name, suite in SUITES.items()},
     }
-    chosen = [choose("kind", kind.replace("-", " "), names) for kind in arguments.kind]
-    names = {kind: names[kind] for kind in chosen or names}
-    if arguments.json:
-        print(jsonlib.dumps(names))
-    else:
-        for kind, entries in names.items():
-            print_table(kind, ("name", "what it is"), list(entries.items()))
 
 
 def _summary(function: Callable[..., Any]) -> str:

@@ -3,15 +3,24 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import hashlib
 import json
 import os
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any, TypeVar
 
 from reachlab.settings.reading import cache_folder
 
 Record = TypeVar("Record")
+
+
+@functools.cache
+def package() -> tuple[tuple[str, int, int], ...]:
+    """Sources and records of this package, with their sizes and times of change: what a change of it changes."""
+    files = sorted(path for path in Path(__file__).parents[1].rglob("*") if path.suffix in (".py", ".json"))
+    return tuple((str(path), path.stat().st_size, path.stat().st_mtime_ns) for path in files)
 
 
 def kept(
