@@ -22,6 +22,7 @@ from reachlab.envs.core import Env
 from reachlab.envs.presets import configure
 from reachlab.evaluation.report import evaluate
 from reachlab.jax_setup import jit
+from reachlab.robots import loading
 from reachlab.robots.catalogue import ROBOTS
 from reachlab.robots.files.model_file import read_model_file
 from reachlab.robots.loading import load_robot
@@ -37,6 +38,8 @@ from reachlab.robots.shapes.clearance import (
     self_distance,
     table_distance,
 )
+from reachlab.settings import cache
+from reachlab.tasks import tabletop
 from situations import swept
 
 ARMS = [*ROBOTS, str(FILES["xarm6"])]
@@ -269,3 +272,35 @@ def test_reports_under_dynamics_tell_the_share_and_others_do_not() -> None:
     assert evaluate(Env(configure("precise"), 50), "ik", seed=1, episodes=50).self_contact == 0.0
     kinematic = Env(configure("precise", sim="kinematic", max_steps=20), 1000)
     assert evaluate(kinematic, "zero", seed=1, episodes=10).self_contact is None
+
+
+# --- what is shipped ------------------------------------------------------------------------------
+
+
+def _forget() -> None:
+    """Nothing that was derived in this process is known any more."""
+    for known in (loading._load, tabletop._found, tabletop._reach, cache._shipped):
+        known.cache_clear()
+
+
+def test_of_the_catalogues_arms_nothing_is_derived_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    _forget()
+    for robot, task in itertools.product(ROBOTS, ("clutter", "push", "slide")):
+        Env(configure(task, robot=robot), 1).close()
+    assert not list(tmp_path.rglob("*.json")), "run `python -m benchmarks.derived`"
+
+
+@pytest.mark.parametrize("robot", tried(sorted(ROBOTS), ["so101"]))
+def test_what_is_shipped_is_what_is_derived(robot: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    _forget()
+    shipped = load_robot(robot).capsules
+    table = tabletop.working_box(load_robot(robot))
+    _forget()
+    monkeypatch.setattr(cache, "SHIPPED", tmp_path / "nothing")
+    assert load_robot(robot).capsules == shipped
+    np.testing.assert_array_equal(tabletop.working_box(load_robot(robot)), table)
+    assert {path.parent.name for path in tmp_path.rglob("*.json")} == {"capsules", "tables"}
+    monkeypatch.undo()
+    _forget()
