@@ -164,3 +164,25 @@ def test_weights_are_the_same_to_the_last_bit(tmp_path: Path, task: str) -> None
         weights.append(next(out.glob("checkpoints/*/state.safetensors")).read_bytes())
     assert list((tmp_path / "cache").rglob("*.traced"))
     assert weights[0] == weights[1] == weights[2]
+
+
+CACHED = (
+    "import jax, sys, reachlab; sys.argv[1:] and jax.config.update('jax_compilation_cache_dir', sys.argv[1]);"
+    " reachlab.Env(reachlab.configure(), 1); print(jax.config.values['jax_compilation_cache_dir'])"
+)
+"""Prints where programs are kept once there is an environment."""
+
+
+@pytest.mark.parametrize("kept", ["by default", "elsewhere", "nowhere"])
+def test_from_python_programs_are_kept_where_nobody_says_otherwise(tmp_path: Path, kept: str) -> None:
+    environment = os.environ | {"XDG_CACHE_HOME": str(tmp_path)}
+    environment.pop("JAX_COMPILATION_CACHE_DIR", None)
+    own, words = tmp_path / "reachlab" / "jax", [str(tmp_path / "mine")] if kept == "elsewhere" else []
+    if kept == "nowhere":  # a file stands where the folder would be
+        own.parent.mkdir()
+        own.write_text("")
+    done = subprocess.run(
+        [sys.executable, "-c", CACHED, *words], env=environment, check=True, capture_output=True, text=True
+    )
+    expected = {"by default": str(own), "elsewhere": str(tmp_path / "mine"), "nowhere": "None"}[kept]
+    assert done.stdout.split()[-1] == expected

@@ -30,6 +30,10 @@ BRIEF_OPTIONS = CPU_OPTIONS | ({"xla_cpu_use_fusion_emitters": False} if jax.__v
 by up to a third. JAX 0.11 does not know the option any more."""
 
 
+CACHE = "jax_compilation_cache_dir"
+"""JAX's setting of where compiled programs are kept."""
+
+
 def jit(function: Callable[..., Any], *, donate: tuple[int, ...] = (), brief: bool = False) -> Wrapped:
     """`jax.jit` with `CPU_OPTIONS` on the CPU, or `BRIEF_OPTIONS`; `donate` names arguments whose memory is reused.
 
@@ -50,12 +54,31 @@ def compile_together(*calls: tuple[Callable[..., Any], tuple[Any, ...]]) -> list
 
 
 def use_compilation_cache() -> None:
-    """Keep compiled programs in the user's cache folder, unless `JAX_COMPILATION_CACHE_DIR` says where."""
-    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
-        jax.config.update("jax_compilation_cache_dir", str(cache_folder() / "jax"))
+    """Keep what is compiled and traced in the user's cache folder, unless `JAX_COMPILATION_CACHE_DIR` says where."""
+    folder = jax.config.values[CACHE] or str(cache_folder() / "jax")
+    jax.config.update(CACHE, folder)
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
-    keep_in(Path(str(jax.config.values["jax_compilation_cache_dir"])) / "traced")
+    keep_in(Path(folder) / "traced")
+
+
+def keep_compiled() -> None:
+    """Keep what is compiled, where nobody has said where and the user's cache folder can be written.
+
+    And not what is traced: who calls from Python may have changed what a kept trace does not know of.
+    """
+    folder = cache_folder() / "jax"
+    if jax.config.values[CACHE] is None and not _folder_refused(folder):
+        jax.config.update(CACHE, str(folder))
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
+
+
+def _folder_refused(folder: Path) -> bool:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return True
+    return not os.access(folder, os.W_OK)
 
 
 def dispatch_inline() -> None:

@@ -19,7 +19,7 @@ from reachlab.control.situation import Goal, Situation, shaped_within
 from reachlab.envs.functions import EnvFunctions, EnvState, Stepped, Transition
 from reachlab.envs.sampling import in_parts
 from reachlab.envs.setup import make_setup, settled
-from reachlab.jax_setup import dispatch_inline, first_process, jit
+from reachlab.jax_setup import dispatch_inline, first_process, jit, keep_compiled
 from reachlab.render.marks import NO_PATH, TARGET_AXES, TOOL_AXES, Axes, Block, Marks
 from reachlab.render.view_randomisation import develop, make_views
 from reachlab.robots.shapes.clearance import capsules_at
@@ -66,6 +66,7 @@ class Env:
         """
         num_envs = whole_number("num_envs", num_envs, 1, MOST_ENVS)
         dispatch_inline()
+        keep_compiled()
         first_process()  # JAX starts in this one
         setup = make_setup(config)
         self.config, self.num_envs = settled(config, setup), num_envs
