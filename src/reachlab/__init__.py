@@ -6,10 +6,10 @@ loaded when it is asked for.
 
 from __future__ import annotations
 
+import sys
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-from gymnasium.envs.registration import register
 
 if TYPE_CHECKING:
     from reachlab.agents.policy import Policy
@@ -107,30 +107,11 @@ def __dir__() -> list[str]:
     return __all__
 
 
-_SINGLE, _VECTOR = "reachlab.envs.gymnasium_single:ReachEnv", "reachlab.envs.gymnasium_vector:ReachVectorEnv"
-register("reachlab/Reach-v0", entry_point=_SINGLE, vector_entry_point=_VECTOR)
-_GOAL = "reachlab.envs.gymnasium_goal:ReachGoal"
-register(
-    "reachlab/ReachGoal-v0",
-    entry_point=f"{_GOAL}Env",
-    vector_entry_point=f"{_GOAL}VectorEnv",
-    # The form of FetchReach and of PandaReach: steps of up to 5 cm, 50 in an episode, and 5 cm are near enough.
-    kwargs={
-        "task": "tutorial",
-        "observation": "goal",
-        "action": "tool_step",
-        "reward": "goal",
-        "targets": "box",
-        "tool_scale": 0.05,
-        "success_distance": 0.05,
-        "max_steps": 50,
-        "at_goal": "continue",
-        "end_outside": False,
-    },
-)
-register(
-    "reachlab/KukaReach-v0",
-    entry_point=_SINGLE,
-    vector_entry_point=_VECTOR,
-    kwargs={"task": "tutorial", "observation": "target", "reward": "sparse"},
-)
+def _is_command() -> bool:
+    """Whether this process is the command line's own, which Gymnasium and its ids would only keep waiting."""
+    called = sys.orig_argv[1:3]
+    return called == ["-m", "reachlab"] or Path(*called[:1]).name == "reachlab"
+
+
+if not _is_command():
+    import_module("reachlab.envs.gymnasium_ids")

@@ -12,6 +12,7 @@ import re
 import sys
 import warnings
 from collections.abc import Sequence
+from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, TextIO
@@ -28,7 +29,7 @@ from reachlab.envs.presets import CHOICES, of_other_tasks, preset
 from reachlab.envs.uses import unused
 from reachlab.learn.interrupts import EXIT_BASE, asked, end_if_deaf, raise_on_termination
 from reachlab.settings.config import DistilRunConfig, RunConfig
-from reachlab.settings.extensions import import_extension, import_installed
+from reachlab.settings.extensions import extended, import_extension, import_installed
 from reachlab.settings.json_form import flatten, to_json
 from reachlab.settings.validation import InputError, choose
 
@@ -201,6 +202,8 @@ def _imported(words: list[str]) -> list[str]:
     given, others = parser.parse_known_args(words)
     quiet()  # extensions may load JAX
     import_installed()
+    if given.names or extended():
+        import_module("reachlab.envs.gymnasium_ids")  # which an extension may make environments by
     for name in given.names:
         import_extension(name)
     return others
