@@ -36,4 +36,5 @@ def derive() -> dict[str, object]:
 
 if __name__ == "__main__":
     found = derive()
-    cache.SHIPPED.write_text(json.dumps(found, indent=0, sort_keys=True) + "\n")
+    lines = [f"{json.dumps(name)}: {json.dumps(fields)}" for name, fields in sorted(found.items())]
+    cache.SHIPPED.write_text("{\n" + ",\n".join(lines) + "\n}\n")

@@ -34,8 +34,8 @@ CACHE = "jax_compilation_cache_dir"
 """JAX's setting of where compiled programs are kept."""
 
 
-def jit(function: Callable[..., Any], *, donate: tuple[int, ...] = (), brief: bool = False) -> Wrapped:
-    """`jax.jit` with `CPU_OPTIONS` on the CPU, or `BRIEF_OPTIONS`; `donate` names arguments whose memory is reused.
+def jit(function: Callable[..., Any], *, brief: bool = False) -> Wrapped:
+    """`jax.jit` with `CPU_OPTIONS` on the CPU, or `BRIEF_OPTIONS`.
 
     An option that `XLA_FLAGS` names is what it is there. For the outermost function only: JAX refuses compiler options
     inside another trace.
@@ -44,7 +44,7 @@ def jit(function: Callable[..., Any], *, donate: tuple[int, ...] = (), brief: bo
     if jax.default_backend() == "cpu":
         flags = os.environ.get("XLA_FLAGS", "")
         options = {name: own for name, own in (BRIEF_OPTIONS if brief else CPU_OPTIONS).items() if name not in flags}
-    return jax.jit(function, donate_argnums=donate, compiler_options=options)
+    return jax.jit(function, compiler_options=options)
 
 
 def compile_together(*calls: tuple[Callable[..., Any], tuple[Any, ...]]) -> list[Callable[..., Any]]:
