@@ -12,6 +12,7 @@ import subprocess
 import sys
 from dataclasses import dataclass, replace
 from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -330,6 +331,12 @@ def test_an_interruption_is_told_by_its_status(reachlab: Shell, monkeypatch: pyt
 
     monkeypatch.setitem(VERBS, "list", replace(VERBS["list"], run=interrupted))
     assert reachlab("list") == Said(130, "", "reachlab: interrupted.\n")
+
+
+@pytest.mark.skipif(find_spec("pybullet") is None, reason="needs PyBullet")
+def test_pybullet_prints_nothing_beside_a_result() -> None:
+    words = "eval --task tutorial --agent ik --sim pybullet --episodes 2 --json"
+    assert json.loads(in_a_process(*words.split()).out)["sim"] == "pybullet"
 
 
 def test_a_backend_that_mujoco_does_not_know_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

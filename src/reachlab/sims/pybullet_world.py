@@ -158,7 +158,8 @@ def _connect(bullet: ModuleType, *, gui: bool) -> Any:
         raise InputError("--gui needs a display, and there is none here: run without it, or on a desktop.")
     from pybullet_utils.bullet_client import BulletClient
 
-    client = BulletClient(bullet.GUI if gui else bullet.DIRECT)
+    with _quiet_stdout():  # it prints a line of its own for each
+        client = BulletClient(bullet.GUI if gui else bullet.DIRECT)
     if not client.isConnected():
         raise InputError("PyBullet gave no connection: its window could not be opened, or too many clients are open.")
     return client
