@@ -248,16 +248,25 @@ def test_an_arm_without_shapes_has_no_capsules_and_no_share(tmp_path: Path) -> N
     assert bare.capsules.links == bare.capsules.pairs == ()
 
 
+def _forget() -> None:
+    """Nothing that was derived in this process is known any more."""
+    for known in (loading._load, tabletop._found, tabletop._reach, cache._shipped):
+        known.cache_clear()
+
+
 def test_they_are_found_when_they_are_asked_for_and_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    load_robot.__globals__["_load"].cache_clear()
+    monkeypatch.setattr(cache, "SHIPPED", tmp_path / "nothing")
+    _forget()
     robot = load_robot("so101")
     assert not list(tmp_path.rglob("*.json"))
     (file,) = (robot.capsules, list(tmp_path.rglob("*.json")))[1]
-    load_robot.__globals__["_load"].cache_clear()
+    _forget()
     written = file.stat().st_mtime_ns
     assert load_robot("so101").capsules == robot.capsules
     assert file.stat().st_mtime_ns == written
+    monkeypatch.undo()
+    _forget()
 
 
 # --- reports --------------------------------------------------------------------------------------
@@ -275,12 +284,6 @@ def test_reports_under_dynamics_tell_the_share_and_others_do_not() -> None:
 
 
 # --- what is shipped ------------------------------------------------------------------------------
-
-
-def _forget() -> None:
-    """Nothing that was derived in this process is known any more."""
-    for known in (loading._load, tabletop._found, tabletop._reach, cache._shipped):
-        known.cache_clear()
 
 
 def test_of_the_catalogues_arms_nothing_is_derived_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
