@@ -161,7 +161,7 @@ def _approach(frames: list[np.ndarray], slide: bool) -> tuple[float, ...]:
     axis = np.array([0.0, 0.0, -1.0 if way[2] < 0 else 1.0])
     if not slide and abs(way[2]) < AHEAD * np.linalg.norm(way) and np.linalg.norm(to_tool) > ROUND_TO_EXACT:
         axis = to_tool / np.linalg.norm(to_tool)
-    return tuple((last[:3, :3].T @ axis).tolist())
+    return tuple((np.round(last[:3, :3].T @ axis, DECIMALS) + 0.0).tolist())
 
 
 def tool_body(model: mujoco.MjModel, tool: str) -> tuple[int, np.ndarray]:
