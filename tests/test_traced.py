@@ -118,6 +118,15 @@ def test_what_names_an_object_of_this_process_is_not_kept(folder: Path) -> None:
     assert not list(folder.iterdir())
 
 
+def test_what_calls_a_function_of_this_process_is_not_kept(folder: Path) -> None:
+    def calling(x: jax.Array, more: dict[str, jax.Array]) -> jax.Array:
+        jax.debug.callback(lambda _: None, more["b"])
+        return x + more["b"]
+
+    np.testing.assert_array_equal(run(calling), X + 3)
+    assert not list(folder.glob("*.traced"))
+
+
 def test_with_an_extension_nothing_is_kept(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(extensions, "IMPORTED", ["mine.py"])
     run(Counted())
