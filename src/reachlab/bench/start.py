@@ -15,6 +15,9 @@ def start() -> Iterator[Row]:
     """Wall time of whole commands, with an empty and a warm compilation cache, and whether a run repeats."""
     yield row("help_wall", min(command_time(sys.executable, "-m", "reachlab", "--help") for _ in range(REPEATS)), "s")
     yield row("import_wall", min(command_time(sys.executable, "-c", "import reachlab") for _ in range(REPEATS)), "s")
+    yield row("list_wall", min(command_time(sys.executable, "-m", "reachlab", "list") for _ in range(REPEATS)), "s")
+    words = ("eval", "iiwa14/tutorial")
+    yield row("eval_wall", min(run_command(*words)[0] for _ in range(REPEATS)), "s", episodes=1000)
     with tempfile.TemporaryDirectory() as folder:
         cache = {"JAX_COMPILATION_CACHE_DIR": str(Path(folder) / "cache")}
         weights = []

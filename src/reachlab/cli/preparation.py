@@ -16,8 +16,8 @@ def quiet() -> None:
 def prepare() -> None:
     """Quiet XLA's log, compute on the CPU unless `JAX_PLATFORMS` says where, and use the compilation cache.
 
-    Engines step on the CPU, and a GPU beside them is waited for after each of their steps: `precise` takes several
-    times as long. What it is good for is arithmetic in thousands, see docs/scale.md.
+    Engines step on the CPU, and a GPU beside them is waited for after each of their steps. What it is good for is
+    arithmetic in thousands, see docs/scale.md.
 
     Raises:
         InputError: MuJoCo does not load, as with a `MUJOCO_GL` that it does not know or cannot load.

@@ -26,7 +26,8 @@ def in_parts(
 ) -> Callable[[Array, Goal | None, np.ndarray], Begin]:
     """Function that samples what episodes of a `mask [B]` begin with; what it gives for the others means nothing.
 
-    Otherwise it is as `sample_episode` is, see `EnvFunctions.sample_episode`, and `compiled` as it says.
+    Otherwise it is as `sample_episode` is, see `EnvFunctions.sample_episode`. `compiled` compiles a
+    function.
     """
 
     # Keys travel as their bits, which NumPy can hold.

@@ -104,7 +104,7 @@ def _sample_circle(setup: TaskSetup, key: Array, speed: Array) -> Array:
 
 
 def _axes(z: Array) -> Array:
-    """The first factor of `z = QR` `[3, 2]` with the signs of LAPACK's `geqrf`, without LAPACK: see `make_policy`."""
+    """The first factor of `z = QR` `[3, 2]` with the signs of LAPACK's `geqrf`, for which JAX imports SciPy."""
     one, other = z.T
     diagonal = -jnp.copysign(jnp.linalg.norm(one), one[0])
     mirror = one.at[0].add(-diagonal)  # Householder's: what it mirrors the second column to has the sign of its second
