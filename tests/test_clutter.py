@@ -28,10 +28,10 @@ from reachlab.jax_setup import jit
 from reachlab.robots.kinematics.forward import Pose
 from reachlab.robots.shapes.clearance import capsules_at
 from reachlab.settings.validation import InputError
-from reachlab.sims.mujoco_contacts import BODY, CAPSULE
+from reachlab.control.contact_model import BODY, CAPSULE
 from reachlab.sims.mujoco_model import physics_model
 from reachlab.tasks.observations import observe
-from reachlab.tasks.scenes import CLEAR, LONG, RADIUS, SIDE, THIN
+from reachlab.tasks.scenes.balls import CLEAR, LONG, RADIUS, SIDE, THIN
 from reachlab.tasks.task import Scene, TaskSetup
 from reachlab.watch.player import TOUCHED, Player, target_box
 from situations import begin, swept

@@ -24,7 +24,7 @@ from reachlab.robots.loading import load_robot
 from reachlab.robots.robot import Robot
 from reachlab.robots.shapes.clearance import capsules_at
 from reachlab.settings.validation import InputError
-from reachlab.sims.mujoco_contacts import CAPSULE
+from reachlab.control.contact_model import CAPSULE
 from reachlab.sims.mujoco_model import physics_model
 from reachlab.sims.simulator import Moved, SimState, Simulator, make_simulator
 from reachlab.tasks.task import Scene

@@ -14,7 +14,7 @@ from reachlab.robots.loading import load_robot
 from reachlab.robots.shapes.clearance import capsules_at
 from reachlab.settings.validation import InputError
 from reachlab.tasks import TASKS
-from reachlab.tasks.scenes import clearances
+from reachlab.tasks.scenes.balls import clearances
 
 HIGH = [0.5, 0.1, 0.35]
 """In the box of every task but the tutorial's [m]."""

@@ -192,7 +192,7 @@ def compare(folder: Path, env: Env, policy: Policy, situations: int = SITUATIONS
 
 def _situations(env: Env, policy: Policy, steps: int) -> Any:
     """States and pictures `[B, ...]` of so many steps of held-out episodes."""
-    state = env.compile_whole(env.init)(episode_keys(CHECK_SEED, REPORT_STREAM, 0, env.num_envs))
+    state = env.compile_whole(env.init_held_out)(episode_keys(CHECK_SEED, REPORT_STREAM, 0, env.num_envs))
     act, key = make_act(env, "trained"), jax.random.key(0)
     step = env.compile_whole(act)
     for _ in range(steps):

@@ -100,7 +100,10 @@ class Plant:
         self._env, self._seed = Env(override(config, shaping=False), 1), seed
         self.period, self.steps = config.physics.control_period, config.rules.max_steps
         self.speed = np.array(self._env.setup.robot.commands.speed)
-        self._init, self._step = self._env.compile_whole(self._env.init), self._env.compile_whole(self._env.step)
+        self._init, self._step = (
+            self._env.compile_whole(self._env.init_held_out),
+            self._env.compile_whole(self._env.step),
+        )
         self._idle = np.zeros((1, len(self._env.action_bounds[0])), np.float32)
         self.begin(0)
         for _ in range(WARM_UP):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import functools
+import hashlib
 from collections.abc import Callable
 from dataclasses import replace
 from types import SimpleNamespace
@@ -28,7 +29,7 @@ from reachlab.settings.validation import InputError, whole_number
 from reachlab.sims.simulator import BatchArray, Begin, SimState, make_simulator
 from reachlab.tasks.actions import ACTIONS
 from reachlab.tasks.observations import OBSERVATIONS
-from reachlab.tasks.scenes import clearances
+from reachlab.tasks.scenes.balls import clearances
 from reachlab.tasks.schema import SIZE, Observed
 from reachlab.tasks.targets import solved_for
 from reachlab.traced import kept
@@ -80,6 +81,7 @@ class Env:
             scene=setup.task.scene(setup),
         )
         self.setup = replace(setup, lag=self.simulator.lag)
+        self._drawn = _digest(self.setup.prepared)
         self.schema = OBSERVATIONS[config.rules.observation].schema(self.setup)
         self.action_bounds = ACTIONS[config.rules.action].bounds(self.setup)
         self.pictured = bool(self.schema.pictures)
@@ -128,7 +130,11 @@ class Env:
 
         Its goal is sampled or, where one is given, that `goal [B, ...]`.
         """
-        return self._init(keys, goal)
+        return self._init(keys, goal, False)
+
+    def init_held_out(self, keys: Array) -> EnvState:
+        """The same for an evaluation: scenes that are drawn before training are others than those to train in."""
+        return self._init(keys, None, True)
 
     def reset(
         self, state: EnvState, mask: BatchArray, chained: float | None = None, goal: Goal | None = None
@@ -154,8 +160,8 @@ class Env:
         """State with the bodies `[B, K]` where these are."""
         return replace(state, arm=replace(state.arm, bodies=bodies))
 
-    def _init_all(self, keys: Array, goal: Goal | None) -> EnvState:
-        begin = self._sample(keys, goal, np.ones(len(keys), bool))
+    def _init_all(self, keys: Array, goal: Goal | None, held_out: bool) -> EnvState:
+        begin = self._sample(keys, goal, np.ones(len(keys), bool), held_out)
         return self._parts.begin(self.simulator.reset(None, begin, None), begin)
 
     def _reset_some(self, state: EnvState, mask: BatchArray, chained: float | None, goal: Goal | None) -> EnvState:
@@ -166,10 +172,10 @@ class Env:
         begun = replace(self._parts.begin(arm, begin), arm=arm)
         return self._parts.merge(jnp.asarray(mask), begun, replace(state, arm=arm))
 
-    def _sample(self, keys: Array, goal: Goal | None, mask: BatchArray) -> Begin:
+    def _sample(self, keys: Array, goal: Goal | None, mask: BatchArray, held_out: bool = False) -> Begin:
         if self._sample_some is None:
-            return self._parts.sample_episode(keys, goal)
-        return self._sample_some(keys, goal, np.asarray(mask))
+            return self._parts.sample_episode(keys, goal, held_out)
+        return self._sample_some(keys, goal, np.asarray(mask), held_out)
 
     def _repeat(self, times: int, state: EnvState, action: BatchArray, instead: Array | None) -> Stepped:
         def again(_: Any, before: Stepped) -> Stepped:
@@ -235,7 +241,7 @@ class Env:
     @functools.cached_property
     def identity(self) -> str:
         """All that its functions depend on beside their arguments."""
-        return repr((replace(self.config, seed=0), self.setup.robot, self.setup.lag, self.num_envs))
+        return repr((replace(self.config, seed=0), self.setup.robot, self.setup.lag, self.num_envs, self._drawn))
 
     # --- for callers ------------------------------------------------------------------------------
 
@@ -286,3 +292,7 @@ class Env:
     def close(self) -> None:
         """Close the simulator."""
         self.simulator.close()
+
+
+def _digest(prepared: Any) -> str:
+    return hashlib.sha256(b"".join(np.asarray(x).tobytes() for x in jax.tree.leaves(prepared))).hexdigest()

@@ -29,7 +29,7 @@ from reachlab.sims.simulator import BatchArray, Begin, Moved, SimState
 from reachlab.tasks import actions, observations
 from reachlab.tasks.rewards import REWARDS
 from reachlab.tasks.schema import Observed
-from reachlab.tasks.task import Errors, Progress, TaskSetup, judge, outside_workspace
+from reachlab.tasks.task import Errors, Keys, Progress, TaskSetup, judge, outside_workspace
 
 POSITION_NOISE, SPEED_NOISE = 0.0005, 0.01
 """Standard deviations of the joint measurements where dynamics vary [rad, rad/s]."""
@@ -140,18 +140,17 @@ class EnvFunctions:
     pictured: bool
     limits: MotionLimits | None = None
 
-    def sample_episode(self, keys: Array, goal: Goal | None = None) -> Begin:
-        """Beginnings of episodes, of those of a `goal` if one is given, and their next keys."""
+    def sample_episode(self, keys: Array, goal: Goal | None = None, held_out: Array | bool = False) -> Begin:
+        """Beginnings of episodes, of those of a `goal` if one is given, and their next keys; see `Task.sample`."""
         setup, task = self.setup, self.setup.task
         numbers = 2 * setup.robot.chain.n + 1 if "dynamics" in self.randomise else 0
         numbers += 2 if "objects" in self.randomise else 0
 
         def one(key: Array, goal: Goal | None) -> Begin:
             of_episode, (key, for_goal, for_start, for_arm) = key, jax.random.split(key, PARTS)
-            start = task.sample_start(setup, for_start)
-            goal = task.sample_goal(setup, for_goal) if goal is None else goal
             dynamics = jax.random.uniform(for_arm, (numbers,), minval=-1.0)
-            bodies = task.sample_bodies(setup, jax.random.fold_in(of_episode, SCENE_STREAM), start, goal)
+            parts = Keys(for_goal, for_start, jax.random.fold_in(of_episode, SCENE_STREAM))
+            start, goal, bodies = task.sample(setup, parts, goal, held_out)
             if "objects" in self.randomise:
                 goal, bodies = task.vary(setup, jax.random.fold_in(of_episode, OBJECT_STREAM), goal, bodies)
             return Begin(key, start, goal, bodies, dynamics)

@@ -21,9 +21,9 @@ many, since the program takes longer to compile than to run."""
 
 
 def in_parts(
-    sample_episode: Callable[[Array, Goal | None], Begin],
+    sample_episode: Callable[[Array, Goal | None, Array | bool], Begin],
     compiled: Callable[[Callable[..., Any]], Callable[..., Any]],
-) -> Callable[[Array, Goal | None, np.ndarray], Begin]:
+) -> Callable[[Array, Goal | None, np.ndarray, bool], Begin]:
     """Function that samples what episodes of a `mask [B]` begin with; what it gives for the others means nothing.
 
     Otherwise it is as `sample_episode` is, see `EnvFunctions.sample_episode`. `compiled` compiles a
@@ -31,17 +31,17 @@ def in_parts(
     """
 
     # Keys travel as their bits, which NumPy can hold.
-    def sample(bits: Array, goal: Goal | None) -> Begin:
-        begin = sample_episode(jax.random.wrap_key_data(bits), goal)
+    def sample(bits: Array, goal: Goal | None, held_out: Array) -> Begin:
+        begin = sample_episode(jax.random.wrap_key_data(bits), goal, held_out)
         return begin._replace(key=jax.random.key_data(begin.key))
 
     compiled_sample = compiled(sample)
 
-    def sample_some(keys: Array, goal: Goal | None, mask: np.ndarray) -> Begin:
+    def sample_some(keys: Array, goal: Goal | None, mask: np.ndarray, held_out: bool) -> Begin:
         given = jax.tree.map(np.asarray, (jax.random.key_data(keys), goal))
         rows, together = np.flatnonzero(mask), min(TOGETHER, len(keys))
         parts = np.resize(rows, (max(-(-len(rows) // together), 1), together))
-        sampled = [compiled_sample(*jax.tree.map(itemgetter(part), given)) for part in parts]
+        sampled = [compiled_sample(*jax.tree.map(itemgetter(part), given), np.bool_(held_out)) for part in parts]
         place = np.zeros(len(keys), int)
         place[rows] = np.arange(len(rows))
         begin: Begin = jax.tree.map(lambda *x: np.concatenate(x)[place], *sampled)

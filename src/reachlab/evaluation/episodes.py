@@ -109,7 +109,7 @@ def make_runner(env: Env, agent: str | Function, episodes: int = FEW) -> Runner:
     """Runner for an agent of `agents.AGENTS`, or for a function, which is going to run so many episodes."""
     moves = env.setup.rules.moves
     traced = env.traced and isinstance(agent, str) and not moves
-    init = env.init if traced else env.compile_whole(env.init)
+    init = env.init_held_out if traced else env.compile_whole(env.init_held_out)
     meets = None if traced else _make_meets(env)
 
     @env.compile_part

@@ -11,12 +11,12 @@ from jax import Array
 from mujoco.batch import Batch
 
 from reachlab.control.bodies import Bodies
+from reachlab.control.contact_model import FixedBodies
 from reachlab.jax_setup import jit
 from reachlab.robots.derive.isolation import own_servos
 from reachlab.robots.kinematics.forward import forward_kinematics
 from reachlab.robots.robot import Robot
 from reachlab.settings.config import SimConfig
-from reachlab.sims.mujoco_contacts import FixedBodies
 from reachlab.sims.mujoco_model import PAYLOAD, Layout, physics_model, servo_lag
 from reachlab.sims.mujoco_objects import FreeBodies
 from reachlab.sims.rendering import Drawn

@@ -7,13 +7,13 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
+from reachlab.control.contact_model import add_contacts
 from reachlab.render.scene import add_table
 from reachlab.robots.files.gripper import TIPS
 from reachlab.robots.files.pictures import without_shapes
 from reachlab.robots.robot import Robot
 from reachlab.settings.config import SimConfig
 from reachlab.settings.validation import InputError
-from reachlab.sims.mujoco_contacts import add_contacts
 from reachlab.sims.mujoco_objects import add_objects
 from reachlab.tasks.task import EMPTY, Scene
 
@@ -72,8 +72,6 @@ def physics_spec(robot: Robot, config: SimConfig, scene: Scene = EMPTY, *, paylo
     Raises:
         InputError: the robot has no shapes, and is asked what it touches.
     """
-    if scene.contacts and not any(robot.capsules.links):
-        raise InputError(f"robot {robot.name!r} has no shapes in its file: what it touches cannot be told.")
     spec = robot.spec(pictures=config.collisions and not scene.contacts)
     spec.option.timestep = config.control_period / config.physics_steps
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST

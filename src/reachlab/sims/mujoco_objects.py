@@ -7,9 +7,9 @@ import numpy as np
 from mujoco.batch import Batch
 
 from reachlab.control.bodies import FAR, Bodies, Shape
+from reachlab.control.contact_model import BODY
 from reachlab.robots.files.gripper import TIPS
 from reachlab.robots.robot import Robot
-from reachlab.sims.mujoco_contacts import BODY
 from reachlab.sims.objects import ROLLING, TURNING, mass_and_share, with_objects
 from reachlab.tasks.task import Scene
 

@@ -18,6 +18,10 @@ Few = Annotated[int, Range(0, 16)]
 """A number of obstacles."""
 
 
+AROUND_FURNITURE = 250
+"""Steps of an episode in which there is no straight way."""
+
+
 @dataclass(frozen=True)
 class Clutter(Precise):
     """Settings of holding a point among obstacles."""
@@ -41,39 +45,56 @@ class Clutter(Precise):
     observation: str = "clutter"
     reward: str = "closeness"
     max_steps: Annotated[int, Range(1, 10**5)] = 150
+    """An episode is truncated on this step; where it is left out, and the scene is another than balls, on step 250."""
     joint_scale: Positive | None = None
     closeness_scale: Positive = 0.02
     effort_weight: NonNegative = 0.001
+    scene: tuple[str, ...] = ("balls",)
+    """What stands beside the arm: balls, random balls, capsules and boxes; or bin, posts, shelf, table and wall, one or
+    some, in which no way is straight; or a JSON file of bodies."""
     obstacles: tuple[Few, Few] = (0, 4)
-    """Fewest and most obstacles of an episode."""
+    """Fewest and most obstacles of an episode of scene balls."""
     end_on_contact: bool = True
     """Touching anything ends the episode, in failure."""
 
     @classmethod
     def task(cls) -> Task:
         """The flange is held at a point among obstacles."""
-        from reachlab.tasks import scenes
         from reachlab.tasks.placing import place_free_point
+        from reachlab.tasks.scenes import balls, sampling
         from reachlab.tasks.task import Control, Scene
 
         return replace(
             super().task(),
             # A residual action of 1 can stop the arm; with the dampers, lead it round.
             control=Control("joint_servo", residual_gain=1.0, dampers=True),
-            sample_goal=scenes.sample_free_goal,
+            goal_box=sampling.goal_box,
+            sample_goal=sampling.sample_goal,
             place=place_free_point,
-            scene=lambda setup: Scene(fixed=scenes.places(setup), contacts=True),
-            sample_bodies=scenes.sample_scene,
+            scene=lambda setup: Scene(fixed=sampling.room(setup), contacts=True),
+            sample_bodies=balls.sample_scene,
+            prepare=sampling.prepare,
+            sample=sampling.sample,
             needs=frozenset({"contacts"}),
             asks=_asks,
             succeeds=_succeeds,
         )
+
+    def __post_init__(self) -> None:
+        """Give ways round furniture the time that they take."""
+        super().__post_init__()
+        if self.scene != ("balls",) and self.max_steps == Clutter.max_steps:
+            object.__setattr__(self, "max_steps", AROUND_FURNITURE)
 
     def contradiction(self) -> str | None:
         """What of these settings cannot be together."""
         fewest, most = self.obstacles
         if fewest > most:
             return f"obstacles has a fewest number above the most, {fewest} against {most}: exchange them."
+        if not self.scene or "balls" in self.scene[1:] + self.scene[:-1]:
+            return f"scene {' '.join(self.scene)!r} cannot be: name balls alone, or others, one or some."
+        if self.scene != ("balls",) and self.obstacles != Clutter.obstacles:
+            return f"obstacles are those of scene balls, not of {' '.join(self.scene)}: leave them out."
         if self.targets != "box":
             return "the goal of task 'clutter' is a point in a box: set targets to 'box'."
         return super().contradiction()
@@ -93,7 +114,8 @@ def _asks(rules: Clutter, period: float) -> str:
     from reachlab.tasks import reach
 
     fewest, most = rules.obstacles
-    return f"{reach.asks(rules, period)}; there are {fewest} to {most} obstacles, and nothing may be touched"
+    beside = f"{fewest} to {most} obstacles" if rules.scene == ("balls",) else f"scenes of {', '.join(rules.scene)}"
+    return f"{reach.asks(rules, period)}; there are {beside}, and nothing may be touched"
 
 
 def _succeeds(rules: Clutter, period: float) -> str:

@@ -6,6 +6,7 @@ for the simulators that JAX can trace and compiled for the others.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
@@ -104,6 +105,27 @@ class TaskSetup(Drive):
     task: Task
     rules: Any
 
+    @functools.cached_property
+    def prepared(self) -> Any:
+        """What the task has made for the arm, see `Task.prepare`."""
+        return self.task.prepare(self)
+
+
+class Keys(NamedTuple):
+    """Random keys of an episode: of its goal, of its start and of what is beside the arm."""
+
+    goal: Array
+    start: Array
+    scene: Array
+
+
+class Sampled(NamedTuple):
+    """What an episode begins with: joints `[n]`, a goal and bodies `[K]`."""
+
+    start: Array
+    goal: Goal
+    bodies: Bodies
+
 
 class Outcome(NamedTuple):
     """What a step led to, `[B]` each.
@@ -180,6 +202,14 @@ def no_bodies(setup: TaskSetup, key: Array, start: Array, goal: Goal) -> Bodies:
     return absent(0)
 
 
+def sample_apart(setup: TaskSetup, keys: Keys, goal: Goal | None, held_out: Array | bool) -> Sampled:
+    """An episode whose start, goal, if none is given, and bodies are drawn one after the other."""
+    del held_out
+    task, start = setup.task, setup.task.sample_start(setup, keys.start)
+    goal = task.sample_goal(setup, keys.goal) if goal is None else goal
+    return Sampled(start, goal, task.sample_bodies(setup, keys.scene, start, goal))
+
+
 def nothing_remembered(setup: TaskSetup, errors: Errors) -> Progress:
     """Progress of a task that asks for nothing but its errors."""
     del setup, errors
@@ -203,6 +233,9 @@ class Task:
         scene: what may be beside the arm.
         sample_bodies: what is beside it in an episode `[K]`, of a random key, the joints `[n]` in which it starts and
             the goal.
+        prepare: what is made once for the arm, to draw episodes from: a pytree of arrays.
+        sample: start, goal and bodies of an episode, of its keys and a goal, if one is given; of those to train with
+            or, where it is asked for, of others that are held out.
         vary: goal and bodies with objects of another size, of a random key.
         place: the goal put at a position `[3]` m and, where one is asked for, in an orientation `[4]` wxyz, of a goal
             `[1]`, these and the arm's joints `[n]`; and whether the arm can be there freely `[]`.
@@ -229,6 +262,8 @@ class Task:
     needs: frozenset[str] = frozenset()
     scene: Callable[[TaskSetup], Scene] = lambda _: EMPTY
     sample_bodies: Callable[[TaskSetup, Array, Array, Goal], Bodies] = no_bodies
+    prepare: Callable[[TaskSetup], Any] = lambda _: None
+    sample: Callable[[TaskSetup, Keys, Goal | None, Array | bool], Sampled] = sample_apart
     vary: Callable[[TaskSetup, Array, Goal, Bodies], tuple[Goal, Bodies]] = lambda _, __, goal, bodies: (goal, bodies)
     place: Callable[[TaskSetup, Goal, Array, Array, Array], tuple[Goal, Array]] = place_point
     move: Callable[[TaskSetup, Goal, Bodies, Array], tuple[Goal, Bodies]] = stay

@@ -58,7 +58,7 @@ class Player:
         """Player of the held-out targets of a seed, on an environment of a single episode."""
         self._env, self._seed = env, seed
         self._advances: dict[str | Function, Advance] = {}
-        self._init = env.compile_whole(env.init)
+        self._init = env.compile_whole(env.init_held_out)
         setup = env.setup
         self._place, self._begin_task = make_place(setup), jit(partial(_begun, env))
         self._knows_home_alone = knows_home_alone(env)

@@ -163,7 +163,7 @@ def _sampler(env: Env) -> Callable[[np.ndarray, np.ndarray], Begin]:
 
     def sample(seeds: Array, numbers: Array) -> Begin:
         keys = jax.vmap(lambda seed, number: jax.random.fold_in(stream_key(seed, REPORT_STREAM), number))
-        return env.functions.sample_episode(keys(seeds, numbers))
+        return env.functions.sample_episode(keys(seeds, numbers), held_out=True)
 
     return jit(sample, brief=True)
 

@@ -17,6 +17,9 @@ from reachlab.tasks.placing import joints_at
 from reachlab.tasks.targets import Drawn, first_reached, sample_point
 from reachlab.tasks.task import TaskSetup
 
+NAME = "balls"
+"""Of this kind of scene."""
+
 KINDS = (Shape.BALL, Shape.CAPSULE, Shape.BOX)
 """Of which an obstacle is."""
 

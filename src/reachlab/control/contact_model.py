@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
+import jax
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
 from reachlab.control.bodies import FAR, Bodies, Shape
+from reachlab.control.planning.collision import CollisionChecker
 from reachlab.robots.files.pictures import without_shapes
 from reachlab.robots.robot import Robot
+from reachlab.settings.validation import InputError
 
 CAPSULE, BODY, TABLE = "reachlab_capsule_", "reachlab_body_", "reachlab_table"
 """Names of the geoms that are added, the first two before a number."""
@@ -29,7 +33,12 @@ def add_contacts(spec: mujoco.MjSpec, robot: Robot, count: int) -> None:
     without an edge. What `Capsules.floors` allows to be anywhere does not touch it.
 
     Contacts have no friction, and the Jacobian is dense: 4.0.0 solves sparse ones wrongly.
+
+    Raises:
+        InputError: the robot has no shapes.
     """
+    if not any(robot.capsules.links):
+        raise InputError(f"robot {robot.name!r} has no shapes in its file: what it touches cannot be told.")
     spec.option.disableflags &= ~int(_Bit.mjDSBL_CONTACT | _Bit.mjDSBL_CONSTRAINT)
     spec.option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
     for pair in spec.pairs:
@@ -75,6 +84,49 @@ def _pairs(robot: Robot, count: int) -> Iterator[tuple[str, str]]:
     yield from ((f"{CAPSULE}{one}", f"{CAPSULE}{other}") for one, other in capsules.pairs)
 
 
+class Geoms(NamedTuple):
+    """MuJoCo's arrays of the geoms that bodies are, `[..., K, *]`, by the names of the model's."""
+
+    geom_type: np.ndarray
+    geom_pos: np.ndarray
+    geom_quat: np.ndarray
+    geom_sameframe: np.ndarray
+    geom_size: np.ndarray
+    geom_rbound: np.ndarray
+
+
+def geoms_of(bodies: Bodies) -> Geoms:
+    """Bodies `[..., K]`, in NumPy, as MuJoCo has them."""
+    size = np.asarray(bodies.size, np.float64)
+    long = np.where(bodies.kind == Shape.BOX, np.linalg.norm(size, axis=-1), size[..., 0] + size[..., 1])
+    return Geoms(
+        geom_type=np.array(bodies.kind),
+        geom_pos=np.array(bodies.position, np.float64),
+        geom_quat=np.array(bodies.quaternion, np.float64),
+        # `Batch.set_const` notes here which of them lie as the world does, whose pose they are then given.
+        geom_sameframe=np.full(long.shape, mujoco.mjtSameFrame.mjSAMEFRAME_NONE),
+        geom_size=size,
+        geom_rbound=np.maximum(long, LEAST_BOUND),
+    )
+
+
+def body_geoms(model: mujoco.MjModel) -> list[int]:
+    """Numbers in a model of the geoms that `add_contacts` added for bodies."""
+    return [geom for geom in range(model.ngeom) if model.geom(geom).name.startswith(BODY)]
+
+
+def collision_checker(robot: Robot, count: int) -> CollisionChecker:
+    """A checker of an arm, the table and `count` bodies.
+
+    Raises:
+        InputError: the robot has no shapes.
+    """
+    spec = robot.spec(pictures=False)
+    add_contacts(spec, robot, count)
+    model = spec.compile()
+    return CollisionChecker(model, robot.chain.n, body_geoms(model))
+
+
 class FixedBodies:
     """Bodies that differ between simulations, and do not move in them.
 
@@ -84,28 +136,16 @@ class FixedBodies:
 
     def __init__(self, batch: Batch) -> None:
         """None of them is there yet."""
-        model = batch.model
-        self.geoms = [geom for geom in range(model.ngeom) if model.geom(geom).name.startswith(BODY)]
-        names = ("geom_type", "geom_pos", "geom_quat", "geom_sameframe", "geom_size", "geom_rbound")
-        self._type, self._position, self._quaternion, self._frame, self._size, self._bound = (
-            map(batch.expand, names) if self.geoms else [np.zeros(0)] * len(names)
-        )
-        self._numbers = np.zeros(0)
+        self.geoms = body_geoms(batch.model)
+        self._arrays = [batch.expand(name) for name in Geoms._fields] if self.geoms else []
+        self._before = Geoms(*[np.zeros(0)] * len(Geoms._fields))
 
     def become(self, bodies: Bodies) -> None:
         """Put the first of bodies `[B, K]`, in NumPy, where they are."""
-        parts = (bodies.position, bodies.quaternion, bodies.size, bodies.kind[..., None])
-        numbers = np.concatenate([part[:, : len(self.geoms)] for part in parts], axis=-1)
-        if not self.geoms or np.array_equal(numbers, self._numbers):
+        count = len(self.geoms)
+        now = geoms_of(jax.tree.map(lambda x: x[:, :count], bodies))
+        if not count or all(map(np.array_equal, now, self._before)):
             return
-        self._numbers = numbers
-        position, quaternion, size, _ = np.split(numbers.astype(np.float64), (3, 7, 10), axis=2)
-        kind = numbers[..., 10:].astype(int)
-        along = np.where(kind == Shape.BOX, np.linalg.norm(size, axis=2, keepdims=True), size[..., :1] + size[..., 1:2])
-        self._type[:, self.geoms] = kind[..., 0]
-        self._position[:, self.geoms] = position
-        self._quaternion[:, self.geoms] = quaternion
-        # `Batch.set_const` notes here which of them lie as the world does, whose pose they are then given.
-        self._frame[:, self.geoms] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
-        self._size[:, self.geoms] = size
-        self._bound[:, self.geoms] = np.maximum(along[..., 0], LEAST_BOUND)
+        self._before = now
+        for array, numbers in zip(self._arrays, now, strict=True):
+            array[:, self.geoms] = numbers

@@ -1,0 +1,1 @@
+"""Ways among bodies: where an arm is free, a path by random sampling, and the motion along it."""

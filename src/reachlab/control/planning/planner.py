@@ -1,0 +1,89 @@
+"""A motion for an arm among bodies: to any branch of its goal, by a short path, as fast as its joints may."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from reachlab.control.planning.collision import CollisionChecker
+from reachlab.control.planning.search import Search
+from reachlab.control.planning.timing import Trajectory, timed
+
+LIMIT = 1.0
+"""Time in which a path has to be found [s]; it is made shorter in as much at most."""
+
+CLEAR, OWN = 0.01, 0.003
+"""Least distances on a path from bodies and the table, in proportion to the arm's workspace, and of links from each
+other [m]; or what there is at the start."""
+
+FOLLOWED = 0.5
+"""Share of them that is kept on the smooth motion along it."""
+
+ROUNDING = 1e-4
+"""Distance by which the same point may seem nearer when it is computed again [m]."""
+
+SPEED, ACCELERATION = 0.95, 0.5
+"""Shares of the joints' limits that a motion uses: servos need the rest to follow it."""
+
+HALVINGS = 3
+"""Times that the parts of a path are halved until the smooth motion along it is free."""
+
+
+class Limits(NamedTuple):
+    """Limits of an arm's joints `[n]`: positions, speeds and accelerations."""
+
+    lower: Sequence[float]
+    upper: Sequence[float]
+    speed: np.ndarray
+    acceleration: np.ndarray
+
+
+class Planner:
+    """Plans motions of an arm.
+
+    Attributes:
+        checker: it says where the arm is free; bodies are placed by it.
+    """
+
+    def __init__(self, checker: CollisionChecker, limits: Limits, scale: float, period: float) -> None:
+        """Of an arm with limits and a workspace of a scale, for control periods [s].
+
+        Raises:
+            ModuleNotFoundError: OMPL is not installed.
+        """
+        self.checker, self._period = checker, period
+        self._search = Search(checker, limits.lower, limits.upper)
+        self._clear = CLEAR * scale
+        self._speed, self._acceleration = SPEED * limits.speed, ACCELERATION * limits.acceleration
+
+    def margins(self, start: np.ndarray) -> None:
+        """Ask for the distances that a path from joints `start [n]` keeps."""
+        outside, own = self.checker.distances(start)
+        self._least = min(self._clear, outside - ROUNDING), min(OWN, own - ROUNDING)
+        self.checker.keep(*self._least)
+
+    def motion(self, start: np.ndarray, goals: np.ndarray) -> Trajectory | None:
+        """A motion from `start [n]` to one of `goals [g, n]`, after `margins`; None if none is found."""
+        if not len(goals):
+            return None
+        ends = time.monotonic() + LIMIT
+        path = self._search.path(start, goals, lambda: time.monotonic() > ends)
+        if path is None:
+            return None
+        for _ in range(HALVINGS + 1):
+            motion = timed(path, self._speed, self._acceleration, self._period)
+            if motion is not None and self.leads(motion):
+                return motion
+            middle = (path[:-1] + path[1:]) / 2
+            path = np.insert(path, np.arange(1, len(path)), middle, axis=0)
+        return None
+
+    def leads(self, motion: Trajectory, first: int = 0) -> bool:
+        """Whether a motion is free from its step `first` on."""
+        self.checker.keep(*(FOLLOWED * least for least in self._least))
+        free = all(self.checker.free(q) for q in motion.q[first:])
+        self.checker.keep(*self._least)
+        return free

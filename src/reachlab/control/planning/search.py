@@ -1,0 +1,107 @@
+"""A path for an arm among bodies, by random sampling."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from reachlab.control.planning.collision import CollisionChecker
+
+RESOLUTION = 0.03
+"""Distance between the points of a path that have to be free [rad]."""
+
+SEED = 1
+"""Of each search: its random numbers do not depend on those before."""
+
+
+class Search:
+    """Looks for paths that a checker calls free.
+
+    By RRT-Connect (Kuffner and LaValle, "RRT-Connect: an efficient approach to single-query path planning", ICRA 2000).
+
+    Attributes:
+        checker: it says where the arm is free.
+    """
+
+    def __init__(self, checker: CollisionChecker, lower: Sequence[float], upper: Sequence[float]) -> None:
+        """Of an arm whose joints have these limits `[n]`.
+
+        Raises:
+            ModuleNotFoundError: OMPL is not installed.
+        """
+        from ompl import base, geometric, util
+
+        util.setLogLevel(util.LogLevel.LOG_NONE)
+        self._base, self._geometric, self._util = base, geometric, util
+        self.checker, self._limits = checker, np.array([lower, upper])
+
+    def path(
+        self, start: np.ndarray, goals: np.ndarray, given_up: Callable[[], bool], *, short: bool = True
+    ) -> np.ndarray | None:
+        """Joint vectors `[k, n]` from `start [n]` to one of `goals [g, n]`, straight in between; None if none is found.
+
+        The first goal to which the way is straight is taken. Otherwise it is looked for until it is `given_up` and, if
+        it is to be, made `short`.
+        """
+        for goal in goals:
+            if self.straight(start, goal):
+                return np.stack([start, goal]).astype(float)
+        base, n = self._base, len(start)
+        self._util.RNG.setSeed(SEED)
+        space, bounds, ends = base.RealVectorStateSpace(n), base.RealVectorBounds(n), np.vstack([start, goals])
+        low, high = np.minimum(self._limits[0], ends.min(axis=0)), np.maximum(self._limits[1], ends.max(axis=0))
+        for joint in range(n):
+            bounds.setLow(joint, float(low[joint]))
+            bounds.setHigh(joint, float(high[joint]))
+        space.setBounds(bounds)
+        information = base.SpaceInformation(space)
+        task = self._geometric.SimpleSetup(information)
+        task.setStateValidityChecker(lambda state: self.checker.free(_joints(state, n)))
+        information.setMotionValidator(self._motions(information, n))
+        task.setStartState(_state(space, start))
+        targets = base.GoalStates(information)
+        for goal in goals:
+            targets.addState(_state(space, goal))
+        task.setGoal(targets)
+        task.setPlanner(self._geometric.RRTConnect(information))
+        task.solve(base.PlannerTerminationCondition(given_up))
+        if not task.haveExactSolutionPath():
+            return None
+        if short:
+            task.simplifySolution(base.PlannerTerminationCondition(given_up))
+        return np.stack([_joints(state, n) for state in task.getSolutionPath().getStates()])
+
+    def straight(self, start: np.ndarray, end: np.ndarray) -> bool:
+        """Whether the arm is free on the straight way between joints `[n]`."""
+        way = end - start
+        return all(self.checker.free(start + share * way) for share in _shares(int(np.linalg.norm(way) / RESOLUTION)))
+
+    def _motions(self, information: Any, n: int) -> Any:
+        straight = self.straight
+
+        class Motions(self._base.MotionValidator):
+            def checkMotion(self, one: Any, other: Any, *_: Any) -> bool:  # noqa: N802 (OMPL's name)
+                return straight(_joints(one, n), _joints(other, n))
+
+        return Motions(information)
+
+
+@functools.cache
+def _shares(between: int) -> np.ndarray:
+    """Shares of a way at which it is looked at `[between + 2]`: its ends first, then such that gaps are halved."""
+    order = sorted(range(between + 1), key=lambda number: f"{number:016b}"[::-1])
+    return np.array([between + 1, *order]) / (between + 1)
+
+
+def _joints(state: Any, n: int) -> np.ndarray:
+    return np.array([state[joint] for joint in range(n)])
+
+
+def _state(space: Any, q: np.ndarray) -> Any:
+    state = space.allocState()
+    for joint, value in enumerate(q):
+        state[joint] = float(value)
+    return state

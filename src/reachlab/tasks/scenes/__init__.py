@@ -1,0 +1,1 @@
+"""What stands beside the arm in task `clutter`: random balls, capsules and boxes, or furniture by name."""

@@ -1,0 +1,208 @@
+"""Scenes of a kind that are drawn once for an arm, each with a way through it that a planner has found."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import numpy as np
+import safetensors.numpy
+from numpy.random import Generator
+
+from reachlab.control.bodies import FAR, Bodies, Shape
+from reachlab.control.branches import free_branches, make_solver
+from reachlab.control.contact_model import collision_checker, geoms_of
+from reachlab.control.planning.search import Search
+from reachlab.robots.robot import Robot
+from reachlab.settings.cache import cache_folder
+from reachlab.settings.validation import InputError, installing
+from reachlab.tasks.scenes import kinds
+from reachlab.tasks.scenes.kinds import Body, Drawn, Kind, Place, kind_of
+
+TRAINING, HELD_OUT = 2000, 2000
+"""Scenes to train in, and others to evaluate in."""
+
+CLEAR = 0.015
+"""Least distance of the arm from bodies at start and goal and on the way [m], in proportion to its workspace."""
+
+OWN = 0.003
+"""Least distance of its links from each other [m]: by their capsules some arms come as near as 5 mm."""
+
+TOGETHER = 64
+"""Scenes that are drawn together."""
+
+ROUNDS = 500
+"""Rounds of a search after which a scene counts as one without a way."""
+
+RADIUS = 0.04
+"""Of a body that is not there [m]."""
+
+OPPOSITE = 1e-6
+"""Length of the sum of two unit vectors that are opposite."""
+
+MOST_DRAWN = 500
+"""Scenes drawn in place of one at most, on average, before a kind is given up."""
+
+
+class Bank(NamedTuple):
+    """Scenes of `count` episodes, in NumPy.
+
+    Attributes:
+        start: joints in which they start `[count, n]` [rad or m].
+        joints: those at their goals `[count, n]`.
+        bodies: what is beside the arm `[count, K]`.
+    """
+
+    start: np.ndarray
+    joints: np.ndarray
+    bodies: Bodies
+
+    def with_room(self, count: int) -> Bank:
+        """The same with room for so many bodies."""
+        missing = count - self.bodies.kind.shape[1]
+        more = _bodies([], Kind("", missing, lambda _: None))
+        rows = jax.tree.map(lambda x: np.broadcast_to(x, (len(self.start), *x.shape)), more)
+        return self._replace(bodies=jax.tree.map(lambda a, b: np.concatenate([a, b], axis=1), self.bodies, rows))
+
+
+def bank_of(robot: Robot, scene: str) -> Bank:
+    """The scenes of a kind for an arm: `TRAINING` to train in, and after them those to evaluate in.
+
+    They are kept in the user's cache, and the same wherever they are drawn but for the last bits of joints.
+
+    Raises:
+        InputError: the kind does not exist, does not fit the arm, or OMPL is not installed.
+    """
+    kind = kind_of(scene, robot)
+    sources = [Path(file).read_bytes() for file in (__file__, kinds.__file__)]
+    asked = repr((TRAINING, HELD_OUT, scene, kind.content, robot, hashlib.sha256(b"".join(sources)).hexdigest()))
+    name = hashlib.sha256(asked.encode()).hexdigest()[:32]
+    if name not in _banks:
+        _banks[name] = _kept(robot, scene, name)
+    return _banks[name]
+
+
+_banks: dict[str, Bank] = {}
+
+
+def _kept(robot: Robot, scene: str, name: str) -> Bank:
+    file = cache_folder() / "scenes" / f"{name}.safetensors"
+    with contextlib.suppress(Exception):  # whatever is wrong with it, it is made anew
+        arrays = safetensors.numpy.load(file.read_bytes())
+        return Bank(arrays.pop("start"), arrays.pop("joints"), Bodies(**arrays))
+    with jax.ensure_compile_time_eval():  # also where a caller is being traced
+        bank = _drawn(robot, scene)
+    with contextlib.suppress(OSError):
+        file.parent.mkdir(parents=True, exist_ok=True)
+        part = file.with_suffix(f".{os.getpid()}.part")
+        part.write_bytes(safetensors.numpy.save({**bank._asdict(), **vars(bank.bodies)} | {"bodies": np.zeros(0)}))
+        part.replace(file)
+    return bank
+
+
+def _drawn(robot: Robot, scene: str) -> Bank:
+    from rich.console import Console
+    from rich.progress import track
+
+    count = TRAINING + HELD_OUT
+    about = f"{count} scenes {scene!r} for {robot.name}, kept for later"
+    console = Console(stderr=True)
+    scenes = track(_scenes(robot, scene, count), about, count, console=console, disable=not sys.stderr.isatty())
+    start, joints, bodies = zip(*scenes, strict=True)
+    together = jax.tree.map(lambda *rows: np.stack(rows), *bodies)
+    return Bank(np.array(start, np.float32), np.array(joints, np.float32), together)
+
+
+# --- drawing --------------------------------------------------------------------------------------
+
+
+def _scenes(robot: Robot, scene: str, count: int) -> Iterator[tuple[np.ndarray, np.ndarray, Bodies]]:
+    """Scenes with joints at start and goal, as many as are asked for."""
+    kind, rng, found = kind_of(scene, robot), np.random.default_rng(0), 0
+    try:
+        finder = _Finder(robot, kind)
+    except ModuleNotFoundError:
+        raise InputError(f"scene {scene!r} needs OMPL: {installing('planner')}.") from None
+    for _ in range(-(-MOST_DRAWN * count // TOGETHER)):
+        drawn = [kind.draw(rng) for _ in range(TOGETHER)]
+        ends = [finder.joints([one.goal for one in drawn], rng), finder.joints([one.start for one in drawn], rng)]
+        for one, goals, starts in zip(drawn, *ends, strict=True):
+            if (way := finder.way(one, starts, goals)) is None:
+                continue
+            yield way
+            found += 1
+            if found == count:
+                return
+    raise InputError(
+        f"scene {scene!r} does not fit robot {robot.name!r}: only {found} of {MOST_DRAWN * count:,} that were drawn"
+        " have a start, a goal and a way between them: choose another scene or arm."
+    )
+
+
+class _Finder:
+    """Finds out which scenes have a start, a goal and a way between them."""
+
+    def __init__(self, robot: Robot, kind: Kind) -> None:
+        self._robot, self._kind, chain = robot, kind, robot.chain
+        self._checker = collision_checker(robot, kind.bodies)
+        self._checker.keep(CLEAR * robot.scale, OWN)
+        self._search = Search(self._checker, chain.lower, chain.upper)
+        self._solve = make_solver(robot)
+
+    def joints(self, places: Sequence[Place | None], rng: Generator) -> list[np.ndarray]:
+        """Joint vectors `[k, n]` that have each place; home where there is none."""
+        chain, home = self._robot.chain, np.array(self._robot.home)
+        some = [Place((0.5, 0.0, 0.5), kinds.DOWN, 0.0) if place is None else place for place in places]
+        position = np.array([place.position for place in some]) * self._kind.scale
+        quaternion = np.array([_pointing(place, np.array(chain.approach), rng) for place in some])
+        found = self._solve(position, quaternion, rng)
+        return [home[None] if place is None else one for place, one in zip(places, found, strict=True)]
+
+    def way(self, drawn: Drawn, starts: np.ndarray, goals: np.ndarray) -> tuple[np.ndarray, np.ndarray, Bodies] | None:
+        """Joints at start and goal and the bodies, if there is a way and it is not straight to any branch."""
+        bodies = _bodies(drawn.bodies, self._kind)
+        self._checker.place(geoms_of(bodies)._asdict())
+        start = next(filter(self._checker.free, starts), None)
+        if start is None:
+            return None
+        goals = free_branches(self._checker, self._robot, goals, start)
+        if not len(goals) or any(self._search.straight(start, goal) for goal in goals):
+            return None
+        rounds = iter(range(ROUNDS))
+        path = self._search.path(start, goals, lambda: next(rounds, None) is None, short=False)
+        return None if path is None else (start, path[-1], bodies)
+
+
+def _bodies(drawn: Sequence[Body], kind: Kind) -> Bodies:
+    """Bodies `[K]` of a scene, with what there is room for beyond them out of the way."""
+    missing = kind.bodies - len(drawn)
+    away = [Body(Shape.BALL, np.array(FAR) / kind.scale, (RADIUS, 0.0, 0.0))] * missing
+    bodies = [*drawn, *away]
+    turn = np.array([body.yaw for body in bodies]) / 2
+    return Bodies(
+        position=np.array([body.position for body in bodies], np.float32).reshape(-1, 3) * np.float32(kind.scale),
+        quaternion=np.stack([np.cos(turn), 0 * turn, 0 * turn, np.sin(turn)], axis=1).astype(np.float32),
+        velocity=np.zeros((len(bodies), 6), np.float32),
+        size=np.array([body.size for body in bodies], np.float32).reshape(-1, 3) * np.float32(kind.scale),
+        kind=np.array([body.kind for body in bodies], np.int32),
+    )
+
+
+def _pointing(place: Place, approach: np.ndarray, rng: Generator) -> np.ndarray:
+    """An orientation wxyz of the tool, turned at random about where it points, which is tilted."""
+    way = place.direction + rng.normal(0.0, place.tilt, 3)
+    way /= np.linalg.norm(way)
+    halfway = approach + way
+    if np.linalg.norm(halfway) < OPPOSITE:
+        halfway = np.cross(approach, np.roll(approach, 1))
+    # Half a turn about what lies halfway takes the one to the other.
+    x, y, z = halfway / np.linalg.norm(halfway)
+    angle = rng.uniform(-np.pi, np.pi) / 2
+    w, (a, b, c) = np.cos(angle), np.sin(angle) * way
+    return np.array([-a * x - b * y - c * z, w * x + b * z - c * y, w * y + c * x - a * z, w * z + a * y - b * x])

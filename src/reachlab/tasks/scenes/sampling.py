@@ -1,0 +1,72 @@
+"""An episode among bodies: drawn as it begins, or one of those that were drawn before."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from reachlab.control.situation import Goal
+from reachlab.robots.kinematics.forward import forward_kinematics
+from reachlab.tasks.scenes import balls
+from reachlab.tasks.scenes.bank import TRAINING, Bank, bank_of
+from reachlab.tasks.scenes.kinds import BOX, KINDS, kind_of
+from reachlab.tasks.targets import box_corners
+from reachlab.tasks.task import Bounds, Keys, Sampled, TaskSetup, sample_apart
+
+
+def drawn_anew(scene: tuple[str, ...]) -> bool:
+    """Whether a scene is drawn as its episode begins."""
+    return scene == (balls.NAME,)
+
+
+def room(setup: TaskSetup) -> int:
+    """Bodies for which scenes have room."""
+    scene = setup.rules.scene
+    return balls.places(setup) if drawn_anew(scene) else max(kind_of(name, setup.robot).bodies for name in scene)
+
+
+def goal_box(setup: TaskSetup) -> Bounds:
+    """Corners `[3]` m of the box that holds all goals."""
+    if not set(setup.rules.scene) <= KINDS.keys():
+        return box_corners(setup)
+    low, high = (setup.robot.scale * np.array(corner, np.float32) for corner in BOX)
+    return low, high
+
+
+def prepare(setup: TaskSetup) -> Bank | None:
+    """The scenes of the rules' kinds, each kind's in turn."""
+    if drawn_anew(setup.rules.scene):
+        return None
+    count, banks = room(setup), [bank_of(setup.robot, name) for name in setup.rules.scene]
+    return jax.tree.map(lambda *x: np.stack(x, axis=1), *[bank.with_room(count) for bank in banks])
+
+
+def sample(setup: TaskSetup, keys: Keys, goal: Goal | None, held_out: Array | bool) -> Sampled:
+    """Start, goal and bodies of an episode; of a `goal` that is given the others are as likely as without."""
+    if drawn_anew(setup.rules.scene):
+        return sample_apart(setup, keys, goal, held_out)
+    one = _one(setup, keys.goal, held_out)
+    return Sampled(one.start, _goal(setup, one) if goal is None else goal, one.bodies)
+
+
+def sample_goal(setup: TaskSetup, key: Array) -> Goal:
+    """A goal of those scenes."""
+    if drawn_anew(setup.rules.scene):
+        return balls.sample_free_goal(setup, key)
+    return _goal(setup, _one(setup, key, False))
+
+
+def _one(setup: TaskSetup, key: Array, held_out: Array | bool) -> Bank:
+    """One of the scenes to train in, or of those that are held out."""
+    bank: Bank = setup.prepared
+    count, kinds = bank.start.shape[:2]
+    for_kind, for_number = jax.random.split(key)
+    first, last = jnp.where(held_out, TRAINING, 0), jnp.where(held_out, count, TRAINING)
+    number, kind = jax.random.randint(for_number, (), first, last), jax.random.randint(for_kind, (), 0, kinds)
+    return jax.tree.map(lambda rows: jnp.asarray(rows)[number, kind], bank)
+
+
+def _goal(setup: TaskSetup, one: Bank) -> Goal:
+    return Goal.at(forward_kinematics(setup.robot.chain, one.joints).position, joints=one.joints)
