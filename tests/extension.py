@@ -27,10 +27,11 @@ from reachlab.sims import SimulatorEntry
 from reachlab.sims.kinematic import KinematicSimulator
 from reachlab.sims.simulator import BatchArray, Moved, SimState
 from reachlab.tasks.actions import Action
+from reachlab.tasks.judging import Outcome
 from reachlab.tasks.observations import GOAL, TOOL
 from reachlab.tasks.precise import Precise
 from reachlab.tasks.schema import Observation, Term
-from reachlab.tasks.task import Outcome, Task, TaskSetup
+from reachlab.tasks.task import Task, TaskSetup
 
 ARM = """
 <mujoco><worldbody><body name="base" pos="0 0 0.4"><joint axis="0 0 1" range="-150 150"/>

@@ -11,7 +11,8 @@ from reachlab.control.bodies import Bodies, Shape, absent
 from reachlab.control.situation import Goal, Situation
 from reachlab.robots.kinematics.forward import Pose
 from reachlab.sims.simulator import Begin
-from reachlab.tasks.task import Errors, Outcome, TaskSetup, judge
+from reachlab.tasks.judging import Outcome, judge
+from reachlab.tasks.task import Errors, TaskSetup
 from reachlab.tasks.tutorial import Tutorial
 
 RULES = Tutorial(tool_scale=0.005, success_distance=0.1, approach_weight=5.0, target_height=-0.0083)

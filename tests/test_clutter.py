@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from stable_baselines3.common.env_checker import check_env as stable_baselines3s_checker
 
 from reachlab.control.bodies import FAR, Bodies, Nearest, nearest
+from reachlab.control.contact_model import BODY, CAPSULE
 from reachlab.control.dampers import RATE, STOP, damped, surroundings
 from reachlab.control.situation import Goal, Situation
 from reachlab.envs.core import Env
@@ -28,7 +29,6 @@ from reachlab.jax_setup import jit
 from reachlab.robots.kinematics.forward import Pose
 from reachlab.robots.shapes.clearance import capsules_at
 from reachlab.settings.validation import InputError
-from reachlab.control.contact_model import BODY, CAPSULE
 from reachlab.sims.mujoco_model import physics_model
 from reachlab.tasks.observations import observe
 from reachlab.tasks.scenes.balls import CLEAR, LONG, RADIUS, SIDE, THIN

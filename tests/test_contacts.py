@@ -14,6 +14,7 @@ import pytest
 
 from params import tried
 from reachlab.control.bodies import FAR, Bodies, absent
+from reachlab.control.contact_model import CAPSULE
 from reachlab.control.situation import Situation
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvFunctions
@@ -24,7 +25,6 @@ from reachlab.robots.loading import load_robot
 from reachlab.robots.robot import Robot
 from reachlab.robots.shapes.clearance import capsules_at
 from reachlab.settings.validation import InputError
-from reachlab.control.contact_model import CAPSULE
 from reachlab.sims.mujoco_model import physics_model
 from reachlab.sims.simulator import Moved, SimState, Simulator, make_simulator
 from reachlab.tasks.task import Scene

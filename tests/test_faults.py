@@ -35,7 +35,7 @@ from reachlab.settings.json_form import to_json
 from reachlab.settings.validation import InputError
 from reachlab.sims.mujoco import MujocoSimulator
 from reachlab.tasks import rewards
-from reachlab.tasks.task import Outcome
+from reachlab.tasks.judging import Outcome
 
 pytestmark = pytest.mark.slow
 

@@ -24,9 +24,10 @@ from builder.tables import FORMULAS, TERMS, VARIED
 from reachlab.cli.verbs import VERBS
 from reachlab.envs.consistency import RANDOMISED
 from reachlab.settings.validation import hints
+from reachlab.tasks.judging import Outcome
 from reachlab.tasks.observations import OBSERVATIONS
 from reachlab.tasks.rewards import REWARDS
-from reachlab.tasks.task import Errors, Outcome
+from reachlab.tasks.task import Errors
 from situations import RULES
 from test_imports import FOLDERS
 

@@ -23,9 +23,10 @@ from reachlab.settings.config import RunConfig
 from reachlab.settings.validation import InputError
 from reachlab.tasks import TASKS
 from reachlab.tasks.actions import ACTIONS, bounded, command, joint_scale
+from reachlab.tasks.judging import Outcome, judge
 from reachlab.tasks.observations import OBSERVATIONS, observe
 from reachlab.tasks.rewards import REWARDS
-from reachlab.tasks.task import Outcome, TaskSetup, judge
+from reachlab.tasks.task import TaskSetup
 from reachlab.tasks.tutorial import Tutorial
 from situations import RULES, errors_of
 from situations import situation as situation_of

@@ -32,6 +32,9 @@ turned about each axis at random [rad]."""
 GAIN = 0.5
 """Share of what an arm lags more than its servos do that its command is corrected by in a time of their lag."""
 
+NUDGE = 0.01
+"""Length of a first motion [rad]."""
+
 TINY = 1e-6
 """Divides in place of a smaller time [s]."""
 
@@ -40,7 +43,7 @@ class Plans:
     """Plans for the goals of a task on an arm.
 
     Attributes:
-        seconds: time that each plan took.
+        seconds: time that the last plan took.
     """
 
     def __init__(self, setup: TaskSetup) -> None:
@@ -61,11 +64,8 @@ class Plans:
             raise InputError(f"agent 'planner' needs OMPL: {installing('planner')}.") from None
         self._setup, self._solve = setup, make_solver(robot)
         self._pose = jit(lambda q: forward_kinematics(robot.chain, q), brief=True)
-        self.seconds: list[float] = []
-        self.plan(
-            jax.tree.map(np.asarray, absent(scene.bodies)), np.array(robot.home), np.array(robot.home)
-        )  # before time counts
-        self.seconds.clear()
+        nothing, home = jax.tree.map(np.asarray, absent(scene.bodies)), np.array(robot.home)
+        self.plan(nothing, home, home + NUDGE)  # what it needs is compiled and imported before time counts
 
     def plan(self, scene: Bodies, start: np.ndarray, goal: np.ndarray) -> Trajectory | None:
         """A motion among bodies `[K]` from joints `start [n]` to where the tool is at joints `goal [n]`."""
@@ -73,7 +73,7 @@ class Plans:
         planner.checker.place(geoms_of(scene)._asdict())
         planner.margins(start)
         motion = planner.motion(start, self._goals(start, goal), goal)
-        self.seconds.append(time.perf_counter() - begun)
+        self.seconds = time.perf_counter() - begun
         return motion
 
     def leads(self, motion: Trajectory, first: int, scene: Bodies) -> bool:
@@ -106,7 +106,7 @@ class Following:
         """Nothing is planned yet."""
         self.plans = Plans(env.setup)
         self._env, self._episodes = env, [b""] * env.num_envs
-        self._begun = np.zeros(env.num_envs, int)
+        self._begun, self._planned = np.zeros(env.num_envs, int), np.zeros(env.num_envs)
         self._motions: list[Trajectory | None] = [None] * env.num_envs
         self._scenes = [b""] * env.num_envs
         lag = np.maximum(env.setup.lag, TINY)
@@ -130,6 +130,10 @@ class Following:
         state, transition = self._env.step(state, self._hold(None, state, key, None), instead=jnp.asarray(commands))
         return state, transition, key
 
+    def planned(self) -> np.ndarray:
+        """Time that was planned in the episodes `[B]` [s]."""
+        return self._planned.copy()
+
     def commands(self, state: EnvState, mask: np.ndarray) -> np.ndarray:
         """Next joint commands `[B, n]` in the environments of `mask [B]`; without a motion the last ones."""
         keys, joints = np.asarray(jax.random.key_data(state.key)), np.asarray(state.goal.joints)
@@ -141,9 +145,12 @@ class Following:
             episode, place = keys[row].tobytes() + joints[row].tobytes(), scene.position.tobytes()
             step, motion = clock[row] - self._begun[row], self._motions[row]
             moved = place != self._scenes[row] and (motion is None or not self.plans.leads(motion, step, scene))
+            if episode != self._episodes[row]:
+                self._planned[row] = 0.0
             if episode != self._episodes[row] or moved:
                 self._begun[row], step = clock[row], 0
                 motion = self._motions[row] = self.plans.plan(scene, given[row].astype(float), joints[row])
+                self._planned[row] += self.plans.seconds
             self._episodes[row], self._scenes[row] = episode, place
             if motion is not None:
                 given[row] = self._next(motion, step, q[row], given[row])

@@ -97,6 +97,12 @@ def print_reports(reports: Sequence[dict[str, Any]], config: RunConfig) -> None:
     for kind, what in (("contact", "the arm touched anything"), ("self_contact", met)):
         if shares := [f"{_who(one)} {_percent(one[kind])}" for one in reports if one[kind] is not None]:
             say(f"Episodes in which {what}: {', '.join(shares)}.")
+    for report in reports:
+        if times := report.get("planning_s"):
+            median, p99 = 1000 * times["median"], 1000 * times["p99"]
+            say(f"{_who(report)} planned for {median:.0f} ms, in 99 % of the episodes for at most {p99:.0f} ms.")
+    if (straight := first.get("straight")) is not None:
+        say(f"{_percent(straight)} of the episodes need no avoiding: the straight way of the joints is free.")
 
 
 def _say_steps(reports: Sequence[dict[str, Any]]) -> None:

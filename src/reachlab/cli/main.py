@@ -81,8 +81,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return _run(list(sys.argv[1:] if arguments is None else arguments))
         finally:
             sys.stdout.flush()
-            if arguments is None:
-                gc.freeze()  # else what is left is looked through as Python ends, for half a second after a training
+            # Else what is left is looked through as Python ends, for half a second after a training. OMPL lists what
+            # is left then as lost.
+            if arguments is None and "ompl" not in sys.modules:
+                gc.freeze()
     except ImportError:
         if not asked:
             raise

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from numpy.random import Generator
 
@@ -32,7 +33,7 @@ def make_solver(robot: Robot) -> Solver:
     def solver(position: np.ndarray, quaternion: np.ndarray, rng: Generator) -> list[np.ndarray]:
         starts = rng.uniform(chain.lower, chain.upper, (len(position), STARTS, chain.n))
         starts[:, 0] = robot.home
-        pose = Pose(*(np.repeat(np.asarray(part, np.float32), STARTS, axis=0) for part in (position, quaternion)))
+        pose = Pose(*(jnp.repeat(jnp.asarray(part, jnp.float32), STARTS, axis=0) for part in (position, quaternion)))
         found = solve(pose, starts.reshape(-1, chain.n).astype(np.float32))
         q, converged = np.asarray(found.q).reshape(starts.shape), np.asarray(found.converged)
         return [one[at] for one, at in zip(q, converged.reshape(starts.shape[:2]), strict=True)]

@@ -27,9 +27,10 @@ from reachlab.robots.kinematics.forward import forward_kinematics
 from reachlab.robots.kinematics.scalars import once
 from reachlab.sims.simulator import BatchArray, Begin, Moved, SimState
 from reachlab.tasks import actions, observations
+from reachlab.tasks.judging import judge, outside_workspace
 from reachlab.tasks.rewards import REWARDS
 from reachlab.tasks.schema import Observed
-from reachlab.tasks.task import Errors, Keys, Progress, TaskSetup, judge, outside_workspace
+from reachlab.tasks.task import Errors, Keys, Progress, TaskSetup
 
 POSITION_NOISE, SPEED_NOISE = 0.0005, 0.01
 """Standard deviations of the joint measurements where dynamics vary [rad, rad/s]."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -17,6 +17,7 @@ from reachlab.agents.policy import Policy
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvFunctions, EnvState, Transition
 from reachlab.envs.random_streams import AGENT_STREAM, episode_keys
+from reachlab.evaluation.straight import make_straight
 from reachlab.jax_setup import jit
 from reachlab.robots.shapes.clearance import capsules_at, self_distance
 from reachlab.robots.shapes.self_contact import meeting
@@ -74,6 +75,9 @@ class Episodes:
             are set, rather than moved by dynamics, or where no links could meet.
         track: where goal and tool were after each of its steps; None where the goal does not move.
         contact: the arm touched anything in it `[B]`, where the engine judges contacts.
+        straight: nothing was in the way of the arm, had its joints moved straight to those at the goal `[B]`; None
+            where nothing is beside it.
+        planned: time that planning took `[B]` [s]; None of an agent that does not plan.
     """
 
     goal: Array
@@ -91,6 +95,22 @@ class Episodes:
     contact: Array
     touched: Array | None = None
     track: Track | None = None
+    straight: Array | None = None
+    planned: Array | None = None
+
+
+class Beside(NamedTuple):
+    """What is found out beside the steps of episodes, where it can be.
+
+    Attributes:
+        meets: whether links of the arm meet.
+        straight: in which of states `[B]` nothing is in the way.
+        planned: time that the agent has planned in each episode `[B]` [s].
+    """
+
+    meets: Meets | None
+    straight: Callable[[EnvState], np.ndarray] | None
+    planned: Callable[[], np.ndarray] | None
 
 
 @dataclass(frozen=True)
@@ -141,20 +161,22 @@ def make_runner(env: Env, agent: str | Function, episodes: int = FEW) -> Runner:
         advance = jit(advance)
     else:
         count_step = jit(count_step, brief=True)
-    return Runner(functools.partial(_run_on_host, begin, advance, meets, moves=moves), env.num_envs, on_host=True)
+    beside = Beside(meets, make_straight(env), getattr(act, "planned", None))
+    return Runner(functools.partial(_run_on_host, begin, advance, beside, moves=moves), env.num_envs, on_host=True)
 
 
 def _run_on_host(
     begin: Callable[[Array], Carry],
     advance: Callable[[Policy | None, Carry], Carry],
-    meets: Meets | None,
+    beside: Beside,
     policy: Policy | None,
     keys: Array,
     watch: Watch = ignore,
     *,
     moves: bool,
 ) -> Episodes:
-    carry, tracks = begin(keys), []
+    carry, tracks, meets = begin(keys), [], beside.meets
+    found: dict[str, Any] = {} if beside.straight is None else {"straight": beside.straight(carry[0])}
     while (ended := int(np.asarray(carry[1].done).sum())) < len(keys):
         watch(ended)
         before, carry = carry[1], advance(policy, carry)
@@ -166,7 +188,9 @@ def _run_on_host(
         if moves:
             goal = carry[0].goal
             tracks.append((goal.position, goal.velocity, carry[0].arm.tool_position))
-    return replace(carry[1], track=Track(*np.stack(tracks, axis=2))) if moves else carry[1]
+    found |= {"track": Track(*np.stack(tracks, axis=2))} if moves else {}
+    found |= {} if beside.planned is None else {"planned": beside.planned()}
+    return replace(carry[1], **found)
 
 
 def _unplayed(state: EnvState, setup: TaskSetup, *, judged: bool) -> Episodes:

@@ -67,6 +67,10 @@ class Report:
             errors count as infinite.
         self_contact: share of episodes in which links of the arm met at any step, by their exact shapes, see
             `Episodes.touched`.
+        straight: share of episodes in which nothing was in the way of the arm, had its joints moved straight to the
+            goal's; None where nothing is beside it.
+        planning_s: time of planning an episode [s], where something was planned: median, p95, p99, max; None of agents
+            that do not plan. It is part of `time_to_reach_s`.
         wall_s: time that the evaluation took [s].
         versions: of the packages that it depends on.
     """
@@ -95,6 +99,8 @@ class Report:
     jerk: float
     contact: float | None
     self_contact: float | None
+    straight: float | None
+    planning_s: dict[str, float | None] | None
     wall_s: float
     versions: dict[str, str]
 
@@ -186,7 +192,8 @@ def summarise(
     period, ends, pairs = env.config.physics.control_period, rules.ends_at_goal, None
     if turned and not ends:
         pairs = {f"{mm} mm, {rad} rad": float(((error <= mm) & (angle <= rad)).mean()) for mm, rad in WITHIN_PAIRS}
-    reached = result.arrival[np.asarray(result.success)]
+    success = np.asarray(result.success)
+    reached, planned = result.arrival[success], np.zeros(count) if result.planned is None else result.planned
     return Report(
         task=env.config.task,
         robot=env.setup.robot.name,
@@ -207,11 +214,13 @@ def summarise(
         control_period=period,
         return_mean=float(result.returns.mean()),
         steps_mean=float(result.steps.mean()),
-        time_to_reach_s=float(reached.mean() * period) if successes else None,
+        time_to_reach_s=float((reached * period + planned[success]).mean()) if successes else None,
         max_joint_speed=[float(speed) for speed in result.max_speed.max(axis=0)],
         jerk=float((result.squared_jerk / result.steps).mean()),
         contact=float(np.mean(contact)) if judged else None,
         self_contact=None if result.touched is None else float(result.touched.mean()),
+        straight=None if result.straight is None else float(result.straight.mean()),
+        planning_s=quantiles(planned[planned > 0], QUANTILES) if planned.any() else None,
         wall_s=wall_s,
         versions=versions(),
     )

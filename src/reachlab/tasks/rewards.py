@@ -7,7 +7,7 @@ from typing import Any
 
 from jax import Array
 
-from reachlab.tasks.task import Outcome
+from reachlab.tasks.judging import Outcome
 
 OUTSIDE_REWARD = -0.1
 """Reward of leaving the workspace (the tutorial's)."""

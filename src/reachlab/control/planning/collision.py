@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 
 import mujoco
@@ -9,6 +10,10 @@ import numpy as np
 
 NEAR = 0.1
 """Distance beyond which `distances` tells none apart [m]."""
+
+
+RESOLUTION = 0.03
+"""Distance between the points of a path that have to be free [rad]."""
 
 
 class CollisionChecker:
@@ -37,6 +42,11 @@ class CollisionChecker:
         mujoco.mj_collision(self._model, data)
         return data.ncon == 0
 
+    def straight(self, start: np.ndarray, end: np.ndarray) -> bool:
+        """Whether the arm is free on the straight way between joints `[n]`."""
+        way = end - start
+        return all(self.free(start + share * way) for share in _shares(int(np.linalg.norm(way) / RESOLUTION)))
+
     def distances(self, q: np.ndarray) -> tuple[float, float]:
         """Distance of the arm at joints `q [n]` from bodies and the table, and of its links from each other [m]."""
         before = self._model.pair_margin.copy()
@@ -46,3 +56,10 @@ class CollisionChecker:
         contacts = self._data.contact
         own = (self._model.geom_bodyid[contacts.geom] > 0).all(axis=1)
         return min(contacts.dist[~own], default=NEAR), min(contacts.dist[own], default=NEAR)
+
+
+@functools.cache
+def _shares(between: int) -> np.ndarray:
+    """Shares of a way at which it is looked at `[between + 2]`: its ends first, then such that gaps are halved."""
+    order = sorted(range(between + 1), key=lambda number: f"{number:016b}"[::-1])
+    return np.array([between + 1, *order]) / (between + 1)

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
 from reachlab.control.planning.collision import CollisionChecker
-
-RESOLUTION = 0.03
-"""Distance between the points of a path that have to be free [rad]."""
 
 
 class Search:
@@ -47,7 +43,7 @@ class Search:
         if not len(goals) or not self.checker.free(start):
             return None
         for goal in goals:
-            if self.straight(start, goal):
+            if self.checker.straight(start, goal):
                 return np.stack([start, goal]).astype(float)
         base, n = self._base, len(start)
         self._util.RNG.setSeed(seed + 1)
@@ -77,26 +73,14 @@ class Search:
             shortcuts.partialShortcutPath(path)
         return np.stack([_joints(state, n) for state in path.getStates()])
 
-    def straight(self, start: np.ndarray, end: np.ndarray) -> bool:
-        """Whether the arm is free on the straight way between joints `[n]`."""
-        way = end - start
-        return all(self.checker.free(start + share * way) for share in _shares(int(np.linalg.norm(way) / RESOLUTION)))
-
     def _motions(self, information: Any, n: int) -> Any:
-        straight = self.straight
+        straight = self.checker.straight
 
         class Motions(self._base.MotionValidator):
             def checkMotion(self, one: Any, other: Any, *_: Any) -> bool:  # noqa: N802 (OMPL's name)
                 return straight(_joints(one, n), _joints(other, n))
 
         return Motions(information)
-
-
-@functools.cache
-def _shares(between: int) -> np.ndarray:
-    """Shares of a way at which it is looked at `[between + 2]`: its ends first, then such that gaps are halved."""
-    order = sorted(range(between + 1), key=lambda number: f"{number:016b}"[::-1])
-    return np.array([between + 1, *order]) / (between + 1)
 
 
 def _joints(state: Any, n: int) -> np.ndarray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -49,7 +49,7 @@ def timed(path: np.ndarray, speed: np.ndarray, acceleration: np.ndarray, period:
         JointAccelerationConstraint(np.stack([-acceleration, acceleration], axis=1)),
     ]
     points = np.linspace(0.0, along[-1], max(int(along[-1] / STEP), FEWEST))
-    motion = TOPPRA(limits, spline, gridpoints=points, solver_wrapper="seidel").compute_trajectory(0.0, 0.0)
+    motion: Any = TOPPRA(limits, spline, gridpoints=points, solver_wrapper="seidel").compute_trajectory(0.0, 0.0)
     if motion is None:
         return None
     times = np.minimum(np.arange(0.0, motion.duration + period, period), motion.duration)

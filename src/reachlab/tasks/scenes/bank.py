@@ -8,7 +8,7 @@ import os
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 import jax
 import numpy as np
@@ -65,8 +65,7 @@ class Bank(NamedTuple):
 
     def with_room(self, count: int) -> Bank:
         """The same with room for so many bodies."""
-        missing = count - self.bodies.kind.shape[1]
-        more = _bodies([], Kind("", missing, lambda _: None))
+        more = _bodies([], count - self.bodies.kind.shape[1], 1.0)
         rows = jax.tree.map(lambda x: np.broadcast_to(x, (len(self.start), *x.shape)), more)
         return self._replace(bodies=jax.tree.map(lambda a, b: np.concatenate([a, b], axis=1), self.bodies, rows))
 
@@ -94,7 +93,7 @@ _banks: dict[str, Bank] = {}
 def _kept(robot: Robot, scene: str, name: str) -> Bank:
     file = cache_folder() / "scenes" / f"{name}.safetensors"
     with contextlib.suppress(Exception):  # whatever is wrong with it, it is made anew
-        arrays = safetensors.numpy.load(file.read_bytes())
+        arrays: dict[str, Any] = safetensors.numpy.load(file.read_bytes())
         return Bank(arrays.pop("start"), arrays.pop("joints"), Bodies(**arrays))
     with jax.ensure_compile_time_eval():  # also where a caller is being traced
         bank = _drawn(robot, scene)
@@ -166,32 +165,33 @@ class _Finder:
 
     def way(self, drawn: Drawn, starts: np.ndarray, goals: np.ndarray) -> tuple[np.ndarray, np.ndarray, Bodies] | None:
         """Joints at start and goal and the bodies, if there is a way and it is not straight to any branch."""
-        bodies = _bodies(drawn.bodies, self._kind)
+        bodies = _bodies(drawn.bodies, self._kind.bodies, self._kind.scale)
         self._checker.place(geoms_of(bodies)._asdict())
         start = next(filter(self._checker.free, starts), None)
         if start is None:
             return None
         goals = free_branches(self._checker, self._robot, goals, start)
-        if not len(goals) or any(self._search.straight(start, goal) for goal in goals):
+        if not len(goals) or any(self._checker.straight(start, goal) for goal in goals):
             return None
         rounds = iter(range(ROUNDS))
         path = self._search.path(start, goals, lambda: next(rounds, None) is None, short=False)
         return None if path is None else (start, path[-1], bodies)
 
 
-def _bodies(drawn: Sequence[Body], kind: Kind) -> Bodies:
-    """Bodies `[K]` of a scene, with what there is room for beyond them out of the way."""
-    missing = kind.bodies - len(drawn)
-    away = [Body(Shape.BALL, np.array(FAR) / kind.scale, (RADIUS, 0.0, 0.0))] * missing
-    bodies = [*drawn, *away]
-    turn = np.array([body.yaw for body in bodies]) / 2
-    return Bodies(
-        position=np.array([body.position for body in bodies], np.float32).reshape(-1, 3) * np.float32(kind.scale),
-        quaternion=np.stack([np.cos(turn), 0 * turn, 0 * turn, np.sin(turn)], axis=1).astype(np.float32),
-        velocity=np.zeros((len(bodies), 6), np.float32),
-        size=np.array([body.size for body in bodies], np.float32).reshape(-1, 3) * np.float32(kind.scale),
-        kind=np.array([body.kind for body in bodies], np.int32),
-    )
+def _bodies(drawn: Sequence[Body], room: int, scale: float) -> Bodies:
+    """Bodies `[room]` of a scene, with what there is room for beyond them out of the way."""
+    count = len(drawn)
+    turn = np.array([body.yaw for body in drawn]) / 2
+    position, size = np.tile(FAR, (room, 1)), np.tile([RADIUS, 0.0, 0.0], (room, 1))
+    quaternion, kind = np.tile([1.0, 0.0, 0.0, 0.0], (room, 1)), np.full(room, Shape.BALL, np.int32)
+    if count:
+        position[:count] = scale * np.array([body.position for body in drawn])
+        size[:count] = scale * np.array([body.size for body in drawn])
+        quaternion[:count] = np.stack([np.cos(turn), 0 * turn, 0 * turn, np.sin(turn)], axis=1)
+        kind[:count] = [body.kind for body in drawn]
+    parts = {"position": position, "quaternion": quaternion, "velocity": np.zeros((room, 6)), "size": size}
+    arrays: dict[str, Any] = {name: part.astype(np.float32) for name, part in parts.items()}
+    return Bodies(**arrays, kind=cast("Any", kind))
 
 
 def _pointing(place: Place, approach: np.ndarray, rng: Generator) -> np.ndarray:

@@ -203,4 +203,5 @@ def _read(one: dict[str, Any]) -> Body:
         raise ValueError(f"a {one['shape']} needs a position of 3 numbers and a size of {count}")
     if size.min() <= 0:
         raise ValueError("a size is not positive")
-    return Body(shape, tuple(position), (*size, *[0.0] * (3 - count)), yaw)
+    padded: Any = (*size, *[0.0] * (3 - count))
+    return Body(shape, tuple(position), padded, yaw)

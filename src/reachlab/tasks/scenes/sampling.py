@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -58,7 +60,7 @@ def sample_goal(setup: TaskSetup, key: Array) -> Goal:
     return _goal(setup, _one(setup, key, False))
 
 
-def _one(setup: TaskSetup, key: Array, held_out: Array | bool) -> Bank:
+def _one(setup: TaskSetup, key: Array, held_out: Array | bool) -> Any:
     """One of the scenes to train in, or of those that are held out."""
     bank: Bank = setup.prepared
     count, kinds = bank.start.shape[:2]
@@ -68,5 +70,5 @@ def _one(setup: TaskSetup, key: Array, held_out: Array | bool) -> Bank:
     return jax.tree.map(lambda rows: jnp.asarray(rows)[number, kind], bank)
 
 
-def _goal(setup: TaskSetup, one: Bank) -> Goal:
+def _goal(setup: TaskSetup, one: Any) -> Goal:
     return Goal.at(forward_kinematics(setup.robot.chain, one.joints).position, joints=one.joints)
