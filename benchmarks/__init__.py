@@ -32,6 +32,10 @@ SUITES: dict[str, Lazy] = {
         "Points held among obstacles beside inverse kinematics and a sampling planner, on two arms: two hours.",
         "benchmarks.clutter:clutter",
     ),
+    "ways": Lazy(
+        "Scenes of furniture, without avoiding, with dampers and with the planner, on two arms: an hour.",
+        "benchmarks.ways:ways",
+    ),
     "arms": Lazy("The tutorial's task on every robot of the catalogue, in three simulators.", "benchmarks.arms:arms"),
     "arms_precise": Lazy(
         "The precise task on every robot of the catalogue, beside inverse kinematics: two hours.",

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import tempfile
-import time
 from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
 import jax
-import numpy as np
 
 from benchmarks.trained import PERTURBED, motion_rows, reports, train_seeds, training_rows
 from reachlab.agents.acting import trained
-from reachlab.agents.planner import make_clearances, plan
 from reachlab.agents.policy import Policy
 from reachlab.bench.table import Row, row
 from reachlab.bench.timing import shortest_time
@@ -28,12 +25,6 @@ from reachlab.settings.json_form import override
 ROBOTS = ("iiwa14", "ur5e")
 """Arms that are trained."""
 
-PLANS = 200
-"""Episodes for which planning is timed."""
-
-QUANTILES = {"median": 0.5, "p95": 0.95, "max": 1.0}
-"""Quantiles of the planning time."""
-
 
 def clutter() -> Iterator[Row]:
     """The rows of suite `clutter`: measurement/robot agent, over all seeds, with the lowest seed of policies."""
@@ -44,7 +35,6 @@ def clutter() -> Iterator[Row]:
         policies = [one.policy for one in results]
         yield from training_rows(f"{robot} trained", results)
         yield from decision_rows(f"{robot} trained", config, policies[0])
-        yield from planning_rows(f"{robot} planner", config, PLANS)
         for randomise in ((), ("dynamics",)):
             varied, ending = override(config, randomise=randomise), PERTURBED * bool(randomise)
             yield from _accuracy(f"{robot} trained{ending}", varied, "trained", policies)
@@ -65,24 +55,6 @@ def decision_rows(name: str, config: RunConfig, policy: Policy) -> Iterator[Row]
     env.close()
 
 
-def planning_rows(name: str, config: RunConfig, episodes: int) -> Iterator[Row]:
-    """How long paths take to be planned, one an episode, and how many are found."""
-    env = Env(config, episodes)
-    state, clearances, times, found = env.init(_keys(episodes)), make_clearances(env.setup), [], []
-    assert state.goal.joints is not None, "of this task they are known"  # noqa: S101
-    start, goal = np.asarray(state.command), np.asarray(state.goal.joints)
-    # The first is planned twice: once for compiling.
-    for episode in (0, *range(episodes)):
-        scene = jax.tree.map(lambda x, at=episode: x[at : at + 1], state.arm.bodies)
-        begun = time.perf_counter()
-        found.append(plan(env.setup, clearances, scene, start[episode], goal[episode]) is not None)
-        times.append(1000 * (time.perf_counter() - begun))
-    env.close()
-    for quantile, share in QUANTILES.items():
-        yield row(f"planning time, {quantile}/{name}", float(np.quantile(times[1:], share)), "ms", episodes=episodes)
-    yield row(f"paths found/{name}", float(np.mean(found[1:])), "rate", episodes=episodes)
-
-
 def _keys(count: int) -> jax.Array:
     return episode_keys(FRESH_SEED, REPORT_STREAM, 0, count)
 
@@ -93,6 +65,8 @@ def _accuracy(column: str, config: RunConfig, agent: str, policies: Sequence[Pol
     yield row(f"held within 10 mm/{column}", _held(together), "rate", episodes=together.episodes, **lowest)
     if together.time_to_reach_s is not None:
         yield row(f"time to reach 10 mm for good/{column}", together.time_to_reach_s, "s")
+    for quantile, seconds in (together.planning_s or {}).items():
+        yield row(f"planning time, {quantile}/{column}", 1000 * (seconds or 0.0), "ms", episodes=together.episodes)
     yield from motion_rows(column, together)
 
 

@@ -61,3 +61,16 @@ def entered(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     for table, names in zip(tables, before, strict=True):
         for name in set(table) - names:
             del table[name]
+
+
+@pytest.fixture(scope="module")
+def few_scenes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Banks of a few scenes, in a cache of their own."""
+    from reachlab.tasks.scenes import bank
+
+    folder = tmp_path_factory.mktemp("cache")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(bank, "TRAINING", 8)
+        patch.setattr(bank, "HELD_OUT", 8)
+        patch.setattr(bank, "cache_folder", lambda: folder)
+        yield

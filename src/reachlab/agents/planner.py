@@ -71,7 +71,7 @@ class Plans:
         """A motion among bodies `[K]` from joints `start [n]` to where the tool is at joints `goal [n]`."""
         begun, planner = time.perf_counter(), self._planner
         planner.checker.place(geoms_of(scene)._asdict())
-        planner.margins(start)
+        planner.margins(start, goal)
         motion = planner.motion(start, self._goals(start, goal), goal)
         self.seconds = time.perf_counter() - begun
         return motion
@@ -83,13 +83,16 @@ class Plans:
 
     def _goals(self, start: np.ndarray, goal: np.ndarray) -> np.ndarray:
         """Free joint vectors `[g, n]` that have the goal: of its pose and, if none is asked for, of poses near it."""
+        turns, robot = self._setup.rules.asks_orientation, self._setup.robot
+        if turns and not robot.chain.poses:  # so few joints have it in no other way
+            return goal[None]
         rng, poses = np.random.default_rng(0), self._pose(goal[None])
         position, quaternion = np.asarray(poses.position), np.asarray(poses.quaternion)
-        count = 0 if self._setup.rules.asks_orientation else TILTED
+        count = 0 if turns else TILTED
         turned = np.stack([_turned(quaternion[0], rng.normal(0.0, TILT, 3)) for _ in range(count)] or [quaternion[0]])
         quaternion = np.concatenate([quaternion, turned])
         branches = self._solve(np.repeat(position, len(quaternion), axis=0), quaternion, rng)
-        return free_branches(self._planner.checker, self._setup.robot, np.concatenate([goal[None], *branches]), start)
+        return free_branches(self._planner.checker, robot, np.concatenate([goal[None], *branches]), start)
 
 
 def _turned(quaternion: np.ndarray, turn: np.ndarray) -> np.ndarray:

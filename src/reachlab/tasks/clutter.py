@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from reachlab.settings.config import LearnerConfig, LoopConfig, PPOConfig, SimConfig
 from reachlab.settings.preset_record import Preset
-from reachlab.settings.validation import NonNegative, Positive, Range
+from reachlab.settings.validation import NonNegative, Positive, Range, choose
 from reachlab.tasks.precise import WITHOUT_CONTROLLER, Precise
 from reachlab.tasks.tutorial import TOUCHED
 
@@ -88,11 +88,16 @@ class Clutter(Precise):
 
     def contradiction(self) -> str | None:
         """What of these settings cannot be together."""
+        from reachlab.tasks.scenes.kinds import KINDS
+
         fewest, most = self.obstacles
         if fewest > most:
             return f"obstacles has a fewest number above the most, {fewest} against {most}: exchange them."
         if not self.scene or "balls" in self.scene[1:] + self.scene[:-1]:
             return f"scene {' '.join(self.scene)!r} cannot be: name balls alone, or others, one or some."
+        for name in self.scene:
+            if not name.endswith(".json"):
+                choose("scene", name, ["balls", *KINDS])
         if self.scene != ("balls",) and self.obstacles != Clutter.obstacles:
             return f"obstacles are those of scene balls, not of {' '.join(self.scene)}: leave them out."
         if self.targets != "box":

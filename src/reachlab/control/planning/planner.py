@@ -17,7 +17,7 @@ LIMITS = 0.3, 0.3, 0.6
 
 CLEAR, OWN = 0.014, 0.003
 """Least distances on a path from bodies and the table, in proportion to the arm's workspace, and of links from each
-other [m]; or what there is at the start."""
+other [m]; or what there is at its ends."""
 
 FOLLOWED = 0.7
 """Share of them that is kept on the smooth motion along it."""
@@ -59,10 +59,11 @@ class Planner:
         self._clear = CLEAR * scale
         self._speed, self._acceleration = SPEED * limits.speed, ACCELERATION * limits.acceleration
 
-    def margins(self, start: np.ndarray) -> None:
-        """Ask for the distances that a path from joints `start [n]` keeps."""
-        outside, own = self.checker.distances(start)
-        self._least = min(self._clear, outside - ROUNDING), min(OWN, own - ROUNDING)
+    def margins(self, start: np.ndarray, goal: np.ndarray) -> None:
+        """Ask for the distances that a path keeps from joints `start [n]` to `goal [n]`, if that can be free at all."""
+        begun, ended = (np.array(self.checker.distances(q)) - ROUNDING for q in (start, goal))
+        outside, own = np.minimum(np.minimum((self._clear, OWN), begun), np.maximum(ended, 0.0))
+        self._least = float(outside), float(own)
         self.checker.keep(*self._least)
 
     def motion(self, start: np.ndarray, goals: np.ndarray, known: np.ndarray) -> Trajectory | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import itertools
 import os
 import sys
 from collections.abc import Iterator, Sequence
@@ -46,8 +47,12 @@ RADIUS = 0.04
 OPPOSITE = 1e-6
 """Length of the sum of two unit vectors that are opposite."""
 
-MOST_DRAWN = 500
-"""Scenes drawn in place of one at most, on average, before a kind is given up."""
+MOST_DRAWN, PATIENCE = 100, 20
+"""A kind is given up once so many times as many scenes were drawn as were found, and these more."""
+
+
+NOTHING = Kind("nothing", 0, lambda _: Drawn([], None, Place((0.0, 0.0, 0.0), kinds.DOWN, 0.0)))
+"""No kind of scene."""
 
 
 class Bank(NamedTuple):
@@ -65,7 +70,7 @@ class Bank(NamedTuple):
 
     def with_room(self, count: int) -> Bank:
         """The same with room for so many bodies."""
-        more = _bodies([], count - self.bodies.kind.shape[1], 1.0)
+        more = _bodies([], count - self.bodies.kind.shape[1], NOTHING)
         rows = jax.tree.map(lambda x: np.broadcast_to(x, (len(self.start), *x.shape)), more)
         return self._replace(bodies=jax.tree.map(lambda a, b: np.concatenate([a, b], axis=1), self.bodies, rows))
 
@@ -112,7 +117,7 @@ def _drawn(robot: Robot, scene: str) -> Bank:
     count = TRAINING + HELD_OUT
     about = f"{count} scenes {scene!r} for {robot.name}, kept for later"
     console = Console(stderr=True)
-    scenes = track(_scenes(robot, scene, count), about, count, console=console, disable=not sys.stderr.isatty())
+    scenes = track(drawn_scenes(robot, scene, count), about, count, console=console, disable=not sys.stderr.isatty())
     start, joints, bodies = zip(*scenes, strict=True)
     together = jax.tree.map(lambda *rows: np.stack(rows), *bodies)
     return Bank(np.array(start, np.float32), np.array(joints, np.float32), together)
@@ -121,14 +126,14 @@ def _drawn(robot: Robot, scene: str) -> Bank:
 # --- drawing --------------------------------------------------------------------------------------
 
 
-def _scenes(robot: Robot, scene: str, count: int) -> Iterator[tuple[np.ndarray, np.ndarray, Bodies]]:
+def drawn_scenes(robot: Robot, scene: str, count: int) -> Iterator[tuple[np.ndarray, np.ndarray, Bodies]]:
     """Scenes with joints at start and goal, as many as are asked for."""
     kind, rng, found = kind_of(scene, robot), np.random.default_rng(0), 0
     try:
         finder = _Finder(robot, kind)
     except ModuleNotFoundError:
         raise InputError(f"scene {scene!r} needs OMPL: {installing('planner')}.") from None
-    for _ in range(-(-MOST_DRAWN * count // TOGETHER)):
+    for batch in itertools.count(1):
         drawn = [kind.draw(rng) for _ in range(TOGETHER)]
         ends = [finder.joints([one.goal for one in drawn], rng), finder.joints([one.start for one in drawn], rng)]
         for one, goals, starts in zip(drawn, *ends, strict=True):
@@ -138,10 +143,11 @@ def _scenes(robot: Robot, scene: str, count: int) -> Iterator[tuple[np.ndarray, 
             found += 1
             if found == count:
                 return
-    raise InputError(
-        f"scene {scene!r} does not fit robot {robot.name!r}: only {found} of {MOST_DRAWN * count:,} that were drawn"
-        " have a start, a goal and a way between them: choose another scene or arm."
-    )
+        if batch * TOGETHER > MOST_DRAWN * (found + PATIENCE):
+            raise InputError(
+                f"scene {scene!r} does not fit robot {robot.name!r}: only {found} of {batch * TOGETHER:,} that were"
+                " drawn have a start, a goal and a way between them that is not straight: choose another scene or arm."
+            )
 
 
 class _Finder:
@@ -158,14 +164,14 @@ class _Finder:
         """Joint vectors `[k, n]` that have each place; home where there is none."""
         chain, home = self._robot.chain, np.array(self._robot.home)
         some = [Place((0.5, 0.0, 0.5), kinds.DOWN, 0.0) if place is None else place for place in places]
-        position = np.array([place.position for place in some]) * self._kind.scale
+        position = self._kind.place([place.position for place in some])
         quaternion = np.array([_pointing(place, np.array(chain.approach), rng) for place in some])
         found = self._solve(position, quaternion, rng)
         return [home[None] if place is None else one for place, one in zip(places, found, strict=True)]
 
     def way(self, drawn: Drawn, starts: np.ndarray, goals: np.ndarray) -> tuple[np.ndarray, np.ndarray, Bodies] | None:
         """Joints at start and goal and the bodies, if there is a way and it is not straight to any branch."""
-        bodies = _bodies(drawn.bodies, self._kind.bodies, self._kind.scale)
+        bodies = _bodies(drawn.bodies, self._kind.bodies, self._kind)
         self._checker.place(geoms_of(bodies)._asdict())
         start = next(filter(self._checker.free, starts), None)
         if start is None:
@@ -178,20 +184,20 @@ class _Finder:
         return None if path is None else (start, path[-1], bodies)
 
 
-def _bodies(drawn: Sequence[Body], room: int, scale: float) -> Bodies:
+def _bodies(drawn: Sequence[Body], room: int, kind: Kind) -> Bodies:
     """Bodies `[room]` of a scene, with what there is room for beyond them out of the way."""
     count = len(drawn)
     turn = np.array([body.yaw for body in drawn]) / 2
     position, size = np.tile(FAR, (room, 1)), np.tile([RADIUS, 0.0, 0.0], (room, 1))
-    quaternion, kind = np.tile([1.0, 0.0, 0.0, 0.0], (room, 1)), np.full(room, Shape.BALL, np.int32)
+    quaternion, shape = np.tile([1.0, 0.0, 0.0, 0.0], (room, 1)), np.full(room, Shape.BALL, np.int32)
     if count:
-        position[:count] = scale * np.array([body.position for body in drawn])
-        size[:count] = scale * np.array([body.size for body in drawn])
+        position[:count] = kind.place([body.position for body in drawn])
+        size[:count] = kind.scale * np.array([body.size for body in drawn])
         quaternion[:count] = np.stack([np.cos(turn), 0 * turn, 0 * turn, np.sin(turn)], axis=1)
-        kind[:count] = [body.kind for body in drawn]
+        shape[:count] = [body.kind for body in drawn]
     parts = {"position": position, "quaternion": quaternion, "velocity": np.zeros((room, 6)), "size": size}
     arrays: dict[str, Any] = {name: part.astype(np.float32) for name, part in parts.items()}
-    return Bodies(**arrays, kind=cast("Any", kind))
+    return Bodies(**arrays, kind=cast("Any", shape))
 
 
 def _pointing(place: Place, approach: np.ndarray, rng: Generator) -> np.ndarray:

@@ -1,6 +1,6 @@
 """Kinds of scene: random furniture with a pose of the tool on one side of it and another on the other side.
 
-Lengths are for an arm with the workspace of the iiwa 14, and in proportion for others; x is forward, z up.
+Lengths are for the iiwa 14, and for others in proportion to their workspace, from where it begins; x is forward, z up.
 """
 
 from __future__ import annotations
@@ -22,8 +22,15 @@ from reachlab.settings.validation import InputError, choose
 THICK = 0.01
 """Half the thickness of walls and boards [m]."""
 
+BEGINS = 0.2
+"""Where the workspace of the iiwa 14 begins [m]."""
+
 DOWN, FORWARD = np.array([0.0, 0.0, -1.0]), np.array([1.0, 0.0, 0.0])
 """Where a tool points."""
+
+
+ROOM = 0.17
+"""No box on the table is nearer to where the tool starts or ends, seen from above [m]."""
 
 
 class Body(NamedTuple):
@@ -60,6 +67,7 @@ class Kind:
         bodies: for so many there is room.
         draw: a scene, of a generator.
         scale: the arm's workspace in proportion to that for which its lengths are.
+        ahead: by how much everything is moved forward [m].
         content: of the file that it was read from.
     """
 
@@ -67,7 +75,12 @@ class Kind:
     bodies: int
     draw: Callable[[Generator], Drawn]
     scale: float = 1.0
+    ahead: float = 0.0
     content: str = ""
+
+    def place(self, position: Any) -> np.ndarray:
+        """Where positions `[..., 3]` are on the arm [m]."""
+        return self.scale * np.asarray(position, float) + [self.ahead, 0.0, 0.0]
 
 
 def _box(position: Any, half: Any, yaw: float = 0.0) -> Body:
@@ -79,7 +92,7 @@ def _side(rng: Generator) -> float:
 
 
 def _wall(rng: Generator) -> Drawn:
-    height, y, side = rng.uniform(0.13, 0.24), rng.uniform(-0.09, 0.09), _side(rng)
+    height, y, side = rng.uniform(0.15, 0.25), rng.uniform(-0.09, 0.09), _side(rng)
 
     def beside(side: float) -> Place:
         return Place((rng.uniform(0.38, 0.65), y + side * rng.uniform(0.13, 0.38), rng.uniform(0.13, 0.22)), DOWN, 0.1)
@@ -118,38 +131,39 @@ def _bin(rng: Generator) -> Drawn:
 
 def _posts(rng: Generator) -> Drawn:
     bodies = []
-    for _ in range(rng.integers(3, 7)):
-        radius, half = rng.uniform(0.016, 0.032), rng.uniform(0.13, 0.24)
+    for _ in range(rng.integers(4, 9)):
+        radius, half = rng.uniform(0.016, 0.032), rng.uniform(0.17, 0.28)
         x, y = rng.uniform(0.32, 0.7), rng.uniform(-0.24, 0.24)
         bodies.append(Body(Shape.CAPSULE, (x, y, half), (radius, half, 0.0)))
     side = _side(rng)
 
     def beside(side: float) -> Place:
-        return Place((rng.uniform(0.38, 0.6), side * rng.uniform(0.27, 0.48), rng.uniform(0.16, 0.38)), DOWN, 0.2)
+        return Place((rng.uniform(0.38, 0.6), side * rng.uniform(0.27, 0.48), rng.uniform(0.13, 0.3)), DOWN, 0.2)
 
     return Drawn(bodies, beside(-side), beside(side))
 
 
 def _table(rng: Generator) -> Drawn:
-    bodies = []
-    for _ in range(rng.integers(5, 9)):
-        half = rng.uniform(0.03, 0.08, 3) * [1.0, 1.0, 1.8]
-        x, y = rng.uniform(0.35, 0.75), rng.uniform(-0.35, 0.35)
-        bodies.append(_box((x, y, half[2]), half, rng.uniform(0.0, np.pi)))
     side = _side(rng)
 
     def low(side: float) -> Place:
-        return Place((rng.uniform(0.38, 0.65), side * rng.uniform(0.1, 0.4), rng.uniform(0.08, 0.15)), DOWN, 0.2)
+        return Place((rng.uniform(0.38, 0.65), side * rng.uniform(0.2, 0.4), rng.uniform(0.12, 0.2)), DOWN, 0.2)
 
-    return Drawn(bodies, low(-side), low(side))
+    ends, bodies = (low(-side), low(side)), []
+    for _ in range(rng.integers(6, 11)):
+        half = rng.uniform(0.03, 0.08, 3) * [1.0, 1.0, 2.2]
+        place = np.array([rng.uniform(0.3, 0.75), rng.uniform(-0.25, 0.25), half[2]])
+        if all(np.hypot(*(place - end.position)[:2]) > ROOM for end in ends):
+            bodies.append(_box(place, half, rng.uniform(0.0, np.pi)))
+    return Drawn(bodies, *ends)
 
 
 KINDS: dict[str, Kind] = {
     "wall": Kind("a wall across the table between start and goal", 1, _wall),
     "shelf": Kind("a shelf of two levels, with back and sides, to reach into", 7, _shelf),
     "bin": Kind("a bin to reach into or out of", 4, _bin),
-    "posts": Kind("three to six posts between start and goal", 6, _posts),
-    "table": Kind("five to eight boxes on the table, between start and goal near it", 8, _table),
+    "posts": Kind("four to eight posts between start and goal", 8, _posts),
+    "table": Kind("up to ten boxes on the table, between start and goal near it", 10, _table),
 }
 """Kinds of scene by name, beside `balls`."""
 
@@ -172,7 +186,8 @@ def kind_of(name: str, robot: Robot) -> Kind:
     """
     if name.endswith(".json"):
         return _of_file(Path(name), robot)
-    return replace(KINDS[choose("scene", name, KINDS)], scale=robot.scale)
+    ahead = robot.workspace[0][0] - BEGINS * robot.scale
+    return replace(KINDS[choose("scene", name, KINDS)], scale=robot.scale, ahead=ahead)
 
 
 def _of_file(file: Path, robot: Robot) -> Kind:

@@ -11,8 +11,7 @@ from jax import Array
 
 from reachlab.control.situation import Goal
 from reachlab.robots.kinematics.forward import forward_kinematics
-from reachlab.tasks.scenes import balls
-from reachlab.tasks.scenes.bank import TRAINING, Bank, bank_of
+from reachlab.tasks.scenes import balls, bank
 from reachlab.tasks.scenes.kinds import BOX, KINDS, kind_of
 from reachlab.tasks.targets import box_corners
 from reachlab.tasks.task import Bounds, Keys, Sampled, TaskSetup, sample_apart
@@ -33,16 +32,16 @@ def goal_box(setup: TaskSetup) -> Bounds:
     """Corners `[3]` m of the box that holds all goals."""
     if not set(setup.rules.scene) <= KINDS.keys():
         return box_corners(setup)
-    low, high = (setup.robot.scale * np.array(corner, np.float32) for corner in BOX)
+    low, high = kind_of(setup.rules.scene[0], setup.robot).place(BOX).astype(np.float32)
     return low, high
 
 
-def prepare(setup: TaskSetup) -> Bank | None:
+def prepare(setup: TaskSetup) -> bank.Bank | None:
     """The scenes of the rules' kinds, each kind's in turn."""
     if drawn_anew(setup.rules.scene):
         return None
-    count, banks = room(setup), [bank_of(setup.robot, name) for name in setup.rules.scene]
-    return jax.tree.map(lambda *x: np.stack(x, axis=1), *[bank.with_room(count) for bank in banks])
+    count, banks = room(setup), [bank.bank_of(setup.robot, name) for name in setup.rules.scene]
+    return jax.tree.map(lambda *x: np.stack(x, axis=1), *[one.with_room(count) for one in banks])
 
 
 def sample(setup: TaskSetup, keys: Keys, goal: Goal | None, held_out: Array | bool) -> Sampled:
@@ -62,12 +61,11 @@ def sample_goal(setup: TaskSetup, key: Array) -> Goal:
 
 def _one(setup: TaskSetup, key: Array, held_out: Array | bool) -> Any:
     """One of the scenes to train in, or of those that are held out."""
-    bank: Bank = setup.prepared
-    count, kinds = bank.start.shape[:2]
+    count, kinds = setup.prepared.start.shape[:2]
     for_kind, for_number = jax.random.split(key)
-    first, last = jnp.where(held_out, TRAINING, 0), jnp.where(held_out, count, TRAINING)
+    first, last = jnp.where(held_out, bank.TRAINING, 0), jnp.where(held_out, count, bank.TRAINING)
     number, kind = jax.random.randint(for_number, (), first, last), jax.random.randint(for_kind, (), 0, kinds)
-    return jax.tree.map(lambda rows: jnp.asarray(rows)[number, kind], bank)
+    return jax.tree.map(lambda rows: jnp.asarray(rows)[number, kind], setup.prepared)
 
 
 def _goal(setup: TaskSetup, one: Any) -> Goal:

@@ -1,0 +1,93 @@
+"""Suite `ways`: scenes in which avoiding matters, without it, with dampers, and with the planner."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import jax.numpy as jnp
+from jax import Array
+
+from reachlab.agents import AGENTS, AgentEntry
+from reachlab.agents.acting import Act
+from reachlab.bench.table import Row, row
+from reachlab.envs.core import Env
+from reachlab.envs.functions import EnvState
+from reachlab.envs.presets import configure
+from reachlab.evaluation.report import FRESH_SEED, evaluate
+from reachlab.jax_setup import jit
+from reachlab.robots.loading import load_robot
+from reachlab.tasks import actions
+from reachlab.tasks.scenes import bank
+from reachlab.tasks.scenes.kinds import KINDS
+
+ROBOTS = tuple(os.environ.get("ROBOTS", "panda ur5e").split())
+"""Arms that find ways."""
+
+SCENES = tuple(os.environ.get("SCENES", " ".join([*KINDS, "balls"])).split())
+"""Kinds of scene in which they do."""
+
+EPISODES = int(os.environ.get("EPISODES", "2000"))
+"""Held-out episodes of each."""
+
+TIMED = 200
+"""Scenes that are drawn to time it."""
+
+
+def undamped(env: Env) -> Act:
+    """The step of an agent that moves its joints straight to the goal's, whatever is in the way."""
+    setup = replace(env.setup, task=replace(env.setup.task, control=replace(env.setup.task.control, dampers=False)))
+
+    @jit
+    def decided(state: EnvState) -> tuple[Array, Array]:
+        now = env.situation(state)
+        action = actions.ACTIONS[setup.rules.action].towards(setup, now, now)
+        return action, actions.command(setup, now, actions.bounded(setup, action))
+
+    def act(policy: Any, state: EnvState, key: Array, mask: Any = None, instead: Any = None) -> Any:
+        del policy, mask
+        action, command = decided(state)
+        command = command if instead is None else jnp.where(jnp.isnan(instead), command, instead)
+        return *env.step(state, action, instead=command), key
+
+    return act
+
+
+AGENTS["ik, no avoidance"] = AgentEntry("ik without dampers", "benchmarks.ways:undamped", remembers=True)
+
+
+def ways() -> Iterator[Row]:
+    """The rows of suite `ways`: measurement/robot scene agent."""
+    for robot in ROBOTS:
+        for scene in SCENES:
+            if scene != "balls":
+                yield _drawing_time(robot, scene)
+            config = configure("clutter", robot=robot, scene=(scene,), randomise=(), max_steps=250)
+            env = Env(config, min(EPISODES, 500))
+            for agent in ("ik, no avoidance", "ik", "planner", *os.environ.get("AGENTS", "").split()):
+                yield from _rows(env, f"{robot} {scene} {agent}", agent)
+            env.close()
+
+
+def _drawing_time(robot: str, scene: str) -> Row:
+    arm = load_robot(robot, None, kind="flange", base=None, packages=())
+    scenes = bank.drawn_scenes(arm, scene, TIMED)
+    next(scenes)  # compiled
+    begun = time.perf_counter()
+    count = sum(1 for _ in scenes)
+    return row(f"time to draw 2,000 scenes/{robot} {scene}", 2000 * (time.perf_counter() - begun) / count, "s")
+
+
+def _rows(env: Env, name: str, agent: str) -> Iterator[Row]:
+    report = evaluate(env, agent, seed=FRESH_SEED, episodes=EPISODES)
+    yield row(f"held without contact/{name}", report.success_rate, "rate", episodes=EPISODES, ends=report.ends)
+    yield row(f"episodes with contact/{name}", report.contact or 0.0, "rate", episodes=EPISODES)
+    if report.time_to_reach_s is not None:
+        yield row(f"time to reach, planning counted/{name}", report.time_to_reach_s, "s")
+    for quantile, seconds in (report.planning_s or {}).items():
+        yield row(f"planning time, {quantile}/{name}", 1000 * (seconds or 0.0), "ms")
+    if agent == "ik" and report.straight is not None:
+        yield row(f"no avoiding asked for/{name}", report.straight, "rate", episodes=EPISODES)
