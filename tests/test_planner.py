@@ -33,7 +33,7 @@ Episode = tuple[Bodies, np.ndarray, np.ndarray]
 """Bodies `[K]`, start and goal `[n]`."""
 
 
-@pytest.fixture(scope="module", params=[("iiwa14", "balls"), ("ur5e", "wall"), ("gen3", "shelf")], ids=str)
+@pytest.fixture(scope="module", params=[("iiwa14", "balls"), ("ur5e", "wall"), ("xarm7", "shelf")], ids=str)
 def env(request: pytest.FixtureRequest, few_scenes: None) -> Env:  # noqa: ARG001
     robot, scene = request.param
     more = {"obstacles": (4, 4)} if scene == "balls" else {}
@@ -105,10 +105,10 @@ def test_joints_are_no_faster_than_they_may_be(env: Env, plans: Plans) -> None:
     for episode in episodes(env)[:3]:
         motion = planned(plans, episode)
         speeds = np.diff(motion.q, axis=0) / period
-        assert (np.abs(speeds) <= SPEED * np.array(robot.speed) + 1e-3).all()
+        assert (np.abs(speeds) <= 1.02 * SPEED * np.array(robot.speed)).all()
         assert np.abs(speeds).max(axis=0).max() > 0.3 * min(robot.speed), "nor much slower"
         changes = np.diff(speeds, axis=0) / period
-        assert (np.abs(changes) <= 1.1 * ACCELERATION * np.array(robot.acceleration) + 1e-3).all()
+        assert (np.abs(changes) <= 1.1 * ACCELERATION * np.array(robot.acceleration)).all()
 
 
 def test_a_path_of_one_point_is_stood_on() -> None:

@@ -168,7 +168,7 @@ def test_a_kind_that_does_not_fit_is_given_up(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(bank, "MOST_DRAWN", 4)
     monkeypatch.setattr(CollisionChecker, "free", lambda *_: False)
     bank._banks.clear()
-    with pytest.raises(InputError, match=r"scene 'table' does not fit robot 'gen3': only 0 of 64"):
+    with pytest.raises(InputError, match=r"scene 'table' does not fit robot 'gen3': only 0 of 128"):
         scenes("gen3", "table")
 
 

@@ -29,6 +29,9 @@ TILTED, TILT = 3, 0.35
 """Poses of the tool beside the goal's own to which is planned where any orientation will do, and how far they are
 turned about each axis at random [rad]."""
 
+FOLLOWED = 0.45
+"""Acceleration that servos follow, in full speeds in a time of their lag: more, and commands would have to be too fast."""
+
 GAIN = 0.5
 """Share of what an arm lags more than its servos do that its command is corrected by in a time of their lag."""
 
@@ -53,10 +56,12 @@ class Plans:
             InputError: the arm has no shapes, or OMPL is not installed.
         """
         robot, limits, scene = setup.robot, setup.robot.commands, setup.task.scene(setup)
+        speed = np.array(robot.speed)
+        acceleration = np.minimum(robot.acceleration, FOLLOWED * speed / np.maximum(setup.lag, TINY))
         try:
             self._planner = Planner(
                 collision_checker(robot, scene.bodies),
-                Limits(limits.lower, limits.upper, np.array(robot.speed), np.array(robot.acceleration)),
+                Limits(limits.lower, limits.upper, speed, acceleration),
                 robot.scale,
                 setup.period,
             )

@@ -12,8 +12,14 @@ from reachlab.control.planning.collision import CollisionChecker
 from reachlab.control.planning.search import Search
 from reachlab.control.planning.timing import Trajectory, timed
 
-LIMITS = 0.3, 0.3, 0.6
-"""Times in which a path has to be found [s]: to any of the goals, to that whose joints are known, and to any again."""
+NEAREST = 4
+"""Branches that are reached soonest: to them a path is looked for first."""
+
+LIMITS = 0.1, 0.3, 0.3, 0.6
+"""Times in which a path has to be found [s]: to those, to any, to the goal whose joints are known, and to any again."""
+
+TRIES = 2
+"""Paths of which the shorter is taken: the second costs 15 ms, and saves 0.1 to 0.6 s of motion."""
 
 CLEAR, OWN = 0.014, 0.003
 """Least distances on a path from bodies and the table, in proportion to the arm's workspace, and of links from each
@@ -25,8 +31,11 @@ FOLLOWED = 0.7
 ROUNDING = 1e-4
 """Distance by which the same point may seem nearer when it is computed again [m]."""
 
-SPEED, ACCELERATION = 0.95, 0.5
+SPEED, ACCELERATION = 0.95, 0.9
 """Shares of the joints' limits that a motion uses: servos need the rest to follow it."""
+
+STRAIGHT = 2
+"""Joint vectors on a straight path."""
 
 HALVINGS = 3
 """Times that the parts of a path are halved until the smooth motion along it is free."""
@@ -69,14 +78,25 @@ class Planner:
     def motion(self, start: np.ndarray, goals: np.ndarray, known: np.ndarray) -> Trajectory | None:
         """A motion from `start [n]` to one of `goals [g, n]`, after `margins`; None if none is found.
 
-        One of them may be `known [n]` to have a way.
+        The goals that are reached soonest come first; one of them may be `known [n]` to have a way.
         """
-        for attempt, limit in enumerate(LIMITS):
-            ends, some = time.monotonic() + limit, known[None] if attempt == 1 else goals
-            path = self._search.path(start, some, lambda ends=ends: time.monotonic() > ends, seed=attempt)
-            if path is not None and (motion := self._along(path)) is not None:
-                return motion
+        for attempt, (some, limit) in enumerate(zip((goals[:NEAREST], goals, known[None], goals), LIMITS, strict=True)):
+            paths: list[np.ndarray] = []
+            while len(paths) < TRIES:
+                ends, seed = time.monotonic() + limit, TRIES * attempt + len(paths)
+                path = self._search.path(start, some, lambda ends=ends: time.monotonic() > ends, seed=seed)
+                if path is not None:
+                    paths.append(path)
+                if path is None or len(path) == STRAIGHT:
+                    break
+            for path in sorted(paths, key=self._duration):
+                if (motion := self._along(path)) is not None:
+                    return motion
         return None
+
+    def _duration(self, path: np.ndarray) -> float:
+        """Time that a path takes where one joint is always at its full speed [s]."""
+        return float((np.abs(np.diff(path, axis=0)) / self._speed).max(axis=1).sum())
 
     def _along(self, path: np.ndarray) -> Trajectory | None:
         """The motion along a path, which it follows the closer until it is free; None if it does not come to be."""
