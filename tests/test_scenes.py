@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -57,7 +58,7 @@ def test_start_and_goal_are_free_and_no_straight_way_is(name: str) -> None:
         assert checker.free(goal)
         assert not checker.straight(start, goal)
     low, high = env.setup.task.goal_box(env.setup)
-    points = np.asarray(forward_kinematics(env.setup.robot.chain, drawn.joints[:, 0]).position)
+    points = np.asarray(forward_kinematics(env.setup.robot.chain, jnp.array(drawn.joints[:, 0])).position)
     assert ((points >= low) & (points <= high)).all()
     env.close()
 

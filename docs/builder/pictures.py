@@ -21,6 +21,7 @@ from reachlab.envs.presets import configure
 from reachlab.envs.random_streams import REPORT_STREAM, episode_keys
 from reachlab.render.offscreen import portrait
 from reachlab.robots.catalogue import ROBOTS
+from reachlab.tasks.scenes.kinds import KINDS
 
 IMAGES = Path(__file__).parents[1] / "images"
 
@@ -34,6 +35,9 @@ COLUMNS = 3
 
 SHOWN, OBSERVED, LARGER = 6002, (20, 15, 15, 15, 15), 2
 """Seed of the episode that a camera sees, steps between its pictures, and how many times as large they are shown."""
+
+HALFWAY = 0.5
+"""Share of the way to the goal that is left where a scene is shown."""
 
 SEEDS = range(3)
 
@@ -58,6 +62,24 @@ def _video(folder: Path) -> None:
     """Four held-out episodes of the first training."""
     _run(folder, "train --out first")
     _run(folder, f"video first --out {IMAGES / 'video.webp'}")
+
+
+def _scenes(_folder: Path) -> None:
+    """A scene of each kind with the way that the planner has found, at the middle of it."""
+    pictures = []
+    for kind in KINDS:
+        env = Env(configure("clutter", robot="panda", scene=(kind,), randomise=()), 1)
+        begun, act = env.init_held_out(episode_keys(SHOWN, REPORT_STREAM, 0, 1)), make_act(env, "planner")
+        state, states, key = begun, [begun], jax.random.key(0)
+        for _ in range(env.config.rules.max_steps):
+            state, _, key = act(None, state, key)
+            states.append(state)
+        way = np.array([np.asarray(one.arm.tool_position)[0] for one in states])
+        there = int(np.argmax(np.linalg.norm(way - way[-1], axis=1) < HALFWAY * np.linalg.norm(way[0] - way[-1])))
+        pictures.append(env.render(states[there], path=way))
+        env.close()
+    whole = Image.fromarray(np.hstack(pictures))
+    whole.resize((whole.width // FINER, whole.height // FINER)).save(IMAGES / "scenes.png", optimize=True)
 
 
 def _push(folder: Path) -> None:
@@ -113,6 +135,7 @@ def _run(folder: Path, words: str) -> None:
 
 PICTURES: dict[str, Callable[[Path], None]] = {
     "arms": _arms,
+    "scenes": _scenes,
     "video": _video,
     "push": _push,
     "lift": _lift,

@@ -30,7 +30,7 @@ TILTED, TILT = 3, 0.35
 turned about each axis at random [rad]."""
 
 FOLLOWED = 0.45
-"""Acceleration that servos follow, in full speeds in a time of their lag: more, and commands would have to be too fast."""
+"""Acceleration that servos follow, in full speeds in a time of their lag: for more, commands would be too fast."""
 
 GAIN = 0.5
 """Share of what an arm lags more than its servos do that its command is corrected by in a time of their lag."""
