@@ -16,8 +16,8 @@ NEAREST = 4
 """Branches that are reached soonest: to them a path is looked for first."""
 
 LIMITS = 0.1, 0.3, 0.3, 0.6
-"""Times in which a path has to be found [s]: to those and the goal whose joints are known, to any, to that one alone, and
-to any again."""
+"""Times in which a path has to be found [s]: to those and the goal whose joints are known, to any, to that one alone,
+and to any again."""
 
 TRIES = 2
 """Paths of which the shorter is taken: the second costs 15 ms, and saves 0.1 to 0.6 s of motion."""
