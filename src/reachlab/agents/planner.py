@@ -30,7 +30,7 @@ TILTED, TILT = 3, 0.35
 turned about each axis at random [rad]."""
 
 FOLLOWED = 0.45
-"""Acceleration that servos follow, in full speeds in a time of their lag: for more, commands would be too fast."""
+"""Largest acceleration of a motion, in full speeds in a time of the servos' lag: more would take too fast commands."""
 
 GAIN = 0.5
 """Share of what an arm lags more than its servos do that its command is corrected by in a time of their lag."""
@@ -84,6 +84,7 @@ class Plans:
     def leads(self, motion: Trajectory, first: int, scene: Bodies) -> bool:
         """Whether a motion is still free from its step `first` on, now that bodies `[K]` are elsewhere."""
         self._planner.checker.place(geoms_of(scene)._asdict())
+        self._planner.margins(motion.q[min(first, len(motion.q) - 1)], motion.q[-1])
         return self._planner.leads(motion, first)
 
     def _goals(self, start: np.ndarray, goal: np.ndarray) -> np.ndarray:

@@ -26,7 +26,7 @@ CLEAR, OWN = 0.014, 0.003
 """Least distances on a path from bodies and the table, in proportion to the arm's workspace, and of links from each
 other [m]; or what there is at its ends."""
 
-FOLLOWED = 0.7
+KEPT = 0.7
 """Share of them that is kept on the smooth motion along it."""
 
 ROUNDING = 1e-4
@@ -112,7 +112,7 @@ class Planner:
 
     def leads(self, motion: Trajectory, first: int = 0) -> bool:
         """Whether a motion is free from its step `first` on."""
-        self.checker.keep(*(FOLLOWED * least for least in self._least))
+        self.checker.keep(*(KEPT * least for least in self._least))
         free = all(self.checker.free(q) for q in motion.q[first:])
         self.checker.keep(*self._least)
         return free
