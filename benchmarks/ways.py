@@ -33,6 +33,9 @@ SCENES = tuple(os.environ.get("SCENES", " ".join([*KINDS, "balls"])).split())
 EPISODES, FEWER = 2000, 500
 """Held-out episodes of the planner, and of the others."""
 
+UNDAMPED = "ik, no avoidance"
+"""Name of the agent that avoids nothing."""
+
 TIMED = 200
 """Scenes that are drawn to time it."""
 
@@ -56,20 +59,21 @@ def undamped(env: Env) -> Act:
     return act
 
 
-AGENTS["ik, no avoidance"] = AgentEntry("ik without dampers", "benchmarks.ways:undamped", remembers=True)
-
-
 def ways() -> Iterator[Row]:
     """The rows of suite `ways`: measurement/robot scene agent."""
-    for robot in ROBOTS:
-        for scene in SCENES:
-            if scene != "balls":
-                yield _drawing_time(robot, scene)
-            config = configure("clutter", robot=robot, scene=(scene,), randomise=(), max_steps=250)
-            env = Env(config, FEWER)
-            for agent in ("ik, no avoidance", "ik", "planner"):
-                yield from _rows(env, f"{robot} {scene} {agent}", agent)
-            env.close()
+    AGENTS[UNDAMPED] = AgentEntry("ik without dampers", "benchmarks.ways:undamped", remembers=True)
+    try:
+        for robot in ROBOTS:
+            for scene in SCENES:
+                if scene != "balls":
+                    yield _drawing_time(robot, scene)
+                config = configure("clutter", robot=robot, scene=(scene,), randomise=(), max_steps=250)
+                env = Env(config, FEWER)
+                for agent in (UNDAMPED, "ik", "planner"):
+                    yield from _rows(env, f"{robot} {scene} {agent}", agent)
+                env.close()
+    finally:
+        del AGENTS[UNDAMPED]
 
 
 def _drawing_time(robot: str, scene: str) -> Row:

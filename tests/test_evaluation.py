@@ -39,7 +39,7 @@ from reachlab.settings.validation import InputError
 REPORT_FIELDS = """
 task robot sim agent seed episodes checkpoint randomised success_rate success_interval success_within
 success_within_pairs final_error_mm final_angle_rad tracking return_mean steps_mean time_to_reach_s max_joint_speed jerk
-contact self_contact wall_s versions ends control_period
+contact self_contact straight planning_s wall_s versions ends control_period
 """
 """Every field of a report."""
 
@@ -284,6 +284,12 @@ def test_a_report_sums_up_its_episodes(env: Env) -> None:
     assert report.time_to_reach_s == pytest.approx(220 / 240)
     assert report.max_joint_speed == [0, 0, 3, 0, 0, 0, 0]
     assert report.return_mean == pytest.approx(0.725)
+    assert (report.straight, report.planning_s) == (None, None)
+    looked = {"straight": np.array([True, False, False, False]), "planned": np.array([0.3, 9.0, 0.6, 0.0])}
+    planned = summarise(env, "planner", Episodes(**values, **looked), seed=9, wall_s=1.5)
+    assert planned.straight == 0.25
+    assert planned.planning_s == {"median": 0.6, "p95": 9.0, "p99": 9.0, "max": 9.0}, "of those that were planned"
+    assert planned.time_to_reach_s == pytest.approx(220 / 240 + 0.3)
     assert report.jerk == pytest.approx((1 + 2 + 3 + 1) / 4)
     assert report.ends == {"success": 0.75, "outside": 0.0, "contact": 0.0, "time": 0.25}
     values |= {"success": np.zeros(4, bool), "contact": np.array([False, False, False, True])}
