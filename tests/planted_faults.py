@@ -42,7 +42,7 @@ FAULTS = (
     ),
     Fault("agents/policy.py", "self.mean + jnp.exp(self.log_std)", "self.mean - jnp.exp(self.log_std)", "policy ppo"),
     # off by one
-    Fault("tasks/task.py", "clock >= rules.max_steps", "clock > rules.max_steps", "task env"),
+    Fault("tasks/judging.py", "clock >= rules.max_steps", "clock > rules.max_steps", "task env"),
     Fault(
         "sims/mujoco.py", "self._batch.step(nstep=self._substeps)", "self._batch.step(nstep=self._substeps - 1)", "sims"
     ),
@@ -52,7 +52,7 @@ FAULTS = (
     # units
     Fault("sims/kinematic.py", "(q - state.q) / self._period", "(q - state.q) * self._period", "sims env"),
     Fault("evaluation/report.py", "np.float64) * 1000", "np.float64) * 100", "evaluation"),
-    Fault("envs/functions.py", "setup.robot.speed) * self.setup.period", "setup.robot.speed)", "precise motion_limits"),
+    Fault("envs/functions.py", "commands.speed) * self.setup.period", "commands.speed)", "precise motion_limits"),
     Fault("robots/derive/servos.py", "NATURAL_FREQUENCY**2", "NATURAL_FREQUENCY", "servos"),
     Fault("watch/captions.py", "millimetres = 1000 * distance", "millimetres = 100 * distance", "video player"),
     # keys and seeds used twice
@@ -62,7 +62,7 @@ FAULTS = (
         "_step_keys(keys, clock, NOISE_STREAM)",
         "env",
     ),
-    Fault("envs/functions.py", "task.sample_start(setup, for_start)", "task.sample_start(setup, for_goal)", "env task"),
+    Fault("tasks/task.py", "sample_start(setup, keys.start)", "sample_start(setup, keys.goal)", "env task"),
     # logic
     Fault("learn/ppo.py", "gamma * v_tp1 * ~terminated", "gamma * v_tp1 * ~done", "ppo"),
     Fault("deploy/onboard/controller.py", "lower - ASIDE) | (q", "lower - ASIDE) & (q", "deploy"),

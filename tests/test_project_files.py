@@ -10,6 +10,7 @@ import pytest
 import yaml
 
 import reachlab
+from planted_faults import FAULTS, SOURCE, Fault
 
 ROOT = Path(__file__).parent.parent
 GITHUB = ROOT / ".github"
@@ -56,3 +57,8 @@ def test_the_code_host_checks_what_is_checked_here_and_may_only_read() -> None:
 )
 def test_a_badge_tells_what_the_project_declares(badge: str, said: str) -> None:
     assert f">{said}</text>" in (ROOT / f"docs/images/badge-{badge}.svg").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: f"{fault.file}: {fault.wrong}")
+def test_every_planted_fault_still_finds_its_place(fault: Fault) -> None:
+    assert (SOURCE / "reachlab" / fault.file).read_text(encoding="utf-8").count(fault.right) == 1
