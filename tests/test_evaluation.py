@@ -285,7 +285,10 @@ def test_a_report_sums_up_its_episodes(env: Env) -> None:
     assert report.max_joint_speed == [0, 0, 3, 0, 0, 0, 0]
     assert report.return_mean == pytest.approx(0.725)
     assert (report.straight, report.planning_s) == (None, None)
-    looked = {"straight": np.array([True, False, False, False]), "planned": np.array([0.3, 9.0, 0.6, 0.0])}
+    looked: dict[str, Any] = {
+        "straight": np.array([True, False, False, False]),
+        "planned": np.array([0.3, 9.0, 0.6, 0.0]),
+    }
     planned = summarise(env, "planner", Episodes(**values, **looked), seed=9, wall_s=1.5)
     assert planned.straight == 0.25
     assert planned.planning_s == {"median": 0.6, "p95": 9.0, "p99": 9.0, "max": 9.0}, "of those that were planned"
