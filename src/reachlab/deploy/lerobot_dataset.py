@@ -143,7 +143,7 @@ def begin(folder: Path, settings: Mapping[str, Any]) -> Written:
             )
     for left in folder.rglob(".*.tmp"):  # of a process that was killed
         remove(left)
-    listed = _listed(folder, ["dataset_to_index", "reachlab/number"])
+    listed = _read(folder, "meta/episodes", ["dataset_to_index", "reachlab/number"])
     if not len(listed):
         return Written()
     last = listed.slice(len(listed) - 1).to_pylist()[0]
@@ -195,12 +195,19 @@ def finish(folder: Path, layout: Layout, written: Written) -> None:
     Raises:
         OSError: it cannot be written.
     """
-    listed = _listed(folder)
-    stats = {name: _together(listed, f"stats/{name}/") for name in layout.features}
+    listed = _read(folder, "meta/episodes")
+    stats = {
+        name: _together(listed, f"stats/{name}/") if name in layout.videos.values() else _stats(_values(folder, name))
+        for name in layout.features
+    }
     write_json(folder / STATS, {name: {kind: x.tolist() for kind, x in of.items()} for name, of in stats.items()})
     # The table's index, as pandas keeps it.
     tasks = pa.table({"task_index": pa.array([0], pa.int64()), "task": [layout.task]})
-    index = {"index_columns": ["task"], "column_indexes": [], "columns": []}
+    columns = [
+        {"name": name, "field_name": name, "pandas_type": kind, "numpy_type": stored, "metadata": None}
+        for name, kind, stored in (("task_index", "int64", "int64"), ("task", "unicode", "object"))
+    ]
+    index = {"index_columns": ["task"], "column_indexes": [], "columns": columns}
     _write_table(folder / TASKS, tasks.replace_schema_metadata({"pandas": json.dumps(index)}))
     info = {
         "codebase_version": "v3.0",
@@ -211,7 +218,7 @@ def finish(folder: Path, layout: Layout, written: Written) -> None:
         "chunks_size": FILES,
         "data_files_size_in_mb": DATA_MB,
         "video_files_size_in_mb": VIDEO_MB,
-        "fps": int(layout.fps) if layout.fps.is_integer() else layout.fps,
+        "fps": layout.fps,
         "splits": {"train": f"0:{written.episodes}"},
         "data_path": DATA,
         "video_path": VIDEO if layout.cameras else None,
@@ -238,10 +245,17 @@ def _write_table(path: Path, table: pa.Table) -> None:
     write_whole(path, sink.getvalue().to_pybytes())
 
 
-def _listed(folder: Path, columns: list[str] | None = None) -> pa.Table:
-    """What is listed of all episodes."""
-    files = sorted(folder.glob("meta/episodes/*/*.parquet"))
+def _read(folder: Path, what: str, columns: list[str] | None = None) -> pa.Table:
+    """Columns of all files of that kind."""
+    files = sorted(folder.glob(f"{what}/*/*.parquet"))
     return pa.concat_tables([pq.read_table(file, columns=columns) for file in files]) if files else pa.table({})
+
+
+def _values(folder: Path, name: str) -> np.ndarray:
+    """A feature of all steps `[steps, k]`."""
+    column = _read(folder, "data", [name])[name].combine_chunks()
+    flat = column.flatten() if pa.types.is_fixed_size_list(column.type) else column
+    return flat.to_numpy(zero_copy_only=False).reshape(len(column), -1)
 
 
 def _write_video(path: Path, layout: Layout, episodes: Iterator[np.ndarray]) -> list[Stats]:
@@ -262,7 +276,7 @@ def _write_video(path: Path, layout: Layout, episodes: Iterator[np.ndarray]) -> 
 
 
 def _stats(values: np.ndarray) -> Stats:
-    """Statistics of an episode's steps `[steps, k]` or `[steps]`."""
+    """Statistics of steps `[steps, k]` or `[steps]`."""
     values = np.asarray(values, np.float64).reshape(len(values), -1)
     found = {name: getattr(values, name)(axis=0) for name in ("min", "max", "mean", "std")}
     quantiles = dict(zip(map(_name, QUANTILES), np.quantile(values, QUANTILES, axis=0), strict=True))
@@ -289,7 +303,7 @@ def _name(share: float) -> str:
 
 
 def _together(listed: pa.Table, prefix: str) -> Stats:
-    """Statistics of all episodes, of those of each; quantiles are means of theirs, as LeRobot's are."""
+    """Statistics of the pictures of all episodes, of those of each; quantiles are means of theirs, as LeRobot's are."""
     kinds = [name.removeprefix(prefix) for name in listed.column_names if name.startswith(prefix)]
     one = {kind: np.array(listed[prefix + kind].to_pylist(), np.float64) for kind in kinds}
     counts = one.pop("count")

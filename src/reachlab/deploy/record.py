@@ -104,8 +104,9 @@ def record(
         raise InputError(f"a LeRobot dataset needs pyarrow and imageio-ffmpeg: {installing('lerobot')}.") from None
     start, out, setup = time.perf_counter(), Path(out), env.setup
     motors = motors_of(env.config.robot, setup.robot)
-    task = setup.task.asks(setup.rules, setup.period)
-    layout = dataset.Layout(setup.robot.name, task, 1 / setup.period, motors.names, tuple(cameras), size)
+    task, _, _ = setup.task.asks(setup.rules, setup.period).partition(":")
+    fps = int(rate) if (rate := 1 / setup.period).is_integer() else rate
+    layout = dataset.Layout(setup.robot.name, task, fps, motors.names, tuple(cameras), size)
     own = {"agent": name_of(agent), "checkpoint": checkpoint, "seed": seed, "episodes": episodes, "cameras": cameras}
     settings = flatten(to_json(env.config)) | own | {"size": size, "failures": failures, "at_once": env.num_envs}
     steps: list[Step] = []

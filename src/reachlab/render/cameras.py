@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 
 from reachlab.render.scene import distance_needed, drawn_spec, front, outline
@@ -36,14 +38,12 @@ def top_pose(robot: Robot, *, objects: bool = False) -> Pose:
 
 
 def _around(robot: Robot, azimuth: float, elevation: float) -> Pose:
-    """Pose of a camera that looks at the middle of the workspace from these angles [deg].
-
-    It is so far away that it sees all of the workspace, and of the arm at home.
-    """
+    """Pose of a camera from which, at these angles [deg], all goals, the workspace and the arm at home are seen."""
     around, up = np.radians(azimuth) + front(robot), np.radians(elevation)
     back = np.array([np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)])
     right = np.array([-np.sin(around), np.cos(around), 0.0])
-    middle = np.mean(robot.workspace, axis=0)
-    points = outline(robot, drawn_spec(robot).compile()) - middle
-    distance = distance_needed(points, -back, FIELD_OF_VIEW, aspect=1.0)
+    goals = np.array(list(itertools.product(*zip(*robot.goal_box, strict=True))))
+    points = np.concatenate([goals, outline(robot, drawn_spec(robot).compile())])
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2
+    distance = distance_needed(points - middle, -back, FIELD_OF_VIEW, aspect=1.0)
     return middle + distance * back, np.stack([right, np.cross(back, right), back], axis=1)

@@ -28,6 +28,9 @@ SLICES, STACKS, QUADS = 10, 6, 1
 GROUND_SIZE = (4.0, 4.0, 0.01)
 """Half the size of the drawn ground [m]; it lies where the tutorial's does."""
 
+WIDE = 5.0
+"""How much wider the ground is in colour, where other cameras look along it."""
+
 GROUND_PLACE = (0.0, 0.0, -0.66)
 """Middle of the drawn ground [m]."""
 
@@ -222,9 +225,8 @@ def _model(robot: Robot, *, objects: bool, size: int, colour: bool) -> mujoco.Mj
     add_table(spec, robot).name = TABLE
     drawn = {"contype": 0, "conaffinity": 0}
     box, directional = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
-    world.add_geom(
-        name=GROUND, type=box, size=robot.scale * np.array(GROUND_SIZE), pos=robot.placed(GROUND_PLACE), **drawn
-    )
+    ground = robot.scale * np.array(GROUND_SIZE) * (WIDE if colour else 1.0)
+    world.add_geom(name=GROUND, type=box, size=ground, pos=robot.placed(GROUND_PLACE), **drawn)
     target = world.add_body(name=TARGET, mocap=True)
     shapes, scale = (CROSS, 1.0) if objects else (TOOL_TARGET, robot.scale)
     for kind, size, position, quaternion in shapes:
