@@ -37,7 +37,7 @@ def evaluate(arguments: Eval) -> None:
     from reachlab.envs.setup import in_evaluation
     from reachlab.sims import SIMULATORS
 
-    subjects = find_subjects(arguments, arguments.agent, arguments.sim)
+    subjects = find_subjects(arguments, arguments.agent)
     several = arguments.sim == "all"
     names = list(SIMULATORS) if several else [arguments.sim or subjects[0].config.sim]
     changed = {name: vars(arguments)[name] for name in ("gui", "slow", "randomise")} | other_goals(arguments)

@@ -60,13 +60,8 @@ def other_goals(arguments: Subjects) -> dict[str, Any]:
     return {name: value for name, value in vars(arguments.goals).items() if value is not None}
 
 
-def find_subjects(arguments: Subjects, agents: Sequence[str], sim: str | None) -> list[Subject]:
-    """Subjects that the flags name; several runs are of one task on one arm.
-
-    Args:
-        arguments: the flags.
-        agents: who is going to act.
-        sim: simulator; without one it is each run's own.
+def find_subjects(arguments: Subjects, agents: Sequence[str]) -> list[Subject]:
+    """Subjects that the flags name, and that such agents need; several runs are of one task on one arm.
 
     Raises:
         InputError: they are not, or one of them is named twice or cannot be used.
@@ -81,7 +76,7 @@ def find_subjects(arguments: Subjects, agents: Sequence[str], sim: str | None) -
         made.append(Subject(str(path or ""), _settings(arguments, agents, run, model), run, model))
     first, *others = made
     for other in others:
-        for name in ("task", "robot") + (() if sim else ("sim",)):
+        for name in ("task", "robot") + (() if arguments.sim else ("sim",)):
             one, another = getattr(first.config, name), getattr(other.config, name)
             if one != another:
                 remedy = "add --sim" if name == "sim" else "evaluate them one by one"

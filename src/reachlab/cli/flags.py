@@ -157,6 +157,8 @@ class Subjects(Arm):
     """Task preset, where there is no run; see `reachlab list`."""
     robot: Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")] = None
     """Robot, where there is no run: a name of `reachlab list`, or the path of an MJCF or URDF file."""
+    sim: Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")] = None
+    """Simulator, for `eval` also `all` of them; by default the run's own or the task's."""
     goals: Annotated[Any, tyro.conf.arg(name="", constructor_factory=_goal_flags)] = field(
         default_factory=lambda: _goal_flags()()  # noqa: PLW0108 (tables may grow until it is called)
     )
@@ -167,8 +169,6 @@ class Subjects(Arm):
 class Eval(Subjects):
     """Evaluate a run beside its baselines, or baselines alone, on held-out targets."""
 
-    sim: Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")] = None
-    """Simulator, or `all` of them; by default the run's own or the task's."""
     agent: Agents = ("trained",)
     episodes: Count = 1000
     """Held-out episodes."""

@@ -31,7 +31,7 @@ def record(arguments: Record) -> None:
     from reachlab.envs.setup import in_evaluation
     from reachlab.sims import SIMULATORS
 
-    (subject,) = find_subjects(arguments, (agent,), arguments.sim)
+    (subject,) = find_subjects(arguments, (agent,))
     known = subject.config
     varied = known.randomise if arguments.randomise is None else arguments.randomise
     # An observation without a picture does not vary with the view, and the cameras' pictures do.
@@ -48,6 +48,6 @@ def record(arguments: Record) -> None:
         print(jsonlib.dumps(vars(made)))
     else:
         say(
-            f"Written: {made.out}, {made.episodes:,} of {made.tried:,} episodes, {made.frames:,} steps at"
-            f" {made.fps:g} a second, {made.bytes / 1e6:.2f} MB, in {made.seconds:.1f} s."
+            f"Written: {made.out}, {made.episodes:,} of {made.tried:,} episodes, {made.steps:,} steps,"
+            f" {made.bytes / 1e6:.2f} MB, in {made.seconds:.1f} s."
         )

@@ -6,29 +6,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-import tyro
-
 from reachlab.cli.flags import Agent, Subjects
-from reachlab.render import CAMERAS
 from reachlab.settings.validation import Count, Range, Seed
-
-Cameras = Annotated[
-    tuple[str, ...], tyro.conf.arg(help=f"Cameras: {', '.join(CAMERAS)}; --cameras alone for no pictures.")
-]
 
 
 @dataclass(frozen=True)
 class Record(Subjects):
     """Record episodes as a LeRobot dataset, to train other policies on; the same command resumes one."""
 
-    sim: Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")] = None
-    """Simulator; by default the run's own or the task's."""
     agent: Agent = "trained"
     episodes: Count = 100
     """Episodes to record; none of them is one of an evaluation, whatever its seed."""
     out: Path = Path("dataset")
     """Folder to make."""
-    cameras: Cameras = ("front",)
+    cameras: tuple[str, ...] = ("front",)
+    """Cameras whose pictures are recorded, see `reachlab list cameras`; --cameras alone for no pictures."""
     size: Annotated[int, Range(16, 512)] = 96
     """Height and width of pictures, an even number [pixels]."""
     seed: Seed = 0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib import import_module
@@ -20,7 +20,7 @@ from reachlab.control.bodies import Bodies
 from reachlab.deploy.lerobot_units import Motors, motors_of
 from reachlab.envs.core import Env
 from reachlab.envs.random_streams import RECORD_STREAM
-from reachlab.evaluation.episodes import Episodes, Step, Watch, ignore, make_runner, run_episodes
+from reachlab.evaluation.episodes import Step, Watch, ignore, make_runner, run_episodes
 from reachlab.render import CAMERAS
 from reachlab.render.observation_camera import ObservationCamera
 from reachlab.render.view_randomisation import Views, develop, make_views
@@ -36,24 +36,23 @@ PATIENCE = 1000
 
 
 class Rows(NamedTuple):
-    """Steps one after the other: where the arm is and the command `[R, m]` [rad or m], reward, goal and bodies."""
+    """Steps: where the arm is and the command `[R, m]` [rad or m], the goal `[R, 3]` m, bodies, the reward `[R]`."""
 
     actuated: np.ndarray
     command: np.ndarray
-    reward: np.ndarray
     goal: np.ndarray
     bodies: Bodies
+    reward: np.ndarray
 
 
 @dataclass(frozen=True)
 class Recorded:
-    """A dataset: its folder, its episodes and frames, how many episodes were tried, frames a second, size [bytes]."""
+    """A dataset: its folder, episodes and steps, how many episodes were tried, its size [bytes], time taken [s]."""
 
     out: str
     episodes: int
-    frames: int
+    steps: int
     tried: int
-    fps: float
     bytes: int
     seconds: float
 
@@ -75,7 +74,7 @@ def record(
     """Record episodes as a LeRobot dataset, version 3.0. One that was interrupted is resumed by the same call.
 
     None of its episodes is one of an evaluation, whatever its seed. What varies from one to the next is what
-    `env.config.randomise` names; `num_envs` of them are tried at a time.
+    `env.config.randomise` names; `env.num_envs` of them are tried at a time.
 
     Args:
         env: the environment.
@@ -94,37 +93,39 @@ def record(
         InputError: something else is in the folder, it cannot be written, there is no such agent or camera, or none of
             many episodes is a success.
     """
-    for name in cameras:
-        choose("camera", name, CAMERAS)
+    angles = {f"observation.images.{name}": CAMERAS[choose("camera", name, CAMERAS)].angles for name in cameras}
     if size % 2:
-        raise InputError(f"size must be even, for the video's colours, got {size}.")
+        raise InputError(f"size must be even, for the colours of a film, got {size}.")
     try:
         dataset, _ = import_module("reachlab.deploy.lerobot_dataset"), import_module("imageio_ffmpeg")
     except ImportError:
         raise InputError(f"a LeRobot dataset needs pyarrow and imageio-ffmpeg: {installing('lerobot')}.") from None
-    start, out, setup = time.perf_counter(), Path(out), env.setup
-    motors = motors_of(env.config.robot, setup.robot)
-    task, _, _ = setup.task.asks(setup.rules, setup.period).partition(":")
-    fps = int(rate) if (rate := 1 / setup.period).is_integer() else rate
-    layout = dataset.Layout(setup.robot.name, task, fps, motors.names, tuple(cameras), size)
-    own = {"agent": name_of(agent), "checkpoint": checkpoint, "seed": seed, "episodes": episodes, "cameras": cameras}
-    settings = flatten(to_json(env.config)) | own | {"size": size, "failures": failures, "at_once": env.num_envs}
-    steps: list[Step] = []
+    start, out, robot, steps = time.perf_counter(), Path(out), env.setup.robot, list[Step]()
+    motors, rate = motors_of(env.config.robot, robot), 1 / env.setup.period
+    task = env.setup.task.asks(env.setup.rules, env.setup.period).partition(":")[0]
+    fps = int(rate) if rate.is_integer() else rate
+    layout = dataset.Layout(robot.name, task, fps, motors.names, tuple(angles), size)
+    settings = {"agent": name_of(agent), "checkpoint": checkpoint, "seed": seed, "episodes": episodes, "size": size}
+    settings |= {"cameras": cameras, "failures": failures, "at_once": env.num_envs}
     runner = make_runner(env, agent, episodes, keep=lambda step: steps.append(_without_engine(step)))
     try:
-        with _studio(env, cameras, size) as studio:
-            written = dataset.begin(out, settings)
-            number = -(-written.number // env.num_envs) * env.num_envs
+        written = dataset.begin(out, flatten(to_json(env.config)) | settings)
+        number = -(-written.number // env.num_envs) * env.num_envs
+        with _studio(env, angles, size) as studio:
             while written.episodes < episodes:
                 steps.clear()
                 played = run_episodes(runner, policy, seed, RECORD_STREAM, env.num_envs, number)
                 chosen = np.flatnonzero(played.success | failures)[: episodes - written.episodes]
                 if len(chosen):
-                    taken = jax.tree.map(lambda x, chosen=chosen: np.asarray(x)[chosen], played)
-                    rows, samples = _rows(steps, chosen, taken.steps), _view_samples(env, steps[0], chosen)
-                    drawn = partial(_draw, env, studio, rows, samples, taken.steps)
-                    part = dataset.Part(_features(motors, rows, taken), taken.steps, number + chosen, drawn)
-                    written = dataset.write_part(out, layout, written, part)
+                    lengths, success = played.steps[chosen], played.success[chosen]
+                    rows, views = _rows(steps, chosen, lengths), _views(env, angles, steps[0], chosen)
+                    part = {
+                        "lengths": lengths,
+                        "numbers": number + chosen,
+                        "rows": _features(motors, rows, lengths, success),
+                    }
+                    part |= {"pictures": partial(_draw, studio, rows, lengths, views)}
+                    written = dataset.write_part(folder=out, layout=layout, before=written, **part)
                 number += env.num_envs
                 if number - written.number >= PATIENCE:
                     raise InputError(
@@ -132,28 +133,15 @@ def record(
                         f" {name_of(agent)!r}: choose another, or record failures too with --failures."
                     )
                 watch(written.episodes)
-            dataset.finish(out, layout, written)
+        dataset.finish(out, layout, written)
     except OSError as error:
         raise InputError(f"the dataset cannot be written to '{out}': {error.strerror or error}.") from None
-    size_bytes = sum(file.stat().st_size for file in out.rglob("*") if file.is_file())
-    seconds = time.perf_counter() - start
-    return Recorded(str(out), written.episodes, written.rows, written.number, layout.fps, size_bytes, seconds)
+    stored = sum(file.stat().st_size for file in out.rglob("*") if file.is_file())
+    return Recorded(str(out), written.episodes, written.steps, written.number, stored, time.perf_counter() - start)
 
 
 def _without_engine(step: Step) -> Step:
     return step._replace(state=replace(step.state, arm=replace(step.state.arm, engine=None)))
-
-
-@contextmanager
-def _studio(env: Env, cameras: Sequence[str], size: int) -> Iterator[dict[str, ObservationCamera]]:
-    """Cameras by name, open until the context ends."""
-    robot, objects = env.setup.robot, env.setup.task.scene(env.setup).objects > 0
-    made = {name: ObservationCamera(robot, objects=objects, size=size, colour=CAMERAS[name].colour) for name in cameras}
-    try:
-        yield made
-    finally:
-        for camera in made.values():
-            camera.close()
 
 
 def _rows(steps: Sequence[Step], chosen: np.ndarray, lengths: np.ndarray) -> Rows:
@@ -163,38 +151,52 @@ def _rows(steps: Sequence[Step], chosen: np.ndarray, lengths: np.ndarray) -> Row
     def of_batch(step: Step) -> Rows:
         arm = step.state.arm
         actuated = np.concatenate([arm.q, arm.opening], axis=1)
-        return Rows(actuated, *map(np.asarray, (step.command, step.reward, step.state.goal.position)), arm.bodies)
+        return Rows(
+            actuated,
+            np.asarray(step.command),
+            np.asarray(step.state.goal.position),
+            arm.bodies,
+            np.asarray(step.reward),
+        )
 
     return jax.tree.map(lambda *parts: np.stack(parts, axis=1)[chosen][within], *map(of_batch, steps))
 
 
-def _features(motors: Motors, rows: Rows, played: Episodes) -> dict[str, np.ndarray]:
-    """Features of rows; a last step is done, and is a success or not."""
-    done, success = np.zeros((2, len(rows.reward)), bool)
-    ends = np.cumsum(played.steps) - 1
-    done[ends], success[ends] = True, played.success
+def _features(motors: Motors, rows: Rows, lengths: np.ndarray, success: np.ndarray) -> dict[str, np.ndarray]:
+    """Features of the steps of episodes of such lengths `[E]`, that are a success or not `[E]`."""
+    outcome = np.zeros((2, len(rows.reward)), bool)
+    outcome[:, np.cumsum(lengths) - 1] = np.ones_like(success), success
     read = {"observation.state": motors.read(rows.actuated), "action": motors.read(rows.command)}
-    return read | {"next.reward": rows.reward, "next.done": done, "next.success": success}
+    return read | {"next.reward": rows.reward, "next.done": outcome[0], "next.success": outcome[1]}
 
 
-def _view_samples(env: Env, first: Step, chosen: np.ndarray) -> np.ndarray:
-    """Random numbers `[E, SAMPLES]` of the views of those that are `chosen [E]` of a batch of episodes."""
-    return np.asarray(env.functions.view_samples(first.state.key))[chosen]
+@contextmanager
+def _studio(env: Env, angles: Mapping[str, tuple[float, ...]], size: int) -> Iterator[dict[str, ObservationCamera]]:
+    """Cameras of features, until the context ends."""
+    objects = env.setup.task.scene(env.setup).objects > 0
+    with ExitStack() as stack:
+        made = {
+            key: ObservationCamera(env.setup.robot, objects=objects, size=size, colour=bool(own))
+            for key, own in angles.items()
+        }
+        for camera in made.values():
+            stack.callback(camera.close)
+        yield made
+
+
+def _views(env: Env, angles: Mapping[str, tuple[float, ...]], first: Step, chosen: np.ndarray) -> dict[str, Views]:
+    """Views, by feature, of those that are `chosen [E]` of a batch of episodes."""
+    samples, objects = env.functions.view_samples(first.state.key), env.setup.task.scene(env.setup).objects > 0
+    rows = np.asarray(samples)[chosen]
+    return {key: make_views(rows, env.setup.robot, objects=objects, angles=own) for key, own in angles.items()}
 
 
 def _draw(
-    env: Env,
-    studio: Mapping[str, ObservationCamera],
-    rows: Rows,
-    samples: np.ndarray,
-    lengths: np.ndarray,
-    name: str,
+    studio: Mapping[str, ObservationCamera], rows: Rows, lengths: np.ndarray, views: Mapping[str, Views], key: str
 ) -> Iterator[np.ndarray]:
-    """Pictures `[steps, size, size, 3]` uint8 of each episode, by the camera of that name."""
-    robot, objects = env.setup.robot, env.setup.task.scene(env.setup).objects > 0
-    views = make_views(samples, robot, objects=objects, pose=CAMERAS[name].load())
+    """Pictures `[steps, size, size, 3]` uint8 of each episode."""
     for episode, (end, length) in enumerate(zip(np.cumsum(lengths), lengths, strict=True)):
-        own = Views(*(np.repeat(part[episode : episode + 1], length, axis=0) for part in views))
-        now: Rows = jax.tree.map(lambda x, here=slice(end - length, end): x[here], rows)
-        pictures = develop(studio[name].pictures(now.actuated, now.goal, now.bodies, own), own)
+        now: Rows = jax.tree.map(lambda part, own=slice(end - length, end): part[own], rows)
+        seen = Views(*(np.repeat(part[episode : episode + 1], length, axis=0) for part in views[key]))
+        pictures = develop(studio[key].pictures(now.actuated, now.goal, now.bodies, seen), seen)
         yield pictures if pictures.ndim > 3 else np.repeat(pictures[..., None], 3, axis=-1)

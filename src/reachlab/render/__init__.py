@@ -2,26 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
-from reachlab.settings.tables import Lazy
+from typing import NamedTuple
 
 
-@dataclass(frozen=True)
-class CameraEntry(Lazy):
-    """A camera of the table: a function that gives its pose beside a robot, see `tasks.camera.camera_pose`.
+class CameraEntry(NamedTuple):
+    """A camera of the table.
 
     Attributes:
-        colour: it draws in colour rather than in grey.
+        summary: where it stands, in words.
+        angles: about the vertical from the way in front of the arm, and up from the table, to the camera [deg]; without
+            them it is the one of observations, in grey.
     """
 
-    colour: bool = True
+    summary: str
+    angles: tuple[float, ...] = ()
 
 
 CAMERAS: dict[str, CameraEntry] = {
-    "front": CameraEntry("in front of the arm, looking down at it, in colour", "reachlab.render.cameras:front_pose"),
-    "side": CameraEntry("at the arm's left, looking down at it, in colour", "reachlab.render.cameras:side_pose"),
-    "top": CameraEntry("above the workspace, in colour", "reachlab.render.cameras:top_pose"),
-    "observation": CameraEntry("the one of observations, in grey", "reachlab.tasks.camera:camera_pose", colour=False),
+    "front": CameraEntry("in front of the arm, looking down at it, in colour", (0.0, 40.0)),
+    "side": CameraEntry("at the arm's left, looking down at it, in colour", (90.0, 40.0)),
+    "top": CameraEntry("above the workspace, in colour", (0.0, 85.0)),
+    "observation": CameraEntry("the one of observations, in grey"),
 }
-"""Cameras by name, of which datasets have pictures. Adding one takes its function and its line here."""
+"""Cameras by name, of which datasets have pictures. Adding one takes its line here."""

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
+from reachlab.render.scene import pose_around
 from reachlab.robots.robot import Robot
 from reachlab.tasks.camera import camera_pose
 from reachlab.tasks.schema import SIZE
@@ -69,10 +69,6 @@ SAMPLES = sum(SAMPLED.values())
 """Random numbers of a view."""
 
 
-Pose = tuple[np.ndarray, np.ndarray]
-"""Position `[3]` m and rotation `[3, 3]` of a camera, see `camera_pose`."""
-
-
 class Views(NamedTuple):
     """Views of `B` environments.
 
@@ -103,17 +99,15 @@ class Views(NamedTuple):
     body: np.ndarray
 
 
-def make_views(
-    samples: np.ndarray, robot: Robot, *, objects: bool = False, pose: Callable[..., Pose] = camera_pose
-) -> Views:
-    """Views on a robot of `samples [B, SAMPLES]` in -1 to 1; zeros are the view of `pose`, see `camera_pose`."""
+def make_views(samples: np.ndarray, robot: Robot, *, objects: bool = False, angles: tuple[float, ...] = ()) -> Views:
+    """Views on a robot of `samples [B, SAMPLES]` in -1 to 1; zeros are that of `camera_pose`, or see `pose_around`."""
     from scipy.spatial.transform import Rotation
 
     ends = np.cumsum(list(SAMPLED.values()))
     parts = np.split(np.asarray(samples, np.float64), ends[:-1], axis=1)
     sampled = dict(zip(SAMPLED, parts, strict=True))
     single = {name: part[:, 0] for name, part in sampled.items() if SAMPLED[name] == 1}
-    position, rotation = pose(robot, objects=objects)
+    position, rotation = pose_around(robot, *angles) if angles else camera_pose(robot, objects=objects)
     turn = Rotation.from_rotvec(TURN * sampled["turn"], degrees=True).as_matrix()
 
     def grey(nominal: tuple[float, float], name: str) -> np.ndarray:

@@ -207,7 +207,7 @@ def encode_mp4(out: Path, pictures: Iterable[bytes], size: tuple[int, int], rate
                 pipe.write(picture)
         _, said = process.communicate()
     if process.returncode:
-        raise OSError(said.decode(errors="replace").strip().splitlines()[-1])
+        raise OSError(said.decode(errors="replace").strip().splitlines()[0].rpartition("] ")[2])
 
 
 def _ffmpeg() -> str:
