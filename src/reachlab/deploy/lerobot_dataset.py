@@ -45,13 +45,7 @@ PANDAS = json.dumps({"index_columns": ["task"], "column_indexes": [], "columns":
 
 X264 = "-preset veryfast -crf 23 -g 2 -bf 0"
 """Every other picture is whole, as in LeRobot's own films: training reads single ones. 23 is x264's usual quality."""
-CODED = {
-    "video.codec": "h264",
-    "video.pix_fmt": "yuv420p",
-    "video.channels": 3,
-    "has_audio": False,
-    "is_depth_map": False,
-}
+CODED = {"video.codec": "h264", "video.pix_fmt": "yuv420p", "video.channels": 3, "is_depth_map": False}
 """How LeRobot describes that."""
 
 QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
@@ -85,15 +79,27 @@ class Layout(NamedTuple):
     def features(self) -> dict[str, dict[str, Any]]:
         """Type, shape and names of each feature."""
         vector = {"dtype": "float32", "shape": [len(self.motors)], "names": list(self.motors)}
-        info = {**CODED, "video.height": self.size, "video.width": self.size, "video.fps": self.fps}
-        video = {
-            "dtype": "video",
-            "shape": [self.size] * 2 + [3],
-            "names": ["height", "width", "channels"],
-            "info": info,
-        }
+        info = {**CODED, "has_audio": False, "video.height": self.size, "video.width": self.size, "video.fps": self.fps}
+        sides = {"shape": [self.size, self.size, 3], "names": ["height", "width", "channels"]}
+        video = {"dtype": "video", **sides, "info": info}
         scalars = {name: {"dtype": kind, "shape": [1], "names": None} for name, kind in SCALARS.items()}
         return {"observation.state": vector, "action": vector} | dict.fromkeys(self.videos, video) | scalars
+
+
+class Part(NamedTuple):
+    """Some episodes.
+
+    Attributes:
+        rows: features of all their steps, one after the other, but for those of `COUNTS`.
+        lengths: steps of each episode `[E]`.
+        numbers: of each episode `[E]` in its seed's stream.
+        pictures: of a feature, the pictures of each episode in turn, `[steps, size, size, 3]` uint8.
+    """
+
+    rows: Mapping[str, np.ndarray]
+    lengths: np.ndarray
+    numbers: np.ndarray
+    pictures: Callable[[str], Iterable[np.ndarray]]
 
 
 class Written(NamedTuple):
@@ -136,32 +142,14 @@ def begin(folder: Path, settings: Mapping[str, Any]) -> Written:
     return Written(len(files), len(listed), steps, number + 1)
 
 
-def write_part(
-    *,
-    folder: Path,
-    layout: Layout,
-    before: Written,
-    rows: Mapping[str, np.ndarray],
-    lengths: np.ndarray,
-    numbers: np.ndarray,
-    pictures: Callable[[str], Iterable[np.ndarray]],
-) -> Written:
+def write_part(folder: Path, layout: Layout, before: Written, part: Part) -> Written:
     """How far a dataset is after a part is written to it.
-
-    Args:
-        folder: the dataset.
-        layout: what it holds.
-        before: how far it was.
-        rows: features of all steps of the part's episodes, one after the other, but for those of `COUNTS`.
-        lengths: steps of each episode `[E]`.
-        numbers: of each episode `[E]` in its seed's stream.
-        pictures: of a feature, the pictures of each episode in turn, `[steps, size, size, 3]` uint8.
 
     Raises:
         OSError: it cannot be written; what was there is as it was.
     """
     place = {"chunk_index": before.parts // FILES, "file_index": before.parts % FILES}
-    ends = np.cumsum(lengths)
+    rows, lengths, ends = part.rows, part.lengths, np.cumsum(part.lengths)
     starts, steps, episodes = ends - lengths, np.arange(ends[-1]), before.episodes + np.arange(len(ends))
     frame = steps - np.repeat(starts, lengths)
     counts = (frame / layout.fps, frame, np.repeat(episodes, lengths), before.steps + steps, np.zeros_like(steps))
@@ -172,14 +160,14 @@ def write_part(
     listed = {"episode_index": episodes, "tasks": [[layout.task]] * len(ends), "length": lengths}
     listed |= {"dataset_from_index": before.steps + starts, "dataset_to_index": before.steps + ends}
     for key in layout.videos:
-        stats[key] = _write_video(folder / VIDEO.format(video_key=key, **place), layout, pictures(key))
+        stats[key] = _write_video(folder / VIDEO.format(video_key=key, **place), layout, part.pictures(key))
         listed |= {f"videos/{key}/from_timestamp": starts / layout.fps, f"videos/{key}/to_timestamp": ends / layout.fps}
     for what in ("data", "meta/episodes", *(f"videos/{key}" for key in layout.videos)):
         listed |= {f"{what}/{name}": [index] * len(ends) for name, index in place.items()}
     for name, own in stats.items():
         listed |= {f"stats/{name}/{kind}": [one[kind].tolist() for one in own] for kind in own[0]}
-    _write_table(folder / EPISODES.format(**place), pa.table({**listed, "reachlab/number": numbers}))
-    return Written(before.parts + 1, int(episodes[-1]) + 1, before.steps + int(ends[-1]), int(numbers[-1]) + 1)
+    _write_table(folder / EPISODES.format(**place), pa.table({**listed, "reachlab/number": part.numbers}))
+    return Written(before.parts + 1, int(episodes[-1]) + 1, before.steps + int(ends[-1]), int(part.numbers[-1]) + 1)
 
 
 def finish(folder: Path, layout: Layout, written: Written) -> None:

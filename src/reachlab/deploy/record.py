@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib import import_module
@@ -111,21 +111,19 @@ def record(
     try:
         written = dataset.begin(out, flatten(to_json(env.config)) | settings)
         number = -(-written.number // env.num_envs) * env.num_envs
-        with _studio(env, angles, size) as studio:
+        with ExitStack() as stack:
+            studio = {key: stack.enter_context(_camera(env, size, colour=bool(own))) for key, own in angles.items()}
             while written.episodes < episodes:
                 steps.clear()
                 played = run_episodes(runner, policy, seed, RECORD_STREAM, env.num_envs, number)
                 chosen = np.flatnonzero(played.success | failures)[: episodes - written.episodes]
                 if len(chosen):
-                    lengths, success = played.steps[chosen], played.success[chosen]
-                    rows, views = _rows(steps, chosen, lengths), _views(env, angles, steps[0], chosen)
-                    part = {
-                        "lengths": lengths,
-                        "numbers": number + chosen,
-                        "rows": _features(motors, rows, lengths, success),
-                    }
-                    part |= {"pictures": partial(_draw, studio, rows, lengths, views)}
-                    written = dataset.write_part(folder=out, layout=layout, before=written, **part)
+                    rows, lengths = _rows(steps, chosen, played.steps[chosen]), played.steps[chosen]
+                    samples = np.asarray(env.functions.view_samples(steps[0].state.key))[chosen]
+                    drawn = partial(_draw, env, studio, angles, rows, lengths, samples)
+                    features = _features(motors, rows, lengths, played.success[chosen])
+                    part = dataset.Part(features, lengths, number + chosen, drawn)
+                    written = dataset.write_part(out, layout, written, part)
                 number += env.num_envs
                 if number - written.number >= PATIENCE:
                     raise InputError(
@@ -170,33 +168,19 @@ def _features(motors: Motors, rows: Rows, lengths: np.ndarray, success: np.ndarr
     return read | {"next.reward": rows.reward, "next.done": outcome[0], "next.success": outcome[1]}
 
 
-@contextmanager
-def _studio(env: Env, angles: Mapping[str, tuple[float, ...]], size: int) -> Iterator[dict[str, ObservationCamera]]:
-    """Cameras of features, until the context ends."""
+def _camera(env: Env, size: int, *, colour: bool) -> closing[ObservationCamera]:
     objects = env.setup.task.scene(env.setup).objects > 0
-    with ExitStack() as stack:
-        made = {
-            key: ObservationCamera(env.setup.robot, objects=objects, size=size, colour=bool(own))
-            for key, own in angles.items()
-        }
-        for camera in made.values():
-            stack.callback(camera.close)
-        yield made
-
-
-def _views(env: Env, angles: Mapping[str, tuple[float, ...]], first: Step, chosen: np.ndarray) -> dict[str, Views]:
-    """Views, by feature, of those that are `chosen [E]` of a batch of episodes."""
-    samples, objects = env.functions.view_samples(first.state.key), env.setup.task.scene(env.setup).objects > 0
-    rows = np.asarray(samples)[chosen]
-    return {key: make_views(rows, env.setup.robot, objects=objects, angles=own) for key, own in angles.items()}
+    return closing(ObservationCamera(env.setup.robot, objects=objects, size=size, colour=colour))
 
 
 def _draw(
-    studio: Mapping[str, ObservationCamera], rows: Rows, lengths: np.ndarray, views: Mapping[str, Views], key: str
+    env: Env, studio: Mapping[str, ObservationCamera], angles: Any, rows: Rows, lengths: Any, samples: Any, key: str
 ) -> Iterator[np.ndarray]:
-    """Pictures `[steps, size, size, 3]` uint8 of each episode."""
+    """Pictures `[steps, size, size, 3]` uint8 of each episode, of the rows and view samples of all of them."""
+    objects = env.setup.task.scene(env.setup).objects > 0
+    views = make_views(samples, env.setup.robot, objects=objects, angles=angles[key])
     for episode, (end, length) in enumerate(zip(np.cumsum(lengths), lengths, strict=True)):
         now: Rows = jax.tree.map(lambda part, own=slice(end - length, end): part[own], rows)
-        seen = Views(*(np.repeat(part[episode : episode + 1], length, axis=0) for part in views[key]))
+        seen = Views(*(np.repeat(part[episode : episode + 1], length, axis=0) for part in views))
         pictures = develop(studio[key].pictures(now.actuated, now.goal, now.bodies, seen), seen)
         yield pictures if pictures.ndim > 3 else np.repeat(pictures[..., None], 3, axis=-1)
