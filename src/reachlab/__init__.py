@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from reachlab.agents.policy import Policy
     from reachlab.deploy.export import Export, export
     from reachlab.deploy.onboard.controller import Controller
+    from reachlab.deploy.record import record
     from reachlab.envs.core import Env
     from reachlab.envs.gymnasium_single import ReachEnv
     from reachlab.envs.gymnasium_vector import ReachVectorEnv
@@ -60,6 +61,7 @@ _HOMES = {
     "load": "learn.load",
     "load_robot": "robots.loading",
     "plot": "watch.plots",
+    "record": "deploy.record",
     "sweep": "scale.sweep",
     "train": "learn.train",
     "view": "watch.page.view",
@@ -90,6 +92,7 @@ __all__ = [
     "load",
     "load_robot",
     "plot",
+    "record",
     "sweep",
     "train",
     "view",

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 from reachlab.agents import AGENTS
-from reachlab.cli.eval_subjects import Subject, find_subjects
+from reachlab.cli.eval_subjects import Subject, find_subjects, other_goals
 from reachlab.cli.flags import Eval
 from reachlab.cli.preparation import prepare
 from reachlab.settings.config import RunConfig
@@ -37,10 +37,10 @@ def evaluate(arguments: Eval) -> None:
     from reachlab.envs.setup import in_evaluation
     from reachlab.sims import SIMULATORS
 
-    subjects = find_subjects(arguments)
+    subjects = find_subjects(arguments, arguments.agent)
     several = arguments.sim == "all"
     names = list(SIMULATORS) if several else [arguments.sim or subjects[0].config.sim]
-    changed = {name: vars(arguments)[name] for name in ("gui", "slow", "randomise")} | _other_goals(arguments)
+    changed = {name: vars(arguments)[name] for name in ("gui", "slow", "randomise")} | other_goals(arguments)
     configs = {name: [in_evaluation(one.config, name, **changed) for one in subjects] for name in names}
     reports: list[dict[str, Any]] = []
     failed: list[str] = []
@@ -77,44 +77,31 @@ def evaluate(arguments: Eval) -> None:
         raise InputError(f"no result in {', '.join(failed)}: the reason is above.")
 
 
-def _other_goals(arguments: Eval) -> dict[str, Any]:
-    """Settings of the goals that the flags change."""
-    return {name: value for name, value in vars(arguments.goals).items() if value is not None}
-
-
 def _reports(
     arguments: Eval, subject: Subject, config: RunConfig, agents: Sequence[str], display: EvalDisplay
 ) -> Iterator[dict[str, Any]]:
     """Report of each agent in one simulator; where it cannot be saved in the run a warning has been printed.
 
-    Agent `trained` is the policy of a run, or a model, whose reports are not saved; nor are those of a policy that
-    comes with reachlab, or on other goals than the run's, which would stand in for those on its own.
+    Those of a model are not saved; nor are those of a policy that comes with reachlab, or on other goals than the
+    run's, which would stand in for those on its own.
     """
     from reachlab.cli.console import note
     from reachlab.envs.core import Env
     from reachlab.evaluation.episodes import BATCH
     from reachlab.evaluation.report import examine
-    from reachlab.learn.load import load_saved
     from reachlab.runs.shipped import is_shipped
     from reachlab.sims import SIMULATORS
 
-    name, episodes, run, model = config.sim, arguments.episodes, subject.run, subject.model
+    name, episodes, run = config.sim, arguments.episodes, subject.run
     num_envs = 1 if arguments.gui else min(episodes, SIMULATORS[name].most_envs or BATCH)
     with contextlib.closing(Env(config, num_envs)) as env:
-        if model:
-            model.check(env.schema)
-        if run and not subject.saved:
-            subject.saved = load_saved(run, env)
-        policy = subject.saved.policy if subject.saved else None
-        judged = model or subject.saved
-        checkpoint = judged.checkpoint if judged else None
         given: dict[str, Any] = {"seed": arguments.seed, "episodes": episodes, "watch": display}
         for agent in agents:
+            acting, policy, checkpoint = subject.acting(env, agent)
             display.begin(agent, name)
-            acting = model.act if model and AGENTS[agent].trained else agent
             result, played = examine(env, acting, policy, **given, checkpoint=checkpoint)
             report = result.to_json()
-            if run and not is_shipped(run) and not _other_goals(arguments):
+            if run and not is_shipped(run) and not other_goals(arguments):
                 rows = {"goal": played.goal, "distance": played.distance, "success": played.success}
                 try:
                     run.write_report("-".join((name, agent, str(arguments.seed), *arguments.randomise)), report, rows)

@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from reachlab.agents import AGENTS
-from reachlab.cli.flags import Eval, View
+from reachlab.cli.flags import Subjects, View
 from reachlab.envs.presets import preset
 from reachlab.settings.config import RunConfig
 from reachlab.settings.json_form import override
 from reachlab.settings.validation import InputError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
+    from reachlab.agents.acting import Function
+    from reachlab.agents.policy import Policy
     from reachlab.agents.sb3_policy import SavedModel
     from reachlab.deploy.onnx_network import OnnxNetwork
+    from reachlab.envs.core import Env
     from reachlab.learn.load import Saved
     from reachlab.runs.directory import RunDirectory
 
@@ -35,9 +39,29 @@ class Subject:
     model: SavedModel | OnnxNetwork | None = None
     saved: Saved | None = None
 
+    def acting(self, env: Env, agent: str) -> tuple[str | Function, Policy | None, dict[str, Any] | None]:
+        """An agent as it acts in an environment, the policy of the run and what identifies what has been trained.
 
-def find_subjects(arguments: Eval) -> list[Subject]:
-    """Subjects that the flags name; several runs are of one task on one arm.
+        Agent `trained` is the policy of a run, or a model.
+        """
+        from reachlab.learn.load import load_saved
+
+        if self.model:
+            self.model.check(env.schema)
+        if self.run and not self.saved:
+            self.saved = load_saved(self.run, env)
+        judged = self.model or self.saved
+        acts = self.model.act if self.model and AGENTS[agent].trained else agent
+        return acts, self.saved.policy if self.saved else None, judged.checkpoint if judged else None
+
+
+def other_goals(arguments: Subjects) -> dict[str, Any]:
+    """Settings of the goals that the flags change."""
+    return {name: value for name, value in vars(arguments.goals).items() if value is not None}
+
+
+def find_subjects(arguments: Subjects, agents: Sequence[str]) -> list[Subject]:
+    """Subjects that the flags name, and that such agents need; several runs are of one task on one arm.
 
     Raises:
         InputError: they are not, or one of them is named twice or cannot be used.
@@ -49,7 +73,7 @@ def find_subjects(arguments: Eval) -> list[Subject]:
     for path in arguments.runs or (None,):
         model = find_model(arguments, path) if path else None
         run = find_run(path) if path and not model else None
-        made.append(Subject(str(path or ""), _settings(arguments, run, model), run, model))
+        made.append(Subject(str(path or ""), _settings(arguments, agents, run, model), run, model))
     first, *others = made
     for other in others:
         for name in ("task", "robot") + (() if arguments.sim else ("sim",)):
@@ -64,7 +88,7 @@ def find_subjects(arguments: Eval) -> list[Subject]:
     return made
 
 
-def check_trust(arguments: Eval | View) -> None:
+def check_trust(arguments: Subjects | View) -> None:
     """Make sure that there is a model where the flags say that it is trusted.
 
     Raises:
@@ -90,7 +114,7 @@ def is_model(path: Path) -> bool:
     return _is_zip(path) or _is_onnx(path)
 
 
-def find_model(arguments: Eval | View, path: Path) -> SavedModel | OnnxNetwork | None:
+def find_model(arguments: Subjects | View, path: Path) -> SavedModel | OnnxNetwork | None:
     """The model of Stable-Baselines3 or the policy in ONNX that is named, if one is.
 
     Raises:
@@ -112,7 +136,9 @@ def find_model(arguments: Eval | View, path: Path) -> SavedModel | OnnxNetwork |
     return load_model(path, arguments.normaliser)
 
 
-def _settings(arguments: Eval, run: RunDirectory | None, model: SavedModel | OnnxNetwork | None) -> RunConfig:
+def _settings(
+    arguments: Subjects, agents: Sequence[str], run: RunDirectory | None, model: SavedModel | OnnxNetwork | None
+) -> RunConfig:
     """Settings of the run or the model, or without one those of the task and the robot that the flags name.
 
     Raises:
@@ -128,7 +154,7 @@ def _settings(arguments: Eval, run: RunDirectory | None, model: SavedModel | Onn
         return run.read_config()
     if known:
         return known
-    if not model and (needing := [agent for agent in arguments.agent if AGENTS[agent].trained]):
+    if not model and (needing := [agent for agent in agents if AGENTS[agent].trained]):
         others = ", ".join(name for name, entry in AGENTS.items() if not entry.trained)
         raise InputError(
             f"agent {needing[0]!r} needs a run: name its directory or a policy of `reachlab list`, or choose --agent"

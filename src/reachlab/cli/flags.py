@@ -143,8 +143,8 @@ class Arm(Checked):
 
 
 @dataclass(frozen=True)
-class Eval(Arm):
-    """Evaluate a run beside its baselines, or baselines alone, on held-out targets."""
+class Subjects(Arm):
+    """Flags of whatever plays episodes: by runs, models of other libraries or baselines, on which goals."""
 
     runs: Annotated[tuple[Path, ...], tyro.conf.Positional] = ()
     """Run directory, name of a policy in `reachlab list`, policy in ONNX (.onnx or an export) or model of
@@ -158,7 +158,17 @@ class Eval(Arm):
     robot: Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")] = None
     """Robot, where there is no run: a name of `reachlab list`, or the path of an MJCF or URDF file."""
     sim: Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")] = None
-    """Simulator, or `all` of them; by default the run's own or the task's."""
+    """Simulator, for `eval` also `all` of them; by default the run's own or the task's."""
+    goals: Annotated[Any, tyro.conf.arg(name="", constructor_factory=_goal_flags)] = field(
+        default_factory=lambda: _goal_flags()()  # noqa: PLW0108 (tables may grow until it is called)
+    )
+    """Other goals than those of the run or the task; reports of a run on such goals are not kept in it."""
+
+
+@dataclass(frozen=True)
+class Eval(Subjects):
+    """Evaluate a run beside its baselines, or baselines alone, on held-out targets."""
+
     agent: Agents = ("trained",)
     episodes: Count = 1000
     """Held-out episodes."""
@@ -166,10 +176,6 @@ class Eval(Arm):
     """Seed of the targets."""
     randomise: tuple[str, ...] = ()
     """What varies from episode to episode: dynamics, delay, and for a policy that gets pictures view."""
-    goals: Annotated[Any, tyro.conf.arg(name="", constructor_factory=_goal_flags)] = field(
-        default_factory=lambda: _goal_flags()()  # noqa: PLW0108 (tables may grow until it is called)
-    )
-    """Other goals than those of the run or the task; reports of a run on such goals are not kept in it."""
     gui: bool = False
     """PyBullet: open its window."""
     slow: bool = False

@@ -14,6 +14,8 @@ from reachlab.cli.deploy_flags import Deploy, Export
 from reachlab.cli.eval_command import evaluate
 from reachlab.cli.flags import Bench, Distil, Eval, List, Plot, ShowRobot, Train, Video, View
 from reachlab.cli.preparation import prepare
+from reachlab.cli.record_command import record
+from reachlab.cli.record_flags import Record
 from reachlab.cli.robot_command import robot
 from reachlab.cli.sweep_command import sweep
 from reachlab.cli.sweep_flags import Sweep
@@ -62,6 +64,7 @@ def _names() -> dict[str, dict[str, str]]:
     from reachlab.agents import AGENTS
     from reachlab.cli.console import task_and_success
     from reachlab.envs.presets import preset
+    from reachlab.render import CAMERAS
     from reachlab.robots.catalogue import ROBOTS
     from reachlab.runs.shipped import shipped, told
     from reachlab.scale import ENGINES
@@ -94,6 +97,7 @@ def _names() -> dict[str, dict[str, str]]:
         "engines": {name: engine.summary for name, engine in ENGINES.items()},
         "goals of a sweep": {name: "most" if goal.maximise else "least" for name, goal in GOALS.items()},
         "agents": {name: agent.summary for name, agent in AGENTS.items()},
+        "cameras": {name: entry.summary for name, entry in CAMERAS.items()},
         "policies": {name: told(run) for name, run in shipped().items()},
         "suites": {name: suite.summary for name, suite in SUITES.items()},
     }
@@ -121,6 +125,7 @@ VERBS: dict[str, Verb] = {
     "video": Verb(Video, video),
     "view": Verb(View, view),
     "plot": Verb(Plot, plot),
+    "record": Verb(Record, record),
     "export": Verb(Export, export),
     "deploy": Verb(Deploy, deploy),
     "bench": Verb(Bench, bench),

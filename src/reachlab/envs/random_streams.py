@@ -13,8 +13,9 @@ import jax
 import numpy as np
 from jax import Array
 
-TRAINING_STREAM, REPORT_STREAM, VALIDATION_STREAM, LEARNER_STREAM, GYMNASIUM_STREAM = range(5)
-"""Streams of a seed: episodes of training, reports and validations; what the learner samples; Gymnasium's episodes."""
+TRAINING_STREAM, REPORT_STREAM, VALIDATION_STREAM, LEARNER_STREAM, GYMNASIUM_STREAM, RECORD_STREAM = range(6)
+"""Streams of a seed: episodes of training, reports and validations; what the learner samples; Gymnasium's episodes, and
+those that are recorded."""
 
 PARTS = 4
 """Keys that an episode's key is split into: the next episode's, its target's, its start's and its arm's."""

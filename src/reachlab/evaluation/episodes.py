@@ -31,6 +31,18 @@ FEW = 20_000
 Carry = tuple[EnvState, "Episodes", Array]
 """States under way, what is known of their episodes, and the agent's key."""
 
+
+class Step(NamedTuple):
+    """A step of `B` episodes: the state before it, the command `[B, m]` [rad or m] and the reward `[B]`."""
+
+    state: EnvState
+    command: Array
+    reward: Array
+
+
+Keep = Callable[[Step], None]
+"""Called with each step that is taken."""
+
 Watch = Callable[[int], None]
 """Called with the number of episodes that have ended."""
 
@@ -106,11 +118,13 @@ class Beside(NamedTuple):
         meets: whether links of the arm meet.
         straight: in which of states `[B]` nothing is in the way.
         planned: time that the agent has planned in each episode `[B]` [s].
+        keep: keeps steps.
     """
 
     meets: Meets | None
     straight: Callable[[EnvState], np.ndarray] | None
     planned: Callable[[], np.ndarray] | None
+    keep: Keep | None
 
 
 @dataclass(frozen=True)
@@ -125,12 +139,16 @@ class Runner:
     on_host: bool = False
 
 
-def make_runner(env: Env, agent: str | Function, episodes: int = FEW) -> Runner:
-    """Runner for an agent of `agents.AGENTS`, or for a function, which is going to run so many episodes."""
+def make_runner(env: Env, agent: str | Function, episodes: int = FEW, keep: Keep | None = None) -> Runner:
+    """Runner for an agent of `agents.AGENTS`, or for a function, which is going to run so many episodes.
+
+    Those of which steps are kept are to learn from: they are none of those that are held out, see `Env.init_held_out`.
+    """
     moves = env.setup.rules.moves
-    traced = env.traced and isinstance(agent, str) and not moves
-    init = env.init_held_out if traced else env.compile_whole(env.init_held_out)
-    meets = None if traced else _make_meets(env)
+    traced = env.traced and isinstance(agent, str) and not moves and keep is None
+    init = env.init if keep else env.init_held_out
+    init = init if traced else env.compile_whole(init)
+    meets = None if traced or keep else _make_meets(env)
 
     @env.compile_part
     def unplayed(state: EnvState, keys: Array) -> tuple[Episodes, Array]:
@@ -144,16 +162,16 @@ def make_runner(env: Env, agent: str | Function, episodes: int = FEW) -> Runner:
     act = make_act(env, agent)
     count_step = functools.partial(_count, setup=env.setup)
 
-    def advance(policy: Policy | None, carry: Carry) -> Carry:
+    def advance(policy: Policy | None, carry: Carry) -> tuple[Carry, Array]:
         state, episodes, key = carry
         state, transition, key = act(policy, state, key, ~episodes.done)
-        return state, count_step(episodes, state, transition), key
+        return (state, count_step(episodes, state, transition), key), transition.reward
 
     if traced:
 
         def run(policy: Policy | None, keys: Array) -> Episodes:
             carry = begin(keys)
-            return jax.lax.while_loop(lambda c: ~c[1].done.all(), lambda c: advance(policy, c), carry)[1]
+            return jax.lax.while_loop(lambda c: ~c[1].done.all(), lambda c: advance(policy, c)[0], carry)[1]
 
         return Runner(jit(kept(run, f"episodes of {agent}", env.identity), brief=episodes <= FEW), BATCH)
 
@@ -161,13 +179,13 @@ def make_runner(env: Env, agent: str | Function, episodes: int = FEW) -> Runner:
         advance = jit(advance)
     else:
         count_step = jit(count_step, brief=True)
-    beside = Beside(meets, make_straight(env), getattr(act, "planned", None))
+    beside = Beside(meets, None if keep else make_straight(env), getattr(act, "planned", None), keep)
     return Runner(functools.partial(_run_on_host, begin, advance, beside, moves=moves), env.num_envs, on_host=True)
 
 
 def _run_on_host(
     begin: Callable[[Array], Carry],
-    advance: Callable[[Policy | None, Carry], Carry],
+    advance: Callable[[Policy | None, Carry], tuple[Carry, Array]],
     beside: Beside,
     policy: Policy | None,
     keys: Array,
@@ -179,7 +197,10 @@ def _run_on_host(
     found: dict[str, Any] = {} if beside.straight is None else {"straight": beside.straight(carry[0])}
     while (ended := int(np.asarray(carry[1].done).sum())) < len(keys):
         watch(ended)
-        before, carry = carry[1], advance(policy, carry)
+        started, before = carry[:2]
+        carry, reward = advance(policy, carry)
+        if beside.keep:
+            beside.keep(Step(started, carry[0].command, reward))
         if meets:  # which episodes have ended or met before is known
             state, now, key = carry
             touched = np.asarray(now.touched)

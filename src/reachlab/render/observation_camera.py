@@ -6,16 +6,18 @@ import itertools
 import operator
 import os
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import mujoco
 import numpy as np
 
 from reachlab.control.bodies import Bodies
+from reachlab.render.marks import OBJECT, OBSTACLE, WAITING
 from reachlab.render.offscreen import gl_context
 from reachlab.render.scene import add_table, drawn_spec
-from reachlab.render.view_randomisation import ARM_GREYS, DARKEST, LUMA, Views
+from reachlab.render.view_randomisation import ARM_GREYS, BODY, DARKEST, LUMA, Views
+from reachlab.render.view_randomisation import TARGET as TARGET_GREY
 from reachlab.robots.robot import Robot
 from reachlab.tasks.camera import FIELD_OF_VIEW
 from reachlab.tasks.schema import SIZE
@@ -25,6 +27,9 @@ SLICES, STACKS, QUADS = 10, 6, 1
 
 GROUND_SIZE = (4.0, 4.0, 0.01)
 """Half the size of the drawn ground [m]; it lies where the tutorial's does."""
+
+WIDE = 5.0
+"""How much wider the ground is in colour, where other cameras look along it."""
 
 GROUND_PLACE = (0.0, 0.0, -0.66)
 """Middle of the drawn ground [m]."""
@@ -48,21 +53,38 @@ MAX_GEOMS = 500
 """Shapes that a picture may hold."""
 
 
+class Tints(NamedTuple):
+    """Red, green and blue `[3]` that greys of views are multiplied by: of the target, objects and other bodies."""
+
+    target: np.ndarray
+    moved: np.ndarray
+    fixed: np.ndarray
+
+
+GREY = Tints(*np.ones((3, 3)))
+COLOUR = Tints(np.array(WAITING) / TARGET_GREY[0], np.array(OBJECT) / BODY[0], np.array(OBSTACLE) / BODY[0])
+"""Tints of pictures in grey, and of those in colour: there they have the colours of pictures for people."""
+
+
 class ObservationCamera:
     """Draws the pictures that a policy observes of a robot and its target, a share of them on each core."""
 
-    def __init__(self, robot: Robot, *, objects: bool = False, threads: int = 0) -> None:
+    def __init__(
+        self, robot: Robot, *, objects: bool = False, threads: int = 0, size: int = SIZE, colour: bool = False
+    ) -> None:
         """Camera on a robot, and on the last of the bodies beside it, if it moves `objects`.
 
-        It has `threads` threads, 0 for one a core; they are started for the first picture.
+        It has `threads` threads, 0 for one a core; they are started for the first picture. Pictures have `size` ×
+        `size` pixels, of three colours each where it draws in `colour`.
         """
         self._robot, self._objects = robot, objects
+        self._shape, self._colour = (size, size, 3)[: 2 + colour], colour
         self._threads = threads or _cores()
         self._pools: list[ThreadPoolExecutor] = []
         self._painters: list[_Painter] = []
 
     def pictures(self, actuated: np.ndarray, goal: np.ndarray, bodies: Bodies, views: Views) -> np.ndarray:
-        """Pictures `[B, SIZE, SIZE]` uint8, each in its own view.
+        """Pictures `[B, size, size]` uint8, or `[B, size, size, 3]` in colour, each in its own view.
 
         Args:
             actuated: joints, and the gripper's opening `[B, m]` [rad or m].
@@ -75,7 +97,7 @@ class ObservationCamera:
         """
         if not self._painters:
             self._open()
-        out = np.empty((len(views.arm), SIZE, SIZE), np.uint8)
+        out = np.empty((len(views.arm), *self._shape), np.uint8)
         bounds = np.linspace(0, len(out), len(self._pools) + 1).astype(int)
         shares = [slice(*pair) for pair in itertools.pairwise(bounds) if pair[0] < pair[1]]
         jobs = [
@@ -89,7 +111,8 @@ class ObservationCamera:
     def _open(self) -> None:
         # An OpenGL context belongs to the thread that draws with it.
         self._pools = [ThreadPoolExecutor(1) for _ in range(self._threads)]
-        self._painters = [pool.submit(_Painter, self._robot, self._objects).result() for pool in self._pools]
+        settings = self._robot, self._objects, self._shape[0], self._colour
+        self._painters = [pool.submit(_Painter, *settings).result() for pool in self._pools]
 
     def close(self) -> None:
         """Free the OpenGL contexts; they are made again when needed."""
@@ -103,18 +126,19 @@ class ObservationCamera:
 class _Painter:
     """One thread's share: a scene, and an OpenGL context of its own."""
 
-    def __init__(self, robot: Robot, objects: bool) -> None:
+    def __init__(self, robot: Robot, objects: bool, size: int, colour: bool) -> None:
         # Mesa's software renderer would start threads of its own for each context.
         os.environ.setdefault("LP_NUM_THREADS", "0")
-        self._context = gl_context(SIZE, SIZE)
+        self._context = gl_context(size, size)
         self._context.make_current()
-        self._robot, self._model, self._objects = robot, _model(robot, objects=objects), objects
+        self._robot, self._objects, self._tints = robot, objects, COLOUR if colour else GREY
+        self._model = _model(robot, objects=objects, size=size, colour=colour)
         self._data = mujoco.MjData(self._model)
         parts = [self._model.geom(name).id for name in (TABLE, GROUND)]
         self._table, self._ground = parts
         self._target = np.flatnonzero(self._model.geom_bodyid == self._model.body(TARGET).id)
         self._arm = np.setdiff1d(np.arange(self._model.ngeom), [*parts, *self._target])
-        self._greys = self._model.geom_rgba[self._arm, 0].copy()
+        self._colours = self._model.geom_rgba[self._arm, :3].copy()
         self._scene = mujoco.MjvScene(self._model, maxgeom=MAX_GEOMS)
         self._scene.flags[:] = 0
         self._scene.flags[mujoco.mjtRndFlag.mjRND_CULL_FACE] = 1
@@ -125,41 +149,43 @@ class _Painter:
         self._view.type, self._view.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, 0
 
     def paint(self, actuated: np.ndarray, goal: np.ndarray, bodies: Bodies, views: Views, out: np.ndarray) -> None:
-        """Fill `out [m, SIZE, SIZE]` with the pictures of `m` arms."""
+        """Fill `out [m, size, size]`, with three colours or none behind, with the pictures of `m` arms."""
         from scipy.spatial.transform import Rotation
 
         model, data, scene = self._model, self._data, self._scene
         self._context.make_current()
         quaternions = Rotation.from_matrix(views.rotation).as_quat(scalar_first=True)
-        arm, places, beside = self._arm_greys(views.arm), np.array(goal), _shapes(bodies)
+        arm, places, beside = self._arm_colours(views.arm), np.array(goal), _shapes(bodies)
+        size, tints = out.shape[1], self._tints
         if self._objects:
             places[:, 2] -= np.asarray(bodies.extent)[:, -1, 2]  # the mark lies under the object
-        viewport, pixels = mujoco.MjrRect(0, 0, SIZE, SIZE), np.empty((SIZE, SIZE, 3), np.uint8)
+        viewport, pixels = mujoco.MjrRect(0, 0, size, size), np.empty((size, size, 3), np.uint8)
         for i, picture in enumerate(out):
             model.cam_pos[0], model.cam_quat[0] = views.position[i], quaternions[i]
             model.light_dir[0], model.light_diffuse[0] = views.lamp_direction[i], views.lamp[i]
             model.vis.headlight.ambient[:] = views.ambient[i]
             colours = model.geom_rgba
-            colours[self._arm, :3] = arm[i, :, None]
+            colours[self._arm, :3] = arm[i]
             colours[self._table, :3], colours[self._ground, :3] = views.table[i], views.ground[i]
-            colours[self._target, :3] = views.target[i]
+            colours[self._target, :3] = np.minimum(views.target[i] * tints.target, 1.0)
             posture = self._robot.posture(actuated[i])
             data.qpos[model.jnt_qposadr[: len(posture)]] = posture
             data.mocap_pos[0] = places[i]
             mujoco.mj_kinematics(model, data)
             mujoco.mj_camlight(model, data)
             mujoco.mjv_updateScene(model, data, self._option, None, self._view, mujoco.mjtCatBit.mjCAT_ALL, scene)
-            for shape in beside[i]:
-                grey = np.array([views.body[i]] * 3 + [1.0], np.float32)
-                mujoco.mjv_initGeom(scene.geoms[scene.ngeom], *shape, grey)
+            for number, shape in enumerate(beside[i], 1):
+                tint = tints.moved if self._objects and number == len(beside[i]) else tints.fixed
+                colour = np.minimum([*views.body[i] * tint, 1.0], 1.0).astype(np.float32)
+                mujoco.mjv_initGeom(scene.geoms[scene.ngeom], *shape, colour)
                 scene.ngeom += 1
             mujoco.mjr_render(viewport, scene, self._draw)
             mujoco.mjr_readPixels(pixels, None, viewport, self._draw)
-            picture[:] = pixels[::-1, :, 0]  # OpenGL begins below; all is grey
+            picture[:] = pixels[::-1] if out.ndim > 3 else pixels[::-1, :, 0]  # OpenGL begins below
 
-    def _arm_greys(self, added: np.ndarray) -> np.ndarray:
-        """Greys of the arm's shapes `[m, shapes]`."""
-        return np.clip(self._greys + added[:, np.arange(len(self._arm)) % ARM_GREYS], DARKEST, 1.0)
+    def _arm_colours(self, added: np.ndarray) -> np.ndarray:
+        """Colours of the arm's shapes `[m, shapes, 3]`."""
+        return np.clip(self._colours + added[:, np.arange(len(self._arm)) % ARM_GREYS, None], DARKEST, 1.0)
 
     def close(self) -> None:
         """Free the OpenGL context."""
@@ -187,21 +213,20 @@ TABLE, GROUND, TARGET = "reachlab_table", "reachlab_ground", "reachlab_target"
 """Names in the drawn model: shapes, and the target's body."""
 
 
-def _model(robot: Robot, *, objects: bool) -> mujoco.MjModel:
-    """The robot on a table, with a target, for objects a cross, a camera and a lamp; everything is grey."""
+def _model(robot: Robot, *, objects: bool, size: int, colour: bool) -> mujoco.MjModel:
+    """The robot on a table, with a target, for objects a cross, a camera and a lamp; all is grey without `colour`."""
     spec = drawn_spec(robot)
     world, quality = spec.worldbody, spec.visual.quality
     quality.numslices, quality.numstacks, quality.numquads = SLICES, STACKS, QUADS
     quality.offsamples = quality.shadowsize = 0
     visual = spec.visual
-    visual.global_.offwidth = visual.global_.offheight = SIZE
+    visual.global_.offwidth = visual.global_.offheight = size
     visual.headlight.diffuse = visual.headlight.specular = [0.0] * 3
     add_table(spec, robot).name = TABLE
     drawn = {"contype": 0, "conaffinity": 0}
     box, directional = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
-    world.add_geom(
-        name=GROUND, type=box, size=robot.scale * np.array(GROUND_SIZE), pos=robot.placed(GROUND_PLACE), **drawn
-    )
+    ground = robot.scale * np.array(GROUND_SIZE) * (WIDE if colour else 1.0)
+    world.add_geom(name=GROUND, type=box, size=ground, pos=robot.placed(GROUND_PLACE), **drawn)
     target = world.add_body(name=TARGET, mocap=True)
     shapes, scale = (CROSS, 1.0) if objects else (TOOL_TARGET, robot.scale)
     for kind, size, position, quaternion in shapes:
@@ -214,7 +239,7 @@ def _model(robot: Robot, *, objects: bool) -> mujoco.MjModel:
     model = spec.compile()
     painted = model.geom_matid >= 0
     colours = np.where(painted[:, None], model.mat_rgba[model.geom_matid] if model.nmat else 1.0, model.geom_rgba)
-    model.geom_rgba[:, :3] = (colours[:, :3] @ np.array(LUMA))[:, None]
+    model.geom_rgba[:, :3] = colours[:, :3] if colour else (colours[:, :3] @ np.array(LUMA))[:, None]
     model.geom_matid[:] = -1
     return model
 

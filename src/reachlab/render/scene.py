@@ -11,6 +11,7 @@ import numpy as np
 from reachlab.render.marks import BALL_OPACITY, TARGET_RADIUS, WAITING
 from reachlab.robots.robot import TUTORIAL_WORKSPACE, Robot
 from reachlab.robots.shapes.solids import SHOWN_GROUPS
+from reachlab.tasks.camera import FIELD_OF_VIEW
 
 WIDTH, HEIGHT = 640, 480
 """Size of a picture [pixels]."""
@@ -135,6 +136,21 @@ def drawn_spec(robot: Robot) -> mujoco.MjSpec:
             size = [ROD_RADIUS * robot.scale, 0, 0]
             above.add_geom(**rod, size=size, rgba=ROD_COLOUR, contype=0, conaffinity=0, mass=0.0)
     return spec
+
+
+def pose_around(robot: Robot, azimuth: float, elevation: float) -> tuple[np.ndarray, np.ndarray]:
+    """Pose of a camera from which, at `CameraEntry.angles`, all goals, the workspace and the arm at home are seen.
+
+    It is as that of `tasks.camera.camera_pose`.
+    """
+    around, up = np.radians(azimuth) + front(robot), np.radians(elevation)
+    back = np.array([np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)])
+    right = np.array([-np.sin(around), np.cos(around), 0.0])
+    goals = list(itertools.product(*zip(*robot.goal_box, strict=True)))
+    points = np.concatenate([goals, outline(robot, drawn_spec(robot).compile())])
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2
+    distance = distance_needed(points - middle, -back, FIELD_OF_VIEW, aspect=1.0)
+    return middle + distance * back, np.stack([right, np.cross(back, right), back], axis=1)
 
 
 def add_table(spec: mujoco.MjSpec, robot: Robot, *, solid: bool = False) -> mujoco.MjsGeom:

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from reachlab.render.scene import pose_around
 from reachlab.robots.robot import Robot
 from reachlab.tasks.camera import camera_pose
 from reachlab.tasks.schema import SIZE
@@ -98,15 +99,15 @@ class Views(NamedTuple):
     body: np.ndarray
 
 
-def make_views(samples: np.ndarray, robot: Robot, *, objects: bool = False) -> Views:
-    """Views on a robot of `samples [B, SAMPLES]` in -1 to 1; zeros are the view of `camera_pose`."""
+def make_views(samples: np.ndarray, robot: Robot, *, objects: bool = False, angles: tuple[float, ...] = ()) -> Views:
+    """Views on a robot of `samples [B, SAMPLES]` in -1 to 1; zeros are that of `camera_pose`, or see `pose_around`."""
     from scipy.spatial.transform import Rotation
 
     ends = np.cumsum(list(SAMPLED.values()))
     parts = np.split(np.asarray(samples, np.float64), ends[:-1], axis=1)
     sampled = dict(zip(SAMPLED, parts, strict=True))
     single = {name: part[:, 0] for name, part in sampled.items() if SAMPLED[name] == 1}
-    position, rotation = camera_pose(robot, objects=objects)
+    position, rotation = pose_around(robot, *angles) if angles else camera_pose(robot, objects=objects)
     turn = Rotation.from_rotvec(TURN * sampled["turn"], degrees=True).as_matrix()
 
     def grey(nominal: tuple[float, float], name: str) -> np.ndarray:
@@ -130,17 +131,18 @@ def make_views(samples: np.ndarray, robot: Robot, *, objects: bool = False) -> V
 
 
 def develop(pictures: np.ndarray, views: Views) -> np.ndarray:
-    """Pictures `[B, SIZE, SIZE]` uint8 with the shade and the grain of their views."""
+    """Pictures `[B, size, size]` uint8, or with colours behind, with the shade and the grain of their views."""
     if not (views.shade.any() or views.grain.any()):
         return pictures
-    across = np.linspace(-1, 1, SIZE, dtype=np.float32)
-    pattern = np.random.default_rng(0).standard_normal((2 * SIZE, 2 * SIZE), np.float32)
+    size, behind = pictures.shape[1], (slice(None), slice(None), *[None] * (pictures.ndim - 3))
+    across = np.linspace(-1, 1, size, dtype=np.float32)
+    pattern = np.random.default_rng(0).standard_normal((SIZE + size, SIZE + size), np.float32)
     out = np.empty_like(pictures)
     for i, (right, down) in enumerate(views.shade.astype(np.float32)):
         row, column = views.grain_corner[i]
-        grain = np.float32(views.grain[i]) * pattern[row : row + SIZE, column : column + SIZE]
+        grain = np.float32(views.grain[i]) * pattern[row : row + size, column : column + size]
         light = 1 + right * across + down * across[:, None]
-        out[i] = np.clip(pictures[i] * light + grain, 0, 255)
+        out[i] = np.clip(pictures[i] * light[behind] + grain[behind], 0, 255)
     return out
 
 

@@ -6,7 +6,7 @@ import contextlib
 import itertools
 import subprocess
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, cast
@@ -177,20 +177,37 @@ def _timed(frames: Iterator[Frame], ticks: int) -> tuple[list[Image.Image], np.n
 
 def _mp4(out: Path, frames: Iterator[Frame], rate: float) -> None:
     """H.264 in MP4, by the ffmpeg that imageio-ffmpeg brings; frames are handed over one by one."""
-    program, first = _ffmpeg(), next(frames)
-    width, height = first.image.size
-    source = f"-f rawvideo -pix_fmt rgb24 -s {width}x{height} -r {rate} -i -".split()
-    codec = f"-c:v libx264 -crf {MP4_QUALITY} -pix_fmt yuv420p -movflags +faststart".split()
-    command = [program, "-loglevel", "error", "-y", *source, *codec, str(out)]
+    first = next(frames)
+    shown = (frame.image.tobytes() * max(1, round(frame.seconds * rate)) for frame in itertools.chain([first], frames))
+    encode_mp4(out, shown, first.image.size, rate, f"-crf {MP4_QUALITY} -movflags +faststart")
+
+
+def encode_mp4(out: Path, pictures: Iterable[bytes], size: tuple[int, int], rate: float, settings: str) -> None:
+    """Write pictures of `size` (width and height), red, green and blue bytes in rows, as H.264.
+
+    Args:
+        out: file to write.
+        pictures: one or several pictures at a time.
+        size: width and height [pixels].
+        rate: pictures a second.
+        settings: further settings of x264 and of the file, as ffmpeg takes them.
+
+    Raises:
+        InputError: there is no ffmpeg.
+        OSError: the file cannot be written.
+    """
+    source = f"-f rawvideo -pix_fmt rgb24 -s {size[0]}x{size[1]} -r {rate} -i -".split()
+    codec = f"-c:v libx264 -pix_fmt yuv420p {settings} -f mp4".split()
+    command = [_ffmpeg(), "-loglevel", "error", "-y", *source, *codec, str(out)]
     # A bare pipe: imageio-ffmpeg's own writer forks, which can hang beside JAX's threads.
     with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as process:  # noqa: S603
         pipe = cast("IO[bytes]", process.stdin)
         with contextlib.suppress(BrokenPipeError):
-            for frame in itertools.chain([first], frames):
-                pipe.write(frame.image.tobytes() * max(1, round(frame.seconds * rate)))
+            for picture in pictures:
+                pipe.write(picture)
         _, said = process.communicate()
     if process.returncode:
-        raise OSError(said.decode(errors="replace").strip().splitlines()[-1])
+        raise OSError(said.decode(errors="replace").strip().splitlines()[0].rpartition("] ")[2])
 
 
 def _ffmpeg() -> str:
