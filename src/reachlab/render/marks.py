@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from reachlab.control.bodies import Shape
+
 TARGET_RADIUS = 0.022
 """Radius of the drawn target [m], or the success distance where that is smaller. This and all other lengths here are
 for the tutorial's arm; beside another they are in proportion to its workspace."""
@@ -33,6 +35,9 @@ PATH_RADIUS, TRAIL_RADIUS, TRAIL_OPACITY = 0.002, 0.006, 0.35
 
 OBSTACLE, OBJECT, TOUCHED = (0.48, 0.61, 0.66), (0.93, 0.58, 0.16), (0.85, 0.12, 0.15)
 """Colours of bodies, of those that are to be moved, and of those that the arm touches."""
+
+GLASS = 0.4
+"""Opacity of boxes that are in the way, such as the boards of a shelf: an arm is seen behind them."""
 
 NO_PATH = np.empty((0, 3))
 """Path of what has not moved."""
@@ -79,6 +84,11 @@ class Block:
     def colour(self) -> Colour:
         """Of the body."""
         return TOUCHED if self.touched else OBJECT if self.is_object else OBSTACLE
+
+    @property
+    def opacity(self) -> float:
+        """Of the body."""
+        return GLASS if self.kind == Shape.BOX and not self.is_object else 1.0
 
 
 @dataclass(frozen=True)

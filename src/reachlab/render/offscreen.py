@@ -111,7 +111,7 @@ class Camera:
         model.geom_rgba[self._near] = [*marks.colour, BALL_OPACITY * (marks.success_distance > radius)]
 
     def _show_block(self, block: Block) -> None:
-        turn, colour = np.empty(9), np.array((*block.colour, 1.0), "f4")
+        turn, colour = np.empty(9), np.array((*block.colour, block.opacity), "f4")
         mujoco.mju_quat2Mat(turn, np.asarray(block.quaternion, float))
         shape = self._scene.geoms[self._scene.ngeom]
         size, position = block.size.astype(float), block.position.astype(float)

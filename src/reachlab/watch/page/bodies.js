@@ -25,7 +25,8 @@ class BodyMeshes {
       shadows.remove(meshes[k].shadow);
     }
     const geometry = shapeOf(kind, size), shadow = new THREE.Group();
-    const mesh = new THREE.Mesh(geometry, shaded(moves ? marks.object : marks.obstacle));
+    const clear = kind === BOX && !moves;
+    const mesh = new THREE.Mesh(geometry, shaded(moves ? marks.object : marks.obstacle, clear ? marks.glass : 1));
     Object.assign(shadow, { matrixAutoUpdate: false, matrix: mesh.matrix });
     shadow.add(Object.assign(new THREE.Mesh(geometry, SHADOW()), { renderOrder: 1 }));
     group.add(mesh);

@@ -106,6 +106,7 @@ def _marks() -> dict[str, Any]:
         "path": marks.PATH,
         "trail": marks.TRAIL,
         "obstacle": marks.OBSTACLE,
+        "glass": marks.GLASS,
         "object": marks.OBJECT,
         "axes": marks.AXES,
         "tool_axes": marks.TOOL_AXES,
