@@ -4,9 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
-
-import tyro
 
 from reachlab.cli.flags import Agent, Subjects
 from reachlab.settings.config import RecordConfig
@@ -19,7 +16,7 @@ class Record(Subjects):
     agent: Agent = "trained"
     out: Path = Path("dataset")
     """Folder to make."""
-    settings: Annotated[RecordConfig, tyro.conf.arg(name="")] = field(default_factory=RecordConfig)
+    settings: RecordConfig = field(default_factory=RecordConfig)
     randomise: tuple[str, ...] | None = None
     """What varies from episode to episode: dynamics, delay, view, objects, sight; by default what does in training."""
     json: bool = False
