@@ -1,4 +1,4 @@
-"""Suite `ways`: scenes in which avoiding matters, without it, with dampers, and with the planner."""
+"""Suite `ways`: scenes in which avoiding matters: without it, with dampers, the policy, the planner, and both."""
 
 from __future__ import annotations
 
@@ -13,12 +13,14 @@ from jax import Array
 
 from reachlab.agents import AGENTS, AgentEntry
 from reachlab.agents.acting import Act
+from reachlab.agents.policy import Policy
 from reachlab.bench.table import Row, row
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState
 from reachlab.envs.presets import configure
 from reachlab.evaluation.report import FRESH_SEED, evaluate
 from reachlab.jax_setup import jit
+from reachlab.learn.load import load
 from reachlab.robots.loading import load_robot
 from reachlab.tasks import actions
 from reachlab.tasks.scenes import bank
@@ -31,10 +33,13 @@ SCENES = tuple(os.environ.get("SCENES", " ".join([*KINDS, "balls"])).split())
 """Kinds of scene in which they do."""
 
 EPISODES, FEWER = 2000, 500
-"""Held-out episodes of the planner, and of the others."""
+"""Held-out episodes of those that plan, and of the others."""
 
 UNDAMPED = "ik, no avoidance"
 """Name of the agent that avoids nothing."""
+
+AGENTS_TRIED = tuple(os.environ.get("AGENTS", f"{UNDAMPED};ik;trained;planner;hybrid").split(";"))
+"""Agents that find them; the policy is the one that comes with reachlab, trained among balls."""
 
 TIMED = 200
 """Scenes that are drawn to time it."""
@@ -64,13 +69,14 @@ def ways() -> Iterator[Row]:
     AGENTS[UNDAMPED] = AgentEntry("ik without dampers", "benchmarks.ways:undamped", remembers=True)
     try:
         for robot in ROBOTS:
+            policy = load(f"{robot}/clutter").policy
             for scene in SCENES:
                 if scene != "balls":
                     yield _drawing_time(robot, scene)
                 config = configure("clutter", robot=robot, scene=(scene,), randomise=(), max_steps=250)
                 env = Env(config, FEWER)
-                for agent in (UNDAMPED, "ik", "planner"):
-                    yield from _rows(env, f"{robot} {scene} {agent}", agent)
+                for agent in AGENTS_TRIED:
+                    yield from _rows(env, f"{robot} {scene} {agent}", agent, policy)
                 env.close()
     finally:
         del AGENTS[UNDAMPED]
@@ -85,9 +91,9 @@ def _drawing_time(robot: str, scene: str) -> Row:
     return row(f"time to draw 2,000 scenes/{robot} {scene}", 2000 * (time.perf_counter() - begun) / count, "s")
 
 
-def _rows(env: Env, name: str, agent: str) -> Iterator[Row]:
-    episodes = EPISODES if agent == "planner" else FEWER
-    report = evaluate(env, agent, seed=FRESH_SEED, episodes=episodes)
+def _rows(env: Env, name: str, agent: str, policy: Policy) -> Iterator[Row]:
+    episodes = EPISODES if agent in ("planner", "hybrid") else FEWER
+    report = evaluate(env, agent, policy, seed=FRESH_SEED, episodes=episodes)
     yield row(f"held without contact/{name}", report.success_rate, "rate", episodes=episodes, ends=report.ends)
     yield row(f"episodes with contact/{name}", report.contact or 0.0, "rate", episodes=episodes)
     if report.time_to_reach_s is not None:

@@ -1,4 +1,4 @@
-"""Agent `planner`: its paths are judged by MuJoCo's own contacts."""
+"""Agents `planner` and `hybrid`: their paths are judged by MuJoCo's own contacts."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 
 from reachlab.agents.acting import make_act
+from reachlab.agents.hybrid import Hybrid, make_ahead
 from reachlab.agents.planner import Following, Plans
+from reachlab.agents.policy import Policy
 from reachlab.control.bodies import Bodies
 from reachlab.control.planning.planner import ACCELERATION, SPEED
 from reachlab.control.planning.timing import Trajectory, timed
@@ -19,6 +21,7 @@ from reachlab.envs.functions import EnvState
 from reachlab.envs.presets import configure
 from reachlab.envs.random_streams import env_keys
 from reachlab.evaluation.report import evaluate
+from reachlab.learn.load import load
 from reachlab.robots.loading import load_robot
 from reachlab.settings.validation import InputError
 from reachlab.sims.simulator import make_simulator
@@ -43,6 +46,11 @@ def env(request: pytest.FixtureRequest, few_scenes: None) -> Env:  # noqa: ARG00
 @pytest.fixture(scope="module")
 def plans(env: Env) -> Plans:
     return Plans(env.setup)
+
+
+@pytest.fixture(scope="module")
+def policy(env: Env) -> Policy:
+    return load(f"{env.setup.robot.name}/clutter").policy
 
 
 def begun(env: Env) -> EnvState:
@@ -155,6 +163,45 @@ def test_it_plans_again_when_a_body_has_moved_into_its_way(env: Env) -> None:
     assert act.planned()[0] > once
 
 
+def test_the_hybrid_moves_at_once_as_the_policy_does_and_then_by_the_motion(env: Env, policy: Policy) -> None:
+    state, key, act = begun(env), jax.random.key(0), Hybrid(env)
+    alone = np.arange(EPISODES) == 0
+    expected, _, _ = make_act(env, "trained")(policy, state, key)
+    state, _, key = act(policy, state, key, alone)
+    np.testing.assert_allclose(state.command[0], expected.command[0], atol=1e-6)
+    assert act.planned()[0] == 0.0
+    act._leads[:] = False
+    act(policy, state, key, alone)
+    motion = act._motions[0]
+    assert motion is not None
+    np.testing.assert_allclose(motion.q[0], state.command[0], atol=1e-6)
+
+
+def test_it_is_foreseen_where_the_policy_leads(env: Env, policy: Policy) -> None:
+    foreseen, _ = jax.jit(make_ahead(env))(policy, begun(env))
+    state, key, act = begun(env), jax.random.key(0), make_act(env, "trained")
+    free, way = np.ones(EPISODES, bool), []
+    for _ in range(100):
+        state, _, key = act(policy, state, key)
+        free &= ~np.asarray(state.arm.contact)
+        way.append(np.asarray(state.arm.q))
+    assert free.any()
+    apart = np.abs(np.stack(way) - np.asarray(foreseen)[:100])[:, free]
+    assert np.median(apart) < 0.005
+    assert np.abs(way[-1] - way[0])[free].max() > 0.3
+
+
+def test_the_planner_takes_over_where_the_policy_comes_no_nearer(
+    env: Env, policy: Policy, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    alone = evaluate(env, "trained", policy, seed=2, episodes=EPISODES)
+    report = evaluate(env, "hybrid", policy, seed=2, episodes=EPISODES)
+    assert report.success_rate == 1.0
+    monkeypatch.setattr(Hybrid, "_soon", lambda _, __, ___, rows: rows[rows])
+    hopeful = evaluate(env, "hybrid", policy, seed=2, episodes=EPISODES)
+    assert hopeful.success_rate - alone.success_rate >= (0.0 if env.config.robot == "iiwa14" else 0.25)  # among balls
+
+
 def test_links_do_not_meet_on_the_way_to_a_pose() -> None:
     env = Env(configure("pose", robot="ur5e", targets="any", randomise=()), 40)
     report = evaluate(env, "planner", seed=3, episodes=40)
@@ -169,5 +216,5 @@ def test_without_ompl_there_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_without_joints_at_the_goal_there_is_one_sentence() -> None:
-    with pytest.raises(InputError, match="agent 'planner' needs a goal whose joints are known"):
+    with pytest.raises(InputError, match="a planner needs a goal whose joints are known"):
         make_act(Env(configure("precise"), 1), "planner")

@@ -37,7 +37,13 @@ AGENTS: dict[str, AgentEntry] = {
     ),
     "planner": AgentEntry(
         "a path among bodies, planned by random sampling and followed; needs the extra 'planner'",
-        "reachlab.agents.planner:planner",
+        "reachlab.agents.planner:Following",
+        remembers=True,
+    ),
+    "hybrid": AgentEntry(
+        "the trained policy, and the planner where the policy would not get through, or comes no nearer",
+        "reachlab.agents.hybrid:Hybrid",
+        trained=True,
         remembers=True,
     ),
 }

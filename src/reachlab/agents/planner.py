@@ -81,6 +81,12 @@ class Plans:
         self.seconds = time.perf_counter() - begun
         return motion
 
+    def free(self, joints: np.ndarray, scene: Bodies) -> bool:
+        """Whether the arm is free at joints `[T, n]` among bodies `[K]`, by as much as a motion has to be."""
+        self._planner.checker.place(geoms_of(scene)._asdict())
+        self._planner.margins(joints[0], joints[-1])
+        return all(self._planner.checker.free(q) for q in joints)
+
     def leads(self, motion: Trajectory, first: int, scene: Bodies) -> bool:
         """Whether a motion is still free from its step `first` on, now that bodies `[K]` are elsewhere."""
         self._planner.checker.place(geoms_of(scene)._asdict())
@@ -109,19 +115,28 @@ def _turned(quaternion: np.ndarray, turn: np.ndarray) -> np.ndarray:
 
 
 class Following:
-    """The step of an agent that follows planned motions, each planned when its episode is first seen."""
+    """The step of an agent that follows planned motions, each planned when its episode is first seen.
+
+    Where no motion is found the arm stays where it is.
+    """
 
     def __init__(self, env: Env) -> None:
-        """Nothing is planned yet."""
+        """Nothing is planned yet.
+
+        Raises:
+            InputError: OMPL is not installed, or the task does not know joints at its goals.
+        """
+        if "joints" not in env.setup.rules.gives:
+            raise InputError(f"a planner needs {WORDS['joints']}.")
         self.plans = Plans(env.setup)
         self._env, self._episodes = env, [b""] * env.num_envs
         self._begun, self._planned = np.zeros(env.num_envs, int), np.zeros(env.num_envs)
         self._motions: list[Trajectory | None] = [None] * env.num_envs
-        self._scenes = [b""] * env.num_envs
+        self._scenes, self._meanwhile = [b""] * env.num_envs, 0.0
         lag = np.maximum(env.setup.lag, TINY)
         self._lag, self._gain = np.array(env.setup.lag), GAIN * env.setup.period / lag
         self._most = np.array(env.setup.robot.speed) * env.setup.period
-        self._situation, self._hold = jit(env.situation), jit(partial(ik, env))
+        self._situation, self._act = jit(env.situation), jit(partial(ik, env))
 
     def __call__(
         self,
@@ -132,19 +147,21 @@ class Following:
         instead: Array | None = None,
     ) -> tuple[EnvState, Transition, Array]:
         """Take a step, see `acting.Act`."""
-        del policy
-        commands = self.commands(state, np.ones(self._env.num_envs, bool) if mask is None else np.asarray(mask))
+        rows = np.ones(self._env.num_envs, bool) if mask is None else np.asarray(mask)
+        commands = self.commands(policy, state, rows)
         if instead is not None:
             commands = np.where(np.isnan(instead), commands, instead)
-        state, transition = self._env.step(state, self._hold(None, state, key, None), instead=jnp.asarray(commands))
+        action = self._act(policy, state, key, None)
+        state, transition = self._env.step(state, action, instead=jnp.asarray(commands))
         return state, transition, key
 
     def planned(self) -> np.ndarray:
-        """Time that was planned in the episodes `[B]` [s]."""
+        """Time that arms waited for plans in the episodes `[B]` [s]."""
         return self._planned.copy()
 
-    def commands(self, state: EnvState, mask: np.ndarray) -> np.ndarray:
+    def commands(self, policy: Policy | None, state: EnvState, mask: np.ndarray) -> np.ndarray:
         """Next joint commands `[B, n]` in the environments of `mask [B]`; without a motion the last ones."""
+        del policy
         keys, joints = np.asarray(jax.random.key_data(state.key)), np.asarray(state.goal.joints)
         now = self._situation(state)
         clock, q, given = np.asarray(state.clock), np.asarray(now.q), np.array(state.command)
@@ -152,14 +169,13 @@ class Following:
         for row in np.flatnonzero(mask):
             scene = jax.tree.map(lambda x, row=row: x[row], bodies)
             episode, place = keys[row].tobytes() + joints[row].tobytes(), scene.position.tobytes()
-            step, motion = clock[row] - self._begun[row], self._motions[row]
-            moved = place != self._scenes[row] and (motion is None or not self.plans.leads(motion, step, scene))
-            if episode != self._episodes[row]:
-                self._planned[row] = 0.0
-            if episode != self._episodes[row] or moved:
+            step, motion, new = clock[row] - self._begun[row], self._motions[row], episode != self._episodes[row]
+            moved = not new and place != self._scenes[row]
+            if new or (moved and (motion is None or not self.plans.leads(motion, step, scene))):
                 self._begun[row], step = clock[row], 0
                 motion = self._motions[row] = self.plans.plan(scene, given[row].astype(float), joints[row])
-                self._planned[row] += self.plans.seconds
+                waited = max(self.plans.seconds - self._meanwhile, 0.0)
+                self._planned[row] = waited + (0.0 if new else self._planned[row])
             self._episodes[row], self._scenes[row] = episode, place
             if motion is not None:
                 given[row] = self._next(motion, step, q[row], given[row])
@@ -171,14 +187,3 @@ class Following:
         ahead = self._lag * (motion.qd[then] - motion.qd[now])
         moved = motion.q[then] - motion.q[now] + ahead + self._gain * (motion.q[now] - q)
         return given + np.clip(moved, -self._most, self._most)
-
-
-def planner(env: Env) -> Following:
-    """The agent in an environment; where no motion is found the arm stays where it is.
-
-    Raises:
-        InputError: OMPL is not installed, or the task does not know joints at its goals.
-    """
-    if "joints" not in env.setup.rules.gives:
-        raise InputError(f"agent 'planner' needs {WORDS['joints']}.")
-    return Following(env)

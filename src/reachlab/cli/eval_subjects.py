@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from reachlab.agents import AGENTS
-from reachlab.cli.flags import Subjects, View
+from reachlab.cli.flags import Subjects
 from reachlab.envs.presets import preset
 from reachlab.settings.config import RunConfig
 from reachlab.settings.json_form import override
@@ -66,15 +66,8 @@ def find_subjects(arguments: Subjects, agents: Sequence[str]) -> list[Subject]:
     Raises:
         InputError: they are not, or one of them is named twice or cannot be used.
     """
-    from reachlab.runs.shipped import find_run
-
     check_trust(arguments)
-    made = []
-    for path in arguments.runs or (None,):
-        model = find_model(arguments, path) if path else None
-        run = find_run(path) if path and not model else None
-        made.append(Subject(str(path or ""), _settings(arguments, agents, run, model), run, model))
-    first, *others = made
+    first, *others = made = [find_subject(arguments, agents, path) for path in arguments.runs or (None,)]
     for other in others:
         for name in ("task", "robot") + (() if arguments.sim else ("sim",)):
             one, another = getattr(first.config, name), getattr(other.config, name)
@@ -88,7 +81,31 @@ def find_subjects(arguments: Subjects, agents: Sequence[str]) -> list[Subject]:
     return made
 
 
-def check_trust(arguments: Subjects | View) -> None:
+def find_subject(arguments: Subjects, agents: Sequence[str], path: Path | None) -> Subject:
+    """The subject at a path or, without one, that of a task.
+
+    Raises:
+        InputError: it cannot be used.
+    """
+    from reachlab.runs.shipped import find_run
+
+    model = _find_model(arguments, path) if path else None
+    run = find_run(path) if path and not model else None
+    return Subject(str(path or ""), _settings(arguments, agents, run, model), run, model)
+
+
+def only_subject(arguments: Subjects, agents: Sequence[str]) -> Subject:
+    """The one subject that the flags name.
+
+    Raises:
+        InputError: they name several, or see `find_subjects`.
+    """
+    if len(arguments.runs) > 1:
+        raise InputError("this command takes one run at a time: name one.")
+    return find_subjects(arguments, agents)[0]
+
+
+def check_trust(arguments: Subjects) -> None:
     """Make sure that there is a model where the flags say that it is trusted.
 
     Raises:
@@ -114,7 +131,7 @@ def is_model(path: Path) -> bool:
     return _is_zip(path) or _is_onnx(path)
 
 
-def find_model(arguments: Subjects | View, path: Path) -> SavedModel | OnnxNetwork | None:
+def _find_model(arguments: Subjects, path: Path) -> SavedModel | OnnxNetwork | None:
     """The model of Stable-Baselines3 or the policy in ONNX that is named, if one is.
 
     Raises:

@@ -147,8 +147,8 @@ class Subjects(Arm):
     """Flags of whatever plays episodes: by runs, models of other libraries or baselines, on which goals."""
 
     runs: Annotated[tuple[Path, ...], tyro.conf.Positional] = ()
-    """Run directory, name of a policy in `reachlab list`, policy in ONNX (.onnx or an export) or model of
-    Stable-Baselines3 (.zip); baselines need none. Several in one table, with means of those that differ by seed."""
+    """Run directories, policies that come with reachlab, as `panda/precise`, policies in ONNX (.onnx or an export) or
+    models of Stable-Baselines3 (.zip); baselines need none. `eval` gives means of those that differ by seed."""
     trust: bool = False
     """The model's file may run code: it is unpickled."""
     normaliser: Annotated[Path | None, Optional] = None
@@ -199,15 +199,11 @@ class ShowRobot(Arm):
 
 
 @dataclass(frozen=True)
-class Video(Checked):
-    """Film held-out episodes of a run."""
+class Video(Subjects):
+    """Film held-out episodes of a run, or of a baseline."""
 
-    run: Annotated[Path, tyro.conf.Positional]
-    """Run directory, or a policy that comes with reachlab, as `panda/precise`; see `reachlab list`."""
     out: Annotated[Path | None, Optional] = None
     """File to write (.webp, .gif, or .mp4 with the extra `video`); by default video.webp in the run directory."""
-    sim: Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")] = None
-    """Simulator; by default the run's own."""
     agent: Agent = "trained"
     episodes: Count = 4
     """Episodes, one after the other: the first ones of `reachlab eval` with that seed."""
@@ -222,18 +218,9 @@ class Video(Checked):
 
 
 @dataclass(frozen=True)
-class View(Checked):
+class View(Subjects):
     """Watch runs in the browser, and move goals, bodies and joints by hand: one page, with the physics of training."""
 
-    runs: Annotated[tuple[Path, ...], tyro.conf.Positional]
-    """Run directories to choose from, policies that come with reachlab, as `panda/precise`, policies in ONNX (.onnx or
-    an export) or models of Stable-Baselines3 (.zip)."""
-    trust: bool = False
-    """The model's file may run code: it is unpickled."""
-    normaliser: Annotated[Path | None, Optional] = None
-    """What `VecNormalize.save` wrote, if the model was trained with one; it is unpickled too."""
-    sim: Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")] = None
-    """Simulator; by default the run's own."""
     agent: Agent = "trained"
     seed: Seed = 1
     """Seed of the held-out episodes."""

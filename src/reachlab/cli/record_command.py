@@ -6,11 +6,11 @@ import json as jsonlib
 from contextlib import closing
 
 from reachlab.agents import AGENTS
-from reachlab.cli.eval_subjects import find_subjects, other_goals
+from reachlab.cli.eval_subjects import only_subject, other_goals
 from reachlab.cli.preparation import prepare
 from reachlab.cli.record_flags import Record
 from reachlab.settings.json_form import override
-from reachlab.settings.validation import InputError, choose
+from reachlab.settings.validation import choose
 
 
 def record(arguments: Record) -> None:
@@ -20,8 +20,6 @@ def record(arguments: Record) -> None:
         InputError: a flag that does not fit, or a dataset that cannot be recorded.
     """
     agent = choose("agent", arguments.agent, AGENTS)
-    if len(arguments.runs) > 1:
-        raise InputError("record takes one run at a time: name one.")
     prepare()
     from reachlab.cli.console import say
     from reachlab.cli.progress import EvalDisplay
@@ -31,7 +29,7 @@ def record(arguments: Record) -> None:
     from reachlab.envs.setup import in_evaluation
     from reachlab.sims import SIMULATORS
 
-    (subject,) = find_subjects(arguments, (agent,))
+    subject = only_subject(arguments, (agent,))
     known = subject.config
     varied = known.randomise if arguments.randomise is None else arguments.randomise
     # An observation without a picture does not vary with the view, and the cameras' pictures do.

@@ -11,12 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from reachlab.agents import AGENTS
-from reachlab.cli.eval_subjects import check_trust, find_model, is_model
+from reachlab.cli.eval_subjects import check_trust, find_subject, is_model, only_subject, other_goals
 from reachlab.cli.flags import Plot, Video, View
 from reachlab.cli.preparation import prepare
-from reachlab.envs.presets import in_simulator
-from reachlab.settings.config import RunConfig
-from reachlab.settings.json_form import override
 from reachlab.settings.validation import InputError, choose
 
 if TYPE_CHECKING:
@@ -27,29 +24,24 @@ PAGE = "page.html"
 """File of a run's page, in its directory."""
 
 
-def _as_it_is(trained: RunConfig, sim: str | None) -> RunConfig:
-    """Settings of a run in a simulator, by default its own, without random views."""
-    from reachlab.sims import SIMULATORS
-
-    return override(in_simulator(trained, choose("simulator", sim or trained.sim, SIMULATORS)), randomise=())
-
-
 def video(arguments: Video) -> None:
     """Run `reachlab video`."""
     prepare()
     from reachlab.cli.console import say
     from reachlab.envs.core import Env
-    from reachlab.learn.load import load_policy
-    from reachlab.runs.shipped import find_run, is_shipped
+    from reachlab.runs.shipped import is_shipped
+    from reachlab.watch.page.shown import settings_shown
     from reachlab.watch.video import write_video
 
     agent = choose("agent", arguments.agent, AGENTS)
-    run = find_run(arguments.run)
-    config = _as_it_is(run.read_config(), arguments.sim)
-    usual = Path(f"{config.robot}-{config.task}.webp") if is_shipped(run) else run.path / "video.webp"
+    subject = only_subject(arguments, (agent,))
+    config, run = settings_shown(subject.config, arguments.sim, **other_goals(arguments)), subject.run
+    own = run is not None and not is_shipped(run)
+    usual = run.path / "video.webp" if run and own else Path(f"{Path(config.robot).stem}-{config.task}.webp")
     given = {name: vars(arguments)[name] for name in ("seed", "episodes", "fps", "speed")}
     with closing(Env(config, 1)) as env:
-        clip = write_video(env, agent, load_policy(run, env), arguments.out or usual, **given)
+        acting, policy, _ = subject.acting(env, agent)
+        clip = write_video(env, acting, policy, arguments.out or usual, **given)
     if arguments.json:
         print(jsonlib.dumps(vars(clip)))
     else:
@@ -65,8 +57,10 @@ def view(arguments: View) -> None:
     Raises:
         InputError: no run, or a flag without effect.
     """
-    if not arguments.runs:
-        raise InputError("view needs at least one run directory, or a policy as panda/precise.")
+    if not arguments.runs and not arguments.task:
+        raise InputError(
+            "view needs a run directory, a policy as panda/precise, or --task with a baseline as --agent ik."
+        )
     if arguments.out:
         _write_page(arguments, arguments.out)
     else:
@@ -75,7 +69,7 @@ def view(arguments: View) -> None:
 
 def _write_page(arguments: View, out: Path) -> None:
     """Run `reachlab view --out`."""
-    usual = View(arguments.runs)
+    usual = View()
     if foreign := [name for name in ("host", "port", "open") if getattr(arguments, name) != getattr(usual, name)]:
         raise InputError(f"view --out serves nothing, so --{foreign[0]} has no effect: leave it out.")
     check_trust(arguments)
@@ -98,32 +92,32 @@ def _load(arguments: View) -> list[Shown]:
     Raises:
         InputError: one of them cannot be read, or a model does not say what it was trained in.
     """
-    return [one for path in arguments.runs for one in _shown_of(arguments, path)]
+    return [one for path in arguments.runs or (None,) for one in _shown_of(arguments, path)]
 
 
-def _shown_of(arguments: View, path: Path) -> Iterator[Shown]:
+def _shown_of(arguments: View, path: Path | None) -> Iterator[Shown]:
     from reachlab.envs.core import Env
-    from reachlab.runs.shipped import find_run
     from reachlab.watch.page.shown import load_shown, settings_shown, shown_in
 
-    given = {name: getattr(arguments, name) for name in ("sim", "agent", "seed")}
-    model = find_model(arguments, path)
-    if not model:
-        for step in reversed(find_run(path).checkpoint_steps()) if arguments.checkpoints else [None]:
-            yield load_shown(path, step=step, **given)
+    given: dict[str, Any] = {name: getattr(arguments, name) for name in ("sim", "agent", "seed")}
+    agent, changed = choose("agent", arguments.agent, AGENTS), other_goals(arguments)
+    subject = find_subject(arguments, (agent,), path)
+    if path and subject.run:
+        for step in reversed(subject.run.checkpoint_steps()) if arguments.checkpoints else [None]:
+            yield load_shown(path, step=step, changed=changed, **given)
         return
-    if not model.config:
+    if (model := subject.model) and not model.config:
         raise InputError(
             f"'{path}' does not say in which environment it was trained: show it from Python, with `reachlab.view`."
         )
-    env = Env(settings_shown(model.config, arguments.sim), 1)
-    model.check(env.schema)
+    env = Env(settings_shown(subject.config, arguments.sim, **changed), 1)
+    acting, _, _ = subject.acting(env, agent)
 
     def trained(observation: Any) -> Any:
-        return model.act(observation)
+        return model and model.act(observation)
 
-    agent = trained if AGENTS[choose("agent", arguments.agent, AGENTS)].trained else arguments.agent
-    yield shown_in(env, agent, None, seed=arguments.seed, name=path.name)
+    name = path.name if path else subject.config.task
+    yield shown_in(env, trained if model and AGENTS[agent].trained else acting, None, seed=arguments.seed, name=name)
 
 
 def _serve_page(arguments: View) -> None:
@@ -138,7 +132,8 @@ def _serve_page(arguments: View) -> None:
     runs = [find_run(path) for path in arguments.runs if not is_model(path)]
     engine = "mujoco" in [arguments.sim or run.read_config().sim for run in runs]
     with PageServer(arguments.host, arguments.port) as server, Interrupts() as interrupts:
-        server.add(page_head(arguments.runs[0].name, engine=engine, served=True))
+        name = arguments.runs[0].name if arguments.runs else str(arguments.task)
+        server.add(page_head(name, engine=engine, served=True))
         say(f"Page: {server.url}   Ctrl-C ends it.")
         if not is_local(arguments.host):
             note(
@@ -156,7 +151,7 @@ def _serve_page(arguments: View) -> None:
         for one in shown:
             if one.why:
                 note(f"{one.name} is computed here and streamed to the page: {one.why}.")
-        if all(one.functions for one in shown) and not is_shipped(runs[0]):
+        if all(one.functions for one in shown) and not is_shipped(runs[0]) and not other_goals(arguments):
             file = runs[0].path / PAGE
             say(f"The same page as a file: {file}, {write_parts(shown, body, file) / 1e6:.2f} MB")
         server.serve([partial(Remote, one) for one in shown], lambda: interrupts.received is not None)

@@ -15,6 +15,7 @@ import numpy as np
 from PIL import Image
 
 from reachlab.agents import AGENTS
+from reachlab.agents.acting import Function, name_of
 from reachlab.agents.policy import Policy
 from reachlab.envs.core import Env
 from reachlab.settings.validation import InputError, choose, installing
@@ -59,7 +60,7 @@ class Clip:
 
 def write_video(
     env: Env,
-    agent: str,
+    agent: str | Function,
     policy: Policy | None,
     out: str | Path,
     *,
@@ -72,7 +73,7 @@ def write_video(
 
     Args:
         env: the environment (`num_envs` 1).
-        agent: name in `evaluation.AGENTS`.
+        agent: name in `AGENTS`, or a function that gives actions `[1, a]` for observations.
         policy: the trained policy, for agent `trained`.
         out: file to write; its ending is one of `ENCODERS`.
         seed: seed of the targets.
@@ -87,7 +88,7 @@ def write_video(
     encode = ENCODERS[choose("video format", out.suffix.lower(), ENCODERS)]
     if not out.parent.is_dir():
         raise InputError(f"the video cannot be written to '{out}': there is no folder '{out.parent}'.")
-    choose("agent", agent, AGENTS)
+    name = name_of(agent) if callable(agent) else choose("agent", agent, AGENTS)
     period, player = env.config.physics.control_period, Player(env, seed)
     speed = speed or _slow_enough(player, agent, policy, period, episodes)
     stride = max(1, round(speed / (fps * period)))
@@ -105,7 +106,7 @@ def write_video(
             for _ in played(player, agent, policy, stride):
                 seconds = END_PAUSE if player.over else interval + BEGIN_PAUSE * (player.clock == 0)
                 tally.update(frames=1, milliseconds=round(1000 * seconds))
-                caption = _caption(env, agent, player, f"Episode {number + 1} of {episodes}", speed)
+                caption = _caption(env, name, player, f"Episode {number + 1} of {episodes}", speed)
                 yield Frame(captioned(_picture(env, player), caption), seconds)
             tally.update(successes=player.success)
 
@@ -117,7 +118,7 @@ def write_video(
     return Clip(str(out), episodes, tally["successes"], tally["frames"], seconds, out.stat().st_size)
 
 
-def _slow_enough(player: Player, agent: str, policy: Policy | None, period: float, episodes: int) -> float:
+def _slow_enough(player: Player, agent: str | Function, policy: Policy | None, period: float, episodes: int) -> float:
     """The speed at which a person can follow the longest of the episodes, without waiting for it."""
     longest = 0
     for number in range(episodes):

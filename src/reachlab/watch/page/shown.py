@@ -6,6 +6,7 @@ import base64
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import jax
@@ -39,6 +40,9 @@ SCRIPT = "script"
 
 RULES = ("success_distance", "hold_steps", "max_steps", "ends_outside", "settle_steps")
 """Settings of a task that the page's own scripts ask for; where a task has none it is 0."""
+
+NOTHING: Mapping[str, Any] = MappingProxyType({})
+"""Changed settings, where none are."""
 
 
 @dataclass(frozen=True)
@@ -85,22 +89,30 @@ class Shown:
         return f"{self.env.setup.robot.name} {rules.mounts} {rules.grips}"
 
 
-def settings_shown(trained: RunConfig, sim: str | None) -> RunConfig:
+def settings_shown(trained: RunConfig, sim: str | None, **changed: Any) -> RunConfig:
     """Settings of a run as it is shown: in a simulator, by default its own, without what varied in training."""
-    return in_evaluation(trained, choose("simulator", sim or trained.sim, SIMULATORS))
+    return in_evaluation(trained, choose("simulator", sim or trained.sim, SIMULATORS), **changed)
 
 
 def load_shown(
-    path: Path, *, sim: str | None = None, agent: str = "trained", seed: int = 1, step: int | None = None
+    path: Path,
+    *,
+    sim: str | None = None,
+    agent: str = "trained",
+    seed: int = 1,
+    step: int | None = None,
+    changed: Mapping[str, Any] = NOTHING,
 ) -> Shown:
     """The policy of a run's newest checkpoint, or after `step`, and who acts first; the page computes it if it can.
+
+    Settings of the task may be `changed`.
 
     Raises:
         InputError: the run cannot be read, or there is no such simulator or agent.
     """
     choose("agent", agent, AGENTS)
     run = find_run(path)
-    env = Env(settings_shown(run.read_config(), sim), 1)
+    env = Env(settings_shown(run.read_config(), sim, **changed), 1)
     name = path.name if step is None else f"{path.name}, {step:,} steps"
     one = shown_in(env, "ik" if agent == SCRIPT else agent, load_policy(run, env, step), seed=seed, name=name)
     return replace(one, failed=tuple(failures(run, env.config.sim, one.agent_name)))
