@@ -38,6 +38,7 @@ from reachlab.cli.flags import EVALUATED
 from reachlab.cli.verbs import VERBS
 from reachlab.envs.consistency import RANDOMISED
 from reachlab.envs.presets import preset
+from reachlab.render import CAMERAS
 from reachlab.robots.catalogue import ROBOTS
 from reachlab.runs.sinks import SINKS
 from reachlab.scale import ENGINES
@@ -80,6 +81,7 @@ NAMES: dict[str, Sequence[str]] = {
     "scene": ["balls", "balls", "shelv", "gone.json", "arm.xml"],  # furniture takes minutes to draw
     "agent": [*AGENTS, "tained"],
     "randomise": [*RANDOMISED, "colours"],
+    "cameras": [*CAMERAS, "frnt"],
     "suite": ["sped", "speed"],
     "host": ["127.0.0.1"],
     "engine": [*ENGINES, "slurm"],
@@ -115,7 +117,15 @@ SOUND_PATHS: dict[str, Sequence[str]] = {
 }
 """Those that can be."""
 
-LARGEST = {"num_envs": 64, "rollout_steps": 64, "hidden": 64, "episodes": 4, "port": 65535, "action_repeat": 2000}
+LARGEST = {
+    "size": 64,
+    "num_envs": 64,
+    "rollout_steps": 64,
+    "hidden": 64,
+    "episodes": 4,
+    "port": 65535,
+    "action_repeat": 2000,
+}
 """Larger values of these take memory or time, and are not tried."""
 
 TINY = ["--total-steps", "64", "--report-episodes", "2", "--validation-episodes", "4", "--hidden", "8"]
@@ -205,7 +215,7 @@ def command(chance: random.Random, verbs: Sequence[str]) -> list[str]:
     kinds = flags_of(VERBS[verb].flags)
     words, sound = [verb], chance.random() < SOUND
     runs = RUNS[:2] if sound else RUNS
-    if verb in ("eval", "video", "view"):
+    if verb in ("eval", "record", "video", "view"):
         words += [chance.choice(runs)]
     elif verb == "plot":
         words += chance.sample(runs, chance.choice([1, 2]))
@@ -220,7 +230,7 @@ def command(chance: random.Random, verbs: Sequence[str]) -> list[str]:
     for name in chance.sample(free, min(chance.choice([0, 1, 2, 3, 5, 8]), len(free))):
         flag, value = f"--{name.replace('_', '-')}", values(name, kinds[name], chance, sound=sound)
         words += [chance.choice([flag, f"--no-{flag[2:]}"])] if value is None else [flag, *value]
-    if verb in ("eval", "video") or (verb == "view" and "--out" in words):
+    if verb in ("eval", "record", "video") or (verb == "view" and "--out" in words):
         words += ["--episodes", "2"] if "--episodes" not in words else []
     return words
 

@@ -28,6 +28,7 @@ from reachlab.envs.consistency import NAMES
 from reachlab.envs.presets import configure, preset
 from reachlab.envs.setup import make_setup, settled
 from reachlab.envs.uses import unused
+from reachlab.render import CAMERAS
 from reachlab.robots.catalogue import ROBOTS
 from reachlab.runs.directory import RunDirectory
 from reachlab.runs.metrics import read_metrics
@@ -62,6 +63,7 @@ TABLES = {
     "engines": ENGINES,
     "goals of a sweep": GOALS,
     "agents": AGENTS,
+    "cameras": CAMERAS,
     "policies": shipped(),
     "suites": SUITES,
 }

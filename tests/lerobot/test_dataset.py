@@ -63,7 +63,7 @@ def test_statistics_are_those_of_what_lerobot_reads(dataset: LeRobotDataset, ite
         values = np.stack([np.atleast_1d(np.asarray(item[name])) for item in items]).astype(np.float64)
         known, film = dataset.meta.stats[name], feature["dtype"] == "video"
         axis = (0, 2, 3) if film else 0
-        near = {"abs": 0.02} if film else {"rel": 1e-5, "abs": 1e-6}  # a film is compressed
+        near: dict[str, Any] = {"abs": 0.02} if film else {"rel": 1e-5, "abs": 1e-6}  # a film is compressed
         for kind in ("mean", "std") if film else ("mean", "std", "min", "max"):
             assert np.ravel(known[kind]) == pytest.approx(getattr(values, kind)(axis=axis), **near), (name, kind)
         for share in () if film else (1, 10, 50, 90, 99):

@@ -33,15 +33,15 @@ def record(arguments: Record) -> None:
     known = subject.config
     varied = known.randomise if arguments.randomise is None else arguments.randomise
     # An observation without a picture does not vary with the view, and the cameras' pictures do.
-    checked = tuple(name for name in varied if name != "view" or not arguments.cameras)
+    settings = arguments.settings
+    checked = tuple(name for name in varied if name != "view" or not settings.cameras)
     config = in_evaluation(known, arguments.sim or known.sim, randomise=checked, **other_goals(arguments))
     config = override(config, randomise=varied)
-    num_envs = min(arguments.episodes, SIMULATORS[config.sim].most_envs or PART, PART)
-    given = {name: vars(arguments)[name] for name in ("out", "episodes", "seed", "cameras", "size", "failures")}
-    with EvalDisplay(arguments.episodes) as display, closing(Env(config, num_envs)) as env:
+    num_envs = min(settings.episodes, SIMULATORS[config.sim].most_envs or PART, PART)
+    with EvalDisplay(settings.episodes) as display, closing(Env(config, num_envs)) as env:
         acting, policy, checkpoint = subject.acting(env, agent)
         display.begin(agent, config.sim)
-        made = write(env, acting, policy, **given, checkpoint=checkpoint, watch=display)
+        made = write(env, acting, policy, arguments.out, settings, checkpoint=checkpoint, watch=display)
     if arguments.json:
         print(jsonlib.dumps(vars(made)))
     else:

@@ -60,20 +60,20 @@ class Layout(NamedTuple):
     """What a dataset holds.
 
     Attributes:
-        robot: name of the arm.
-        task: what is asked of it, in words.
-        fps: steps a second.
         motors: names of what is observed and commanded.
         videos: names of features that are pictures.
         size: height and width of pictures [pixels].
+        robot: name of the arm.
+        task: what is asked of it, in words.
+        fps: steps a second.
     """
 
-    robot: str
-    task: str
-    fps: float
     motors: tuple[str, ...]
     videos: tuple[str, ...]
     size: int
+    robot: str
+    task: str
+    fps: float
 
     @property
     def features(self) -> dict[str, dict[str, Any]]:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, closing
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib import import_module
@@ -20,10 +20,11 @@ from reachlab.control.bodies import Bodies
 from reachlab.deploy.lerobot_units import Motors, motors_of
 from reachlab.envs.core import Env
 from reachlab.envs.random_streams import RECORD_STREAM
-from reachlab.evaluation.episodes import Step, Watch, ignore, make_runner, run_episodes
-from reachlab.render import CAMERAS
+from reachlab.evaluation.episodes import Episodes, Step, Watch, ignore, make_runner, run_episodes
+from reachlab.render import CAMERAS, CameraEntry
 from reachlab.render.observation_camera import ObservationCamera
 from reachlab.render.view_randomisation import Views, develop, make_views
+from reachlab.settings.config import RecordConfig
 from reachlab.settings.json_form import flatten, to_json
 from reachlab.settings.validation import InputError, choose, installing
 
@@ -36,13 +37,13 @@ PATIENCE = 1000
 
 
 class Rows(NamedTuple):
-    """Steps: where the arm is and the command `[R, m]` [rad or m], the goal `[R, 3]` m, bodies, the reward `[R]`."""
+    """Steps: where the arm is and the command `[R, m]` [rad or m], the reward `[R]`, the goal `[R, 3]` m, bodies."""
 
     actuated: np.ndarray
     command: np.ndarray
+    reward: np.ndarray
     goal: np.ndarray
     bodies: Bodies
-    reward: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -57,17 +58,28 @@ class Recorded:
     seconds: float
 
 
+class Studio(NamedTuple):
+    """A camera, and its views of view samples."""
+
+    camera: ObservationCamera
+    views: Callable[[np.ndarray], Views]
+
+
+class Batch(NamedTuple):
+    """Episodes that were played together: the number of the first in its seed's stream, steps, and outcome."""
+
+    number: int
+    steps: Sequence[Step]
+    played: Episodes
+
+
 def record(
     env: Env,
     agent: str | Function,
-    policy: Policy | None = None,
-    *,
+    policy: Policy | None,
     out: str | Path,
-    episodes: int = 100,
-    seed: int = 0,
-    cameras: Sequence[str] = ("front",),
-    size: int = 96,
-    failures: bool = False,
+    config: RecordConfig,
+    *,
     checkpoint: Mapping[str, Any] | None = None,
     watch: Watch = ignore,
 ) -> Recorded:
@@ -81,11 +93,7 @@ def record(
         agent: name in `AGENTS`, or a function that gives actions `[B, a]` for observations with the batch in front.
         policy: the trained policy, for agent `trained`.
         out: folder to make.
-        episodes: how many are recorded.
-        seed: seed of the targets.
-        cameras: names in `CAMERAS`.
-        size: height and width of pictures, an even number [pixels].
-        failures: episodes without success are recorded too.
+        config: how many episodes, which, and their pictures.
         checkpoint: what names the policy in the dataset, see `Manifest.identity`.
         watch: called with the number of episodes that are written.
 
@@ -93,94 +101,108 @@ def record(
         InputError: something else is in the folder, it cannot be written, there is no such agent or camera, or none of
             many episodes is a success.
     """
-    angles = {f"observation.images.{name}": CAMERAS[choose("camera", name, CAMERAS)].angles for name in cameras}
-    if size % 2:
-        raise InputError(f"size must be even, for the colours of a film, got {size}.")
+    start, out, most = time.perf_counter(), Path(out), config.episodes
+    cameras = {f"observation.images.{name}": CAMERAS[choose("camera", name, CAMERAS)] for name in config.cameras}
+    dataset, motors = _lerobot_dataset(), motors_of(env.config.robot, env.setup.robot)
+    layout = dataset.Layout(motors.names, tuple(cameras), config.size, *_named(env))
+    settings = flatten(to_json(env.config)) | vars(config)
+    settings |= {"agent": name_of(agent), "checkpoint": checkpoint, "at_once": env.num_envs}
     try:
-        dataset, _ = import_module("reachlab.deploy.lerobot_dataset"), import_module("imageio_ffmpeg")
-    except ImportError:
-        raise InputError(f"a LeRobot dataset needs pyarrow and imageio-ffmpeg: {installing('lerobot')}.") from None
-    start, out, robot, steps = time.perf_counter(), Path(out), env.setup.robot, list[Step]()
-    motors, rate = motors_of(env.config.robot, robot), 1 / env.setup.period
-    task = env.setup.task.asks(env.setup.rules, env.setup.period).partition(":")[0]
-    fps = int(rate) if rate.is_integer() else rate
-    layout = dataset.Layout(robot.name, task, fps, motors.names, tuple(angles), size)
-    settings = {"agent": name_of(agent), "checkpoint": checkpoint, "seed": seed, "episodes": episodes, "size": size}
-    settings |= {"cameras": cameras, "failures": failures, "at_once": env.num_envs}
-    runner = make_runner(env, agent, episodes, keep=lambda step: steps.append(_without_engine(step)))
-    try:
-        written = dataset.begin(out, flatten(to_json(env.config)) | settings)
-        number = -(-written.number // env.num_envs) * env.num_envs
         with ExitStack() as stack:
-            studio = {key: stack.enter_context(_camera(env, size, colour=bool(own))) for key, own in angles.items()}
-            while written.episodes < episodes:
-                steps.clear()
-                played = run_episodes(runner, policy, seed, RECORD_STREAM, env.num_envs, number)
-                chosen = np.flatnonzero(played.success | failures)[: episodes - written.episodes]
+            studio = {key: stack.enter_context(_open(env, one, config.size)) for key, one in cameras.items()}
+            play, written = _player(env, agent, policy, config.seed), dataset.begin(out, settings)
+            number = -(-written.number // env.num_envs) * env.num_envs
+            while written.episodes < most:
+                batch = play(number)
+                chosen = np.flatnonzero(batch.played.success | config.failures)[: most - written.episodes]
                 if len(chosen):
-                    rows, lengths = _rows(steps, chosen, played.steps[chosen]), played.steps[chosen]
-                    samples = np.asarray(env.functions.view_samples(steps[0].state.key))[chosen]
-                    drawn = partial(_draw, env, studio, angles, rows, lengths, samples)
-                    features = _features(motors, rows, lengths, played.success[chosen])
-                    part = dataset.Part(features, lengths, number + chosen, drawn)
+                    part = dataset.Part(*_part(env, motors, studio, batch, chosen))
                     written = dataset.write_part(out, layout, written, part)
                 number += env.num_envs
-                if number - written.number >= PATIENCE:
-                    raise InputError(
-                        f"none of {number - written.number:,} episodes in a row is a success of agent"
-                        f" {name_of(agent)!r}: choose another, or record failures too with --failures."
-                    )
+                _check_patience(number - written.number, agent)
                 watch(written.episodes)
-        dataset.finish(out, layout, written)
+            dataset.finish(out, layout, written)
     except OSError as error:
         raise InputError(f"the dataset cannot be written to '{out}': {error.strerror or error}.") from None
     stored = sum(file.stat().st_size for file in out.rglob("*") if file.is_file())
     return Recorded(str(out), written.episodes, written.steps, written.number, stored, time.perf_counter() - start)
 
 
-def _without_engine(step: Step) -> Step:
-    return step._replace(state=replace(step.state, arm=replace(step.state.arm, engine=None)))
+def _lerobot_dataset() -> Any:
+    try:
+        import_module("imageio_ffmpeg")
+        return import_module("reachlab.deploy.lerobot_dataset")
+    except ImportError:
+        raise InputError(f"a LeRobot dataset needs pyarrow and imageio-ffmpeg: {installing('lerobot')}.") from None
 
 
-def _rows(steps: Sequence[Step], chosen: np.ndarray, lengths: np.ndarray) -> Rows:
-    """Steps of those that are `chosen [E]` of a batch of episodes, up to their lengths `[E]`."""
-    within = np.arange(len(steps)) < lengths[:, None]
+def _named(env: Env) -> tuple[str, str, float]:
+    """The arm, what is asked of it, and how many steps a second has."""
+    setup, rate = env.setup, 1 / env.setup.period
+    task, _, _ = setup.task.asks(setup.rules, setup.period).partition(":")
+    return setup.robot.name, task, int(rate) if rate.is_integer() else rate
 
-    def of_batch(step: Step) -> Rows:
-        arm = step.state.arm
-        actuated = np.concatenate([arm.q, arm.opening], axis=1)
-        return Rows(
-            actuated,
-            np.asarray(step.command),
-            np.asarray(step.state.goal.position),
-            arm.bodies,
-            np.asarray(step.reward),
+
+def _player(env: Env, agent: str | Function, policy: Policy | None, seed: int) -> Callable[[int], Batch]:
+    """Function that plays a batch of episodes, from a number on."""
+    steps: list[Step] = []
+
+    def keep(step: Step) -> None:
+        steps.append(step._replace(state=replace(step.state, arm=replace(step.state.arm, engine=None))))
+
+    runner = make_runner(env, agent, keep=keep)
+
+    def play(number: int) -> Batch:
+        steps.clear()
+        return Batch(number, steps, run_episodes(runner, policy, seed, RECORD_STREAM, env.num_envs, number))
+
+    return play
+
+
+def _check_patience(tried: int, agent: str | Function) -> None:
+    if tried >= PATIENCE:
+        raise InputError(
+            f"none of {tried:,} episodes in a row is a success of agent {name_of(agent)!r}: choose another, or record"
+            " failures too with --failures."
         )
 
-    return jax.tree.map(lambda *parts: np.stack(parts, axis=1)[chosen][within], *map(of_batch, steps))
+
+def _part(
+    env: Env, motors: Motors, studio: Mapping[str, Studio], batch: Batch, chosen: np.ndarray
+) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, Callable[[str], Iterator[np.ndarray]]]:
+    """See `lerobot_dataset.Part`, of those that are `chosen [E]` of a batch."""
+    played: Episodes = jax.tree.map(lambda part: np.asarray(part)[chosen], batch.played)
+    lengths, within = np.asarray(played.steps), np.arange(len(batch.steps)) < np.asarray(played.steps)[:, None]
+    rows: Rows = jax.tree.map(lambda *parts: np.stack(parts, axis=1)[chosen][within], *map(_rows, batch.steps))
+    ends = np.cumsum(lengths) - 1
+    done, success = np.zeros((2, len(rows.reward)), bool)
+    done[ends], success[ends] = True, played.success
+    features = {"observation.state": motors.read(rows.actuated), "action": motors.read(rows.command)}
+    features |= {"next.reward": rows.reward, "next.done": done, "next.success": success}
+    samples = np.asarray(env.functions.view_samples(batch.steps[0].state.key))[chosen]
+    return features, lengths, batch.number + chosen, lambda key: _draw(studio[key], samples, lengths, rows)
 
 
-def _features(motors: Motors, rows: Rows, lengths: np.ndarray, success: np.ndarray) -> dict[str, np.ndarray]:
-    """Features of the steps of episodes of such lengths `[E]`, that are a success or not `[E]`."""
-    outcome = np.zeros((2, len(rows.reward)), bool)
-    outcome[:, np.cumsum(lengths) - 1] = np.ones_like(success), success
-    read = {"observation.state": motors.read(rows.actuated), "action": motors.read(rows.command)}
-    return read | {"next.reward": rows.reward, "next.done": outcome[0], "next.success": outcome[1]}
+def _rows(step: Step) -> Rows:
+    arm, state = step.state.arm, step.state
+    actuated = np.concatenate([arm.q, arm.opening], axis=1)
+    return Rows(actuated, *map(np.asarray, (step.command, step.reward, state.goal.position)), bodies=arm.bodies)
 
 
-def _camera(env: Env, size: int, *, colour: bool) -> closing[ObservationCamera]:
+@contextmanager
+def _open(env: Env, entry: CameraEntry, size: int) -> Iterator[Studio]:
+    """A camera of the table, until the context ends."""
     objects = env.setup.task.scene(env.setup).objects > 0
-    return closing(ObservationCamera(env.setup.robot, objects=objects, size=size, colour=colour))
+    camera = ObservationCamera(env.setup.robot, objects=objects, size=size, colour=bool(entry.angles))
+    with closing(camera):
+        yield Studio(camera, partial(make_views, robot=env.setup.robot, objects=objects, angles=entry.angles))
 
 
-def _draw(
-    env: Env, studio: Mapping[str, ObservationCamera], angles: Any, rows: Rows, lengths: Any, samples: Any, key: str
-) -> Iterator[np.ndarray]:
-    """Pictures `[steps, size, size, 3]` uint8 of each episode, of the rows and view samples of all of them."""
-    objects = env.setup.task.scene(env.setup).objects > 0
-    views = make_views(samples, env.setup.robot, objects=objects, angles=angles[key])
-    for episode, (end, length) in enumerate(zip(np.cumsum(lengths), lengths, strict=True)):
+def _draw(studio: Studio, samples: np.ndarray, lengths: np.ndarray, rows: Rows) -> Iterator[np.ndarray]:
+    """Pictures `[steps, size, size, 3]` uint8 of each episode, of their view samples, lengths and all their rows."""
+    ends, views = np.cumsum(lengths), studio.views(samples)
+    for episode, (end, length) in enumerate(zip(ends, lengths, strict=True)):
         now: Rows = jax.tree.map(lambda part, own=slice(end - length, end): part[own], rows)
         seen = Views(*(np.repeat(part[episode : episode + 1], length, axis=0) for part in views))
-        pictures = develop(studio[key].pictures(now.actuated, now.goal, now.bodies, seen), seen)
+        pictures = develop(studio.camera.pictures(now.actuated, now.goal, now.bodies, seen), seen)
         yield pictures if pictures.ndim > 3 else np.repeat(pictures[..., None], 3, axis=-1)

@@ -229,8 +229,8 @@ def _model(robot: Robot, *, objects: bool, size: int, colour: bool) -> mujoco.Mj
     world.add_geom(name=GROUND, type=box, size=ground, pos=robot.placed(GROUND_PLACE), **drawn)
     target = world.add_body(name=TARGET, mocap=True)
     shapes, scale = (CROSS, 1.0) if objects else (TOOL_TARGET, robot.scale)
-    for kind, size, position, quaternion in shapes:
-        lengths = {"size": scale * np.array([*size, 0.0][:3]), "pos": scale * np.array(position)}
+    for kind, sides, position, quaternion in shapes:
+        lengths = {"size": scale * np.array([*sides, 0.0][:3]), "pos": scale * np.array(position)}
         target.add_geom(type=kind, quat=quaternion, **lengths, **drawn)
     world.add_camera(fovy=FIELD_OF_VIEW)
     for light in spec.lights:

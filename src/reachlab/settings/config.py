@@ -14,6 +14,7 @@ from reachlab.settings.validation import (
     Checked,
     Count,
     Fraction,
+    InputError,
     Length,
     NonNegative,
     NonNegativeInt,
@@ -201,6 +202,27 @@ class DaggerConfig(Checked):
     """Pictures that are kept to learn from, of 7 kB each."""
     place_weight: NonNegative = 4.0
     """Weight of predicting where target, tool and bodies are, beside that of predicting the action."""
+
+
+@dataclass(frozen=True)
+class RecordConfig(Checked):
+    """Which episodes a dataset holds, and their pictures."""
+
+    episodes: Count = 100
+    """Episodes to record; none of them is one of an evaluation, whatever its seed."""
+    cameras: tuple[str, ...] = ("front",)
+    """Cameras whose pictures are recorded, see `reachlab list cameras`; `--cameras` alone for none."""
+    size: Annotated[int, Range(16, 512)] = 96
+    """Height and width of pictures, an even number [pixels]."""
+    seed: Seed = 0
+    """Seed of the targets."""
+    failures: bool = False
+    """Record episodes without success too."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.size % 2:
+            raise InputError(f"size must be even, for the colours of a film, got {self.size}.")
 
 
 @dataclass(frozen=True)
