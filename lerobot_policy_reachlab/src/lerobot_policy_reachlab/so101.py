@@ -1,0 +1,85 @@
+"""The loop around an SO-101: from its motors to an exported controller, and back."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from reachlab.deploy.check import read_facts, start_controller
+from reachlab.deploy.lerobot_units import exported_motors
+
+STOP = 0.3
+"""Time in which the arm is brought to rest at the end [s]; its controller takes 0.18."""
+
+
+class Follower(Protocol):
+    """A robot of LeRobot's, as its `SO101Follower`, which is connected and calibrated."""
+
+    def get_observation(self) -> dict[str, Any]:
+        """Positions of the motors by name: degrees, and of the gripper 0 to 100."""
+        ...
+
+    def send_action(self, action: dict[str, Any]) -> dict[str, Any]:
+        """Where the motors are sent, likewise."""
+        ...
+
+
+def follow(
+    robot: Follower,
+    export: str | Path,
+    goal: Sequence[float],
+    seconds: float,
+    *,
+    zeros: Mapping[str, float] | None = None,
+    clock: Callable[[], float] = time.perf_counter,
+    sleep: Callable[[float], None] = time.sleep,
+) -> str:
+    """Drive an arm to a goal by the policy of an exported folder; what is wrong at the end, empty where nothing is.
+
+    It begins where the arm is, and brings it to rest at the end, also where it is interrupted.
+
+    Args:
+        robot: the arm.
+        export: folder that `reachlab export` wrote.
+        goal: position `[3]` of the tool in the frame of the arm's base [m]; with a quaternion wxyz where the policy
+            was trained on poses.
+        seconds: how long it is driven [s].
+        zeros: what motors by name, as `shoulder_pan.pos`, show where the joints of reachlab's model are at zero
+            [degrees]; by default 0, for a calibration whose middle is the model's.
+        clock: tells the time [s].
+        sleep: waits for a time [s].
+
+    Raises:
+        InputError: the folder is none that was exported.
+        ValueError: the arm is not within its limits.
+    """
+    controller, motors = start_controller(Path(export)), exported_motors(read_facts(Path(export)))
+    shift = np.array([(zeros or {}).get(name, 0.0) for name in motors.names])
+
+    def measure() -> np.ndarray:
+        shown = robot.get_observation()
+        return motors.command(np.array([shown[name] for name in motors.names]) - shift)
+
+    def run(end: float, q: np.ndarray, then: float) -> tuple[np.ndarray, float, str]:
+        problem = ""
+        while then < end:
+            sleep(max(0.0, then + controller.period - clock()))
+            before, q, now = q, measure(), clock()
+            command = controller.step(q, (q - before) / (now - then), goal, now)
+            robot.send_action(dict(zip(motors.names, (motors.read(command) + shift).tolist(), strict=True)))
+            then, problem = now, controller.problem
+        return q, then, problem
+
+    q, then = measure(), clock()
+    controller.reset(q)
+    problem = ""
+    try:
+        q, then, problem = run(then + seconds, q, then)
+    finally:
+        controller.stop()
+        run(then + STOP, q, then)
+    return problem
