@@ -11,9 +11,13 @@ import numpy as np
 
 from reachlab.deploy.check import read_facts, start_controller
 from reachlab.deploy.lerobot_units import exported_motors
+from reachlab.settings.validation import choose
 
 STOP = 0.3
 """Time in which the arm is brought to rest at the end [s]; its controller takes 0.18."""
+
+ROUNDING = 1e-6
+"""What clocks lose in sums of periods [s]."""
 
 
 class Follower(Protocol):
@@ -54,32 +58,31 @@ def follow(
         sleep: waits for a time [s].
 
     Raises:
-        InputError: the folder is none that was exported.
+        InputError: the folder is none that was exported, or there is no such motor.
         ValueError: the arm is not within its limits.
     """
     controller, motors = start_controller(Path(export)), exported_motors(read_facts(Path(export)))
-    shift = np.array([(zeros or {}).get(name, 0.0) for name in motors.names])
+    shown_at_zero = {choose("motor", name, motors.names): value for name, value in (zeros or {}).items()}
+    shift = np.array([shown_at_zero.get(name, 0.0) for name in motors.names])
 
     def measure() -> np.ndarray:
         shown = robot.get_observation()
         return motors.command(np.array([shown[name] for name in motors.names]) - shift)
 
-    def run(end: float, q: np.ndarray, then: float) -> tuple[np.ndarray, float, str]:
-        problem = ""
-        while then < end:
+    def run(duration: float) -> None:
+        nonlocal q, then
+        end = then + duration
+        while then + controller.period <= end + ROUNDING:
             sleep(max(0.0, then + controller.period - clock()))
-            before, q, now = q, measure(), clock()
-            command = controller.step(q, (q - before) / (now - then), goal, now)
+            before, q, since, then = q, measure(), then, clock()
+            command = controller.step(q, (q - before) / (then - since), goal, then)
             robot.send_action(dict(zip(motors.names, (motors.read(command) + shift).tolist(), strict=True)))
-            then, problem = now, controller.problem
-        return q, then, problem
 
     q, then = measure(), clock()
     controller.reset(q)
-    problem = ""
     try:
-        q, then, problem = run(then + seconds, q, then)
+        run(seconds)
+        return controller.problem
     finally:
         controller.stop()
-        run(then + STOP, q, then)
-    return problem
+        run(STOP)
