@@ -20,9 +20,9 @@ from lerobot.policies import get_policy_class, make_policy, make_pre_post_proces
 from lerobot.processor import PolicyProcessorPipeline
 from lerobot.scripts.lerobot_eval import eval_policy, rollout
 from lerobot.utils.constants import OBS_ENV_STATE, OBS_STATE
-from lerobot_policy_reachlab import ReachlabConfig, ReachlabEnv
 
 import reachlab
+from lerobot_policy_reachlab import ReachlabConfig, ReachlabEnv
 from reachlab.envs.core import Env
 from reachlab.envs.setup import in_evaluation
 from reachlab.settings.json_form import override

@@ -14,8 +14,8 @@ import pytest
 from lerobot.motors import MotorCalibration
 from lerobot.motors.feetech import FeetechMotorsBus
 from lerobot.robots.so_follower import SO101Follower, SO101FollowerConfig
-from lerobot_policy_reachlab.so101 import STOP, follow
 
+from lerobot_policy_reachlab.so101 import STOP, follow
 from reachlab.deploy.check import settings_of
 from reachlab.deploy.plant import Plant
 from reachlab.settings.validation import InputError
