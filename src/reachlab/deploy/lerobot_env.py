@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -23,8 +24,11 @@ from reachlab.settings.config import RunConfig
 from reachlab.settings.json_form import override
 from reachlab.settings.validation import LAST_SEED, InputError, choose
 
-BODY = {"position": 3, "quaternion": 4, "half": 3, "radius": 1, "velocity": 3}
-"""What is told of each body beside the arm, and in how many numbers."""
+BODY = {"position": (3,), "quaternion": (4,), "half": (3,), "radius": (), "velocity": (3,)}
+"""What is told of each body beside the arm, and the shape of each part."""
+
+ENDS = np.cumsum([math.prod(shape) for shape in BODY.values()])
+"""Where the parts end in the numbers of a body."""
 
 
 def told(facts: Mapping[str, Any], numbers: np.ndarray) -> dict[str, Any]:
@@ -39,13 +43,16 @@ def told(facts: Mapping[str, Any], numbers: np.ndarray) -> dict[str, Any]:
     """
     goal, ends = facts["goal"], np.cumsum([7 if facts["goal"]["orientation"] else 3, 3 * facts["goal"]["moves"]])
     place, velocity, rest = np.split(numbers, ends)
-    if rest.size % sum(BODY.values()):
+    if rest.size % ENDS[-1]:
         raise InputError(
             "the environment asks for other goals than the policy's: evaluate it in its own, with the exported folder"
             " as the task."
         )
-    rows = np.split(rest.reshape(-1, sum(BODY.values())), np.cumsum(list(BODY.values()))[:-1], axis=1)
-    bodies = [dict(zip(BODY, parts, strict=True)) for parts in zip(*rows, strict=True) if parts[0][2] > FAR[2] / 2]
+    bodies = []
+    for row in rest.reshape(-1, ENDS[-1]):
+        parts = zip(BODY.items(), np.split(row, ENDS[:-1]), strict=True)
+        bodies.append({name: part.reshape(shape) for (name, shape), part in parts})
+    bodies = [body for body in bodies if body["position"][2] > FAR[2] / 2]
     fixed = len(bodies) - len(facts["objects"])
     return {
         "goal": place,
