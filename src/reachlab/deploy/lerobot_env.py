@@ -51,7 +51,7 @@ def told(facts: Mapping[str, Any], numbers: np.ndarray) -> dict[str, Any]:
     bodies = []
     for row in rest.reshape(-1, ENDS[-1]):
         parts = zip(BODY.items(), np.split(row, ENDS[:-1]), strict=True)
-        bodies.append({name: part.reshape(shape) for (name, shape), part in parts})
+        bodies.append({name: part.reshape(shape).tolist() for (name, shape), part in parts})
     bodies = [body for body in bodies if body["position"][2] > FAR[2] / 2]
     fixed = len(bodies) - len(facts["objects"])
     return {
@@ -73,7 +73,7 @@ class LeRobotVectorEnv(VectorEnv[Any, Any, Any]):
     - `pixels`: of each camera `[B, size, size, 3]` uint8.
 
     `info["is_success"] [B]` says which episodes end in success in this step: one that told of success before its end
-    would count for LeRobot too. An episode that has ended begins anew in the same step.
+    would count for LeRobot too. Episodes that have ended count no more, and all begin anew by `reset`.
     """
 
     def __init__(self, config: RunConfig, num_envs: int = 1, cameras: Sequence[str] = (), size: int = 96) -> None:
@@ -82,17 +82,17 @@ class LeRobotVectorEnv(VectorEnv[Any, Any, Any]):
         Raises:
             InputError: no such camera, or see `Env`.
         """
-        self._poses = {name: CAMERAS[choose("camera", name, CAMERAS)].load() for name in cameras}
+        self._angles = {name: CAMERAS[choose("camera", name, CAMERAS)].angles for name in cameras}
         self._env = env = Env(override(config, shaping=False), num_envs)
         robot, rules, period = env.setup.robot, env.setup.rules, env.setup.period
         self._motors, self._bounds = motors_of(env.config.robot, robot), robot.commands
         self._most = np.array(robot.commands.speed) * (period if env.functions.real_time else np.inf)
         self._objects = env.setup.task.scene(env.setup).objects > 0
         self._cameras = {
-            name: ObservationCamera(robot, objects=self._objects, size=size, colour=CAMERAS[name].colour)
-            for name in cameras
+            name: ObservationCamera(robot, objects=self._objects, size=size, colour=bool(angles))
+            for name, angles in self._angles.items()
         }
-        self._init, self._step, self._again = map(env.compile_whole, (env.init, env.step, env.reset))
+        self._init, self._step = map(env.compile_whole, (env.init, env.step))
         self._idle = np.zeros((num_envs, len(env.action_bounds[0])), np.float32)
         self._of_each = {
             "task": env.config.task,
@@ -100,7 +100,7 @@ class LeRobotVectorEnv(VectorEnv[Any, Any, Any]):
             "_max_episode_steps": rules.max_steps,
         }
         self.num_envs, self.render_mode = num_envs, "rgb_array"
-        self.metadata = {**METADATA, "render_fps": round(1 / period), "autoreset_mode": AutoresetMode.SAME_STEP}
+        self.metadata = {**METADATA, "render_fps": round(1 / period), "autoreset_mode": AutoresetMode.DISABLED}
         seen, _ = self.reset(seed=0)
         shapes = {name: value.shape[1:] for name, value in seen.items() if name != "pixels"}
         spaces: dict[str, Any] = {name: _unbounded(shape) for name, shape in shapes.items()}
@@ -139,10 +139,8 @@ class LeRobotVectorEnv(VectorEnv[Any, Any, Any]):
         wanted = self._motors.command(checked_actions(actions, self.action_space.shape))
         before, bounds = np.asarray(self._state.command), self._bounds
         command = np.clip(np.clip(wanted, before - self._most, before + self._most), bounds.lower, bounds.upper)
-        state, done = self._step(self._state, self._idle, instead=command.astype(np.float32))
-        ended = np.asarray(done.done)
-        self._state = self._again(state, ended) if ended.any() else state
-        success = ended & np.asarray(done.terms["success"])
+        self._state, done = self._step(self._state, self._idle, instead=command.astype(np.float32))
+        success = np.asarray(done.done) & np.asarray(done.terms["success"])
         reward = np.asarray(done.reward, np.float64)
         return self._seen(), reward, np.array(done.terminated), np.array(done.truncated), {"is_success": success}
 
@@ -197,7 +195,7 @@ class LeRobotVectorEnv(VectorEnv[Any, Any, Any]):
     def _pictures(self, name: str, actuated: np.ndarray) -> np.ndarray:
         env, state = self._env, self._state
         samples = np.asarray(env.functions.view_samples(state.key))
-        views = make_views(samples, env.setup.robot, objects=self._objects, pose=self._poses[name])
+        views = make_views(samples, env.setup.robot, objects=self._objects, angles=self._angles[name])
         pictures = self._cameras[name].pictures(actuated, np.asarray(state.goal.position), state.arm.bodies, views)
         drawn = develop(pictures, views)
         return drawn if drawn.ndim > 3 else np.repeat(drawn[..., None], 3, axis=-1)
