@@ -134,7 +134,7 @@ def test_a_repository_of_the_hub_gives_pictures() -> None:
 
 def test_what_does_not_fit_is_refused_in_a_sentence(exported: Path) -> None:
     policy = get_policy_class("reachlab")(ReachlabConfig(export=str(exported)))
-    with pytest.raises(InputError, match="moves 6 motors, and the environment has 7"):
+    with pytest.raises(InputError, match="policy and environment have 6 and 7 motors"):
         policy.select_action({OBS_STATE: torch.zeros(1, 7), OBS_ENV_STATE: torch.zeros(1, 3)})
     with pytest.raises(InputError, match="asks for other goals"):
         policy.select_action({OBS_STATE: torch.zeros(1, 6), OBS_ENV_STATE: torch.zeros(1, 7)})

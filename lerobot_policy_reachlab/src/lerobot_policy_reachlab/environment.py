@@ -37,16 +37,15 @@ class ReachlabEnv(EnvConfig):
         Raises:
             InputError: a task, camera or setting that does not exist, or a value that is not allowed.
         """
-        env, state, visual = self._make(1), FeatureType.STATE, FeatureType.VISUAL
-        spaces, self.fps = env.single_observation_space.spaces, env.metadata["render_fps"]
-        self.features = {
-            "action": PolicyFeature(FeatureType.ACTION, env.single_action_space.shape),
-            "agent_pos": PolicyFeature(state, spaces["agent_pos"].shape),
-            "environment_state": PolicyFeature(FeatureType.ENV, spaces["environment_state"].shape),
-            **{f"pixels/{name}": PolicyFeature(visual, (self.size, self.size, 3)) for name in self.cameras},
-        }
+        env = make_env(1, **self.gym_kwargs)
+        spaces, pixels = env.single_observation_space, [f"pixels/{name}" for name in self.cameras]
+        self.fps = env.metadata["render_fps"]
         self.features_map = {"action": ACTION, "agent_pos": OBS_STATE, "environment_state": OBS_ENV_STATE}
-        self.features_map |= {f"pixels/{name}": f"{OBS_IMAGES}.{name}" for name in self.cameras}
+        kinds = zip(self.features_map, (FeatureType.ACTION, FeatureType.STATE, FeatureType.ENV), strict=True)
+        shapes = {"action": env.single_action_space.shape, **{name: space.shape for name, space in spaces.items()}}
+        self.features = {name: PolicyFeature(kind, shapes[name]) for name, kind in kinds}
+        self.features |= dict.fromkeys(pixels, PolicyFeature(FeatureType.VISUAL, (self.size, self.size, 3)))
+        self.features_map |= {name: name.replace("pixels/", f"{OBS_IMAGES}.") for name in pixels}
         env.close()
 
     @property
@@ -56,7 +55,4 @@ class ReachlabEnv(EnvConfig):
 
     def create_envs(self, n_envs: int, use_async_envs: bool = False) -> dict[str, dict[int, LeRobotVectorEnv]]:
         """The batch of environments, where LeRobot looks for it."""
-        return {"reachlab": {0: self._make(n_envs, use_async_envs)}}
-
-    def _make(self, n_envs: int, use_async_envs: bool = False) -> Any:
-        return make_env(n_envs, use_async_envs, **self.gym_kwargs)
+        return {"reachlab": {0: make_env(n_envs, use_async_envs, **self.gym_kwargs)}}

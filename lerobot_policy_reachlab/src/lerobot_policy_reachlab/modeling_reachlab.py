@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from lerobot.configs import PreTrainedConfig
 from lerobot.policies.pretrained import PreTrainedPolicy
-from lerobot.utils.constants import OBS_ENV_STATE, OBS_IMAGES, OBS_STATE
+from lerobot.utils.constants import OBS_ENV_STATE, OBS_STATE
 from torch import Tensor
 
 from lerobot_policy_reachlab.configuration_reachlab import ReachlabConfig
@@ -24,12 +24,6 @@ from reachlab.settings.validation import InputError
 
 EXPORT = "export"
 """Where a saved policy has the folder that `reachlab export` wrote."""
-
-PICTURE = f"{OBS_IMAGES}.observation"
-"""Picture of the camera by which policies observe."""
-
-WHITE = 255
-"""Brightest pixel; LeRobot's are in 0 to 1."""
 
 log = logging.getLogger(__name__)
 
@@ -54,6 +48,8 @@ class ReachlabPolicy(PreTrainedPolicy):
             raise InputError("policy 'reachlab' needs a folder that `reachlab export` wrote: --policy.export=FOLDER.")
         self._folder = Path(config.export)
         self._facts, self._controllers = read_facts(self._folder), list[Any]()
+        if self._facts["observation"]["pictured"]:
+            raise InputError("a policy that observes pictures is not run in LeRobot: evaluate it by `reachlab eval`.")
         self._motors = exported_motors(self._facts)
         self.reset()
 
@@ -83,7 +79,7 @@ class ReachlabPolicy(PreTrainedPolicy):
     def reset(self) -> None:
         """Begin an episode: at the next action the arms are taken over where they are."""
         self._before: np.ndarray | None = None
-        self._steps, self._problem = 0, ""
+        self._steps, self._problems = 0, {""}  # what was said once
 
     def select_action(self, batch: dict[str, Tensor], **kwargs: Any) -> Tensor:
         """Positions of the motors `[B, k]`, for those `[B, k]` where they are and for what is asked.
@@ -94,37 +90,22 @@ class ReachlabPolicy(PreTrainedPolicy):
         del kwargs
         shown, asked = (batch[key].numpy(force=True).astype(float) for key in (OBS_STATE, OBS_ENV_STATE))
         if shown.shape[1] != len(self._motors.names):
-            raise InputError(
-                f"the policy moves {len(self._motors.names)} motors, and the environment has {shown.shape[1]}: evaluate"
-                " it in its own, with the exported folder as --env.task."
-            )
+            raise InputError(f"policy and environment have {len(self._motors.names)} and {shown.shape[1]} motors.")
         q, period = self._motors.command(shown), self._facts["control_period"]
         if self._before is None:
-            self._take_over(q)
-        speeds, wanted = (q - self._before) / period, [told(self._facts, row) for row in asked]
-        if PICTURE in batch:
-            pictures = (batch[PICTURE][:, 0].numpy(force=True) * WHITE).round().astype(np.uint8)
-            wanted = [one | {"picture": picture} for one, picture in zip(wanted, pictures, strict=True)]
-        controllers = self._controllers[: len(q)]
-        commands = [
-            controller.step(q[i], speeds[i], time=self._steps * period, **wanted[i])
-            for i, controller in enumerate(controllers)
-        ]
-        self._tell(next((one.problem for one in controllers if one.problem), ""))
+            self._controllers += [start_controller(self._folder) for _ in range(len(q) - len(self._controllers))]
+            for controller, joints in zip(self._controllers, q, strict=False):
+                controller.reset(joints)
+            self._before = q
+        commands = []
+        for i, controller in enumerate(self._controllers[: len(q)]):
+            speeds, now = (q[i] - self._before[i]) / period, self._steps * period
+            commands.append(controller.step(q[i], speeds, time=now, **told(self._facts, asked[i])))
+            if controller.problem not in self._problems:
+                log.warning("reachlab: %s.", controller.problem)
+                self._problems.add(controller.problem)
         self._before, self._steps = q, self._steps + 1
         return torch.from_numpy(self._motors.read(np.array(commands)).astype(np.float32)).to(self.config.device)
-
-    def _take_over(self, q: np.ndarray) -> None:
-        self._controllers += [start_controller(self._folder) for _ in range(len(q) - len(self._controllers))]
-        for controller, joints in zip(self._controllers, q, strict=False):
-            controller.reset(joints)
-        self._before = q
-
-    def _tell(self, problem: str) -> None:
-        """Say what is wrong, once."""
-        if problem and problem != self._problem:
-            log.warning("reachlab: %s.", problem)
-        self._problem = problem
 
     def predict_action_chunk(self, batch: dict[str, Tensor], **kwargs: Any) -> Tensor:
         """A chunk of a single action, `[B, 1, k]`."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -20,20 +20,8 @@ ROUNDING = 1e-6
 """What clocks lose in sums of periods [s]."""
 
 
-class Follower(Protocol):
-    """A robot of LeRobot's, as its `SO101Follower`, which is connected and calibrated."""
-
-    def get_observation(self) -> dict[str, Any]:
-        """Positions of the motors by name: degrees, and of the gripper 0 to 100."""
-        ...
-
-    def send_action(self, action: dict[str, Any]) -> dict[str, Any]:
-        """Where the motors are sent, likewise."""
-        ...
-
-
 def follow(
-    robot: Follower,
+    robot: Any,
     export: str | Path,
     goal: Sequence[float],
     seconds: float,
@@ -47,7 +35,7 @@ def follow(
     It begins where the arm is, and brings it to rest at the end, also where it is interrupted.
 
     Args:
-        robot: the arm.
+        robot: LeRobot's `SO101Follower`, connected and calibrated, or what has its `get_observation` and `send_action`.
         export: folder that `reachlab export` wrote.
         goal: position `[3]` of the tool in the frame of the arm's base [m]; with a quaternion wxyz where the policy
             was trained on poses.

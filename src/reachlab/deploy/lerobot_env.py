@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -14,7 +13,6 @@ from gymnasium.vector.utils import batch_space
 from reachlab.control.bodies import FAR
 from reachlab.deploy.lerobot_units import motors_of
 from reachlab.envs.core import Env
-from reachlab.envs.functions import EnvState
 from reachlab.envs.gymnasium_shared import METADATA, checked_actions, checked_seeds
 from reachlab.envs.random_streams import gymnasium_keys
 from reachlab.render import CAMERAS
@@ -24,11 +22,14 @@ from reachlab.settings.config import RunConfig
 from reachlab.settings.json_form import override
 from reachlab.settings.validation import LAST_SEED, InputError, choose
 
-BODY = {"position": (3,), "quaternion": (4,), "half": (3,), "radius": (), "velocity": (3,)}
-"""What is told of each body beside the arm, and the shape of each part."""
+BODY = {"position": 3, "quaternion": 4, "half": 3, "radius": 1, "velocity": 3}
+"""What is told of each body beside the arm, and in how many numbers."""
 
-ENDS = np.cumsum([math.prod(shape) for shape in BODY.values()])
+ENDS = np.cumsum(list(BODY.values()))
 """Where the parts end in the numbers of a body."""
+
+FILMED = 10
+"""Environments of which LeRobot's evaluation makes films."""
 
 
 def told(facts: Mapping[str, Any], numbers: np.ndarray) -> dict[str, Any]:
@@ -41,25 +42,15 @@ def told(facts: Mapping[str, Any], numbers: np.ndarray) -> dict[str, Any]:
     Raises:
         InputError: the environment is not one of the policy's task.
     """
-    goal, ends = facts["goal"], np.cumsum([7 if facts["goal"]["orientation"] else 3, 3 * facts["goal"]["moves"]])
-    place, velocity, rest = np.split(numbers, ends)
+    goal = facts["goal"]
+    place, velocity, rest = np.split(numbers, np.cumsum([7 if goal["orientation"] else 3, 3 * goal["moves"]]))
     if rest.size % ENDS[-1]:
-        raise InputError(
-            "the environment asks for other goals than the policy's: evaluate it in its own, with the exported folder"
-            " as the task."
-        )
-    bodies = []
-    for row in rest.reshape(-1, ENDS[-1]):
-        parts = zip(BODY.items(), np.split(row, ENDS[:-1]), strict=True)
-        bodies.append({name: part.reshape(shape).tolist() for (name, shape), part in parts})
-    bodies = [body for body in bodies if body["position"][2] > FAR[2] / 2]
+        raise InputError("the environment asks for other goals than the policy's: give it the exported folder as task.")
+    rows = [np.split(row, ENDS[:-1]) for row in rest.reshape(-1, ENDS[-1]) if row[2] > FAR[2] / 2]
+    bodies = [dict(zip(BODY, (*row[:3], row[3][0], row[4]), strict=True)) for row in rows]
     fixed = len(bodies) - len(facts["objects"])
-    return {
-        "goal": place,
-        "velocity": velocity if goal["moves"] else None,
-        "obstacles": bodies[:fixed],
-        "objects": bodies[fixed:],
-    }
+    asked = {"goal": place, "obstacles": bodies[:fixed], "objects": bodies[fixed:]}
+    return asked | ({"velocity": velocity} if goal["moves"] else {})
 
 
 class LeRobotVectorEnv(VectorEnv[Any, Any, Any]):
@@ -82,15 +73,16 @@ class LeRobotVectorEnv(VectorEnv[Any, Any, Any]):
         Raises:
             InputError: no such camera, or see `Env`.
         """
-        self._angles = {name: CAMERAS[choose("camera", name, CAMERAS)].angles for name in cameras}
+        for name in cameras:
+            choose("camera", name, CAMERAS)
         self._env = env = Env(override(config, shaping=False), num_envs)
         robot, rules, period = env.setup.robot, env.setup.rules, env.setup.period
         self._motors, self._bounds = motors_of(env.config.robot, robot), robot.commands
         self._most = np.array(robot.commands.speed) * (period if env.functions.real_time else np.inf)
         self._objects = env.setup.task.scene(env.setup).objects > 0
         self._cameras = {
-            name: ObservationCamera(robot, objects=self._objects, size=size, colour=bool(angles))
-            for name, angles in self._angles.items()
+            name: ObservationCamera(robot, objects=self._objects, size=size, colour=bool(CAMERAS[name].angles))
+            for name in cameras
         }
         self._init, self._step = map(env.compile_whole, (env.init, env.step))
         self._idle = np.zeros((num_envs, len(env.action_bounds[0])), np.float32)
@@ -102,12 +94,8 @@ class LeRobotVectorEnv(VectorEnv[Any, Any, Any]):
         self.num_envs, self.render_mode = num_envs, "rgb_array"
         self.metadata = {**METADATA, "render_fps": round(1 / period), "autoreset_mode": AutoresetMode.DISABLED}
         seen, _ = self.reset(seed=0)
-        shapes = {name: value.shape[1:] for name, value in seen.items() if name != "pixels"}
-        spaces: dict[str, Any] = {name: _unbounded(shape) for name, shape in shapes.items()}
-        if cameras:
-            spaces["pixels"] = Dict({name: Box(0, 255, (size, size, 3), np.uint8) for name in cameras})
-        self.single_observation_space = Dict(spaces)
-        self.single_action_space = _unbounded(shapes["agent_pos"])
+        self.single_observation_space: Any = _space(seen)
+        self.single_action_space = _space(seen["agent_pos"])
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
 
@@ -152,7 +140,7 @@ class LeRobotVectorEnv(VectorEnv[Any, Any, Any]):
         """
         del args, kwargs
         if name == "render":
-            return _Pictures(self._env, self._state)
+            return self.render()
         if name not in self._of_each:
             raise AttributeError(f"{name!r} is none of {', '.join(self._of_each)} and render.")
         return (self._of_each[name],) * self.num_envs
@@ -160,8 +148,8 @@ class LeRobotVectorEnv(VectorEnv[Any, Any, Any]):
     get_attr = call
 
     def render(self) -> tuple[np.ndarray, ...]:
-        """A picture of each environment for people, `[height, width, 3]` uint8."""
-        return tuple(self.call("render"))
+        """A picture for people of each of the first `FILMED` environments, `[height, width, 3]` uint8."""
+        return tuple(self._env.render(self._state, index) for index in range(min(self.num_envs, FILMED)))
 
     def close_extras(self, **kwargs: Any) -> None:
         """Close simulator and cameras."""
@@ -171,9 +159,8 @@ class LeRobotVectorEnv(VectorEnv[Any, Any, Any]):
         self._env.close()
 
     def _seen(self) -> dict[str, Any]:
-        state, bodies = self._state, self._state.arm.bodies
-        arm, goal = state.arm, state.goal
-        actuated = np.concatenate([arm.q, arm.opening], axis=1)
+        env, state, bodies = self._env, self._state, self._state.arm.bodies
+        goal, actuated = state.goal, np.concatenate([state.arm.q, state.arm.opening], axis=1)
         known = [goal.position, goal.quaternion, goal.velocity]
         if bodies.kind.size:  # what JAX computes of nothing takes time too
             parts = [
@@ -188,33 +175,17 @@ class LeRobotVectorEnv(VectorEnv[Any, Any, Any]):
             "agent_pos": self._motors.read(actuated).astype(np.float32),
             "environment_state": np.concatenate(known, axis=1).astype(np.float32),
         }
-        if self._cameras:
-            seen["pixels"] = {name: self._pictures(name, actuated) for name in self._cameras}
-        return seen
-
-    def _pictures(self, name: str, actuated: np.ndarray) -> np.ndarray:
-        env, state = self._env, self._state
-        samples = np.asarray(env.functions.view_samples(state.key))
-        views = make_views(samples, env.setup.robot, objects=self._objects, angles=self._angles[name])
-        pictures = self._cameras[name].pictures(actuated, np.asarray(state.goal.position), state.arm.bodies, views)
-        drawn = develop(pictures, views)
-        return drawn if drawn.ndim > 3 else np.repeat(drawn[..., None], 3, axis=-1)
+        samples, pictures = np.asarray(env.functions.view_samples(state.key)), dict[str, np.ndarray]()
+        for name, camera in self._cameras.items():
+            views = make_views(samples, env.setup.robot, objects=self._objects, angles=CAMERAS[name].angles)
+            drawn = develop(camera.pictures(actuated, np.asarray(goal.position), bodies, views), views)
+            pictures[name] = drawn if drawn.ndim > 3 else np.repeat(drawn[..., None], 3, axis=-1)
+        return seen | ({"pixels": pictures} if pictures else {})
 
 
-class _Pictures(Sequence[np.ndarray]):
-    """Pictures of a batch, each drawn when it is taken: LeRobot asks for all, and takes a few."""
-
-    def __init__(self, env: Env, state: EnvState) -> None:
-        self._env, self._state = env, state
-
-    def __len__(self) -> int:
-        return self._env.num_envs
-
-    def __getitem__(self, index: Any) -> Any:
-        if isinstance(index, slice):
-            return [self[i] for i in range(len(self))[index]]
-        return self._env.render(self._state, range(len(self))[index])
-
-
-def _unbounded(shape: tuple[int, ...]) -> Box:
-    return Box(-np.inf, np.inf, shape, np.float32)
+def _space(part: Any) -> Any:
+    """Space of one environment's share of an observation, or of a part of it, with the batch in front."""
+    if isinstance(part, dict):
+        return Dict({name: _space(value) for name, value in part.items()})
+    low, high = (0, 255) if part.dtype == np.uint8 else (-np.inf, np.inf)
+    return Box(low, high, part.shape[1:], part.dtype.type)
