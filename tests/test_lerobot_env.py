@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import gymnasium
 import jax
@@ -90,8 +91,7 @@ def test_an_arm_that_is_sent_to_its_goal_succeeds_and_one_that_stays_does_not() 
     solution = reachlab.inverse_kinematics(robot.chain, target, home, jax.random.key(0))
     assert solution.converged
     sent = np.stack([np.asarray(solution.q), seen["agent_pos"][1]])
-    for _ in range(env.call("_max_episode_steps")[0]):
-        info = env.step(sent)[-1]
+    info = [env.step(sent)[-1] for _ in range(env.call("_max_episode_steps")[0])][-1]
     assert info["is_success"].tolist() == [True, False]
     env.close()
 
@@ -125,13 +125,14 @@ def test_a_configuration_of_lerobot_names_the_task() -> None:
 
 
 def test_wrong_input_is_refused_in_a_sentence(env: LeRobotVectorEnv, tmp_path: Path) -> None:
-    for settings, sentence in (
+    wrong: tuple[tuple[dict[str, Any], str], ...] = (
         ({"task": "precis"}, "task 'precis' is not one of"),
         ({"task": str(tmp_path)}, "cannot be read as what `reachlab export` wrote"),
         ({"cameras": ["back"]}, "camera 'back' is not one of"),
         ({"robott": "panda"}, "'robott' is not one of"),
         ({"n_envs": 0}, "num_envs"),
-    ):
+    )
+    for settings, sentence in wrong:
         with pytest.raises(InputError, match=sentence):
             make_env(**settings)
     with pytest.raises(InputError, match=r"action must have shape \(6,\)"):

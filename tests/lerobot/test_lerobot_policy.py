@@ -95,9 +95,9 @@ def test_what_lerobot_saves_acts_as_before(exported: Path, tmp_path: Path) -> No
     config = PreTrainedConfig.from_pretrained(folder)
     config.pretrained_path = folder
     other, asked = make_policy(config, env_cfg=ReachlabEnv(task=str(exported))), [[0.25, 0.05, 0.15], [0.25, -0.1, 0.1]]
-    state = torch.tensor([REST] * 2)
+    state, batch = torch.tensor([REST] * 2), {OBS_ENV_STATE: torch.tensor(asked)}
     for _ in range(5):
-        batch = {OBS_STATE: state, OBS_ENV_STATE: torch.tensor(asked)}
+        batch[OBS_STATE] = state
         state = policy.select_action(batch)
         assert torch.equal(state, other.select_action(batch))
     assert not torch.equal(state[0], state[1])

@@ -124,7 +124,7 @@ class LeRobotVectorEnv(VectorEnv[Any, Any, Any]):
         Raises:
             InputError: an action is misshapen or not finite; nothing has moved.
         """
-        wanted = self._motors.command(checked_actions(actions, self.action_space.shape))
+        wanted = self._motors.command(checked_actions(actions, (self.num_envs, len(self._motors.names))))
         before, bounds = np.asarray(self._state.command), self._bounds
         command = np.clip(np.clip(wanted, before - self._most, before + self._most), bounds.lower, bounds.upper)
         self._state, done = self._step(self._state, self._idle, instead=command.astype(np.float32))
