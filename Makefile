@@ -10,8 +10,12 @@ PYTEST := NPROC=1 $(BIN)/python -m pytest -n 2 --dist worksteal
 # Without XLA's newer emitters and without optimisation programs compile in a third of the time; as users have them they run faster.
 QUICK := XLA_FLAGS="--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0"
 GYMNAX_VENV := .venv-gymnax
+LEROBOT_VENV := .venv-lerobot
+# LeRobot needs Python 3.12. What stands in the place of a version that is installed may be a script that finds none.
+IS_PYTHON_3_12 = $(shell $(1) -c 'import sys; sys.exit(sys.version_info[:2] != (3, 12))' 2>/dev/null && echo $(1))
+LEROBOT_PYTHON ?= $(firstword $(foreach one,python3.12 $(wildcard $(HOME)/.pyenv/versions/3.12*/bin/python) $(PYTHON),$(call IS_PYTHON_3_12,$(one))))
 
-.PHONY: demo check test lint types quick unit tiers slow kernels planted-faults bench bench-page foreign fuzz trust policies tables pictures docs docs-blocks three gymnax dist clean
+.PHONY: demo check test lint types quick unit tiers slow kernels planted-faults bench bench-page foreign fuzz trust policies tables pictures docs docs-blocks three gymnax lerobot lerobot-python dist clean
 
 demo: $(VENV)/installed
 	@$(BIN)/reachlab train --out $(RUN)
@@ -98,6 +102,13 @@ docs-blocks: $(VENV)/installed-dev
 gymnax: $(GYMNAX_VENV)/installed
 	$(GYMNAX_VENV)/bin/python -m pytest tests/gymnax
 
+# In an environment of its own: LeRobot needs Python 3.12, an older NumPy, and torch, which is large.
+lerobot: $(LEROBOT_VENV)/installed
+	$(QUICK) $(LEROBOT_VENV)/bin/python -m pytest tests/lerobot
+
+lerobot-python:
+	@test -n "$(LEROBOT_PYTHON)" || { echo "make lerobot needs Python 3.12, and finds none: name it, make lerobot LEROBOT_PYTHON=/path/to/python3.12."; exit 1; }
+
 dist: $(VENV)/installed-dev
 	$(BIN)/python tests/distribution.py
 
@@ -139,5 +150,14 @@ $(GYMNAX_VENV)/installed: $(GYMNAX_VENV)/bin/python pyproject.toml constraints.t
 		--constraint $(GYMNAX_VENV)/constraints.txt --editable '.[gymnax]' rejax pytest pytest-timeout
 	@touch $@
 
+$(LEROBOT_VENV)/bin/python: | lerobot-python
+	$(LEROBOT_PYTHON) -m venv $(LEROBOT_VENV)
+
+$(LEROBOT_VENV)/installed: $(LEROBOT_VENV)/bin/python pyproject.toml constraints.txt tests/lerobot/constraints.txt lerobot_policy_reachlab/pyproject.toml
+	grep -vE '^(fsspec|numpy|packaging|pillow|setuptools|torch)==' constraints.txt | cat - tests/lerobot/constraints.txt > $(LEROBOT_VENV)/constraints.txt
+	$(LEROBOT_VENV)/bin/python -m pip --disable-pip-version-check --quiet install --no-compile --constraint $(LEROBOT_VENV)/constraints.txt \
+		--editable '.[deploy,lerobot]' --editable ./lerobot_policy_reachlab 'lerobot[dataset,evaluation,feetech]' pytest pytest-timeout
+	@touch $@
+
 clean:
-	rm -rf build/site $(VENV) $(GYMNAX_VENV) dist .pytest_cache .ruff_cache
+	rm -rf build/site $(VENV) $(GYMNAX_VENV) $(LEROBOT_VENV) dist .pytest_cache .ruff_cache

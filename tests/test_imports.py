@@ -37,7 +37,7 @@ FOLDERS = (
 GROUND = ("settings",)
 """Folders that the files at the top of the package import from; what is asked for by name is loaded later."""
 
-DOORS = ("gymnax", "sb3")
+DOORS = ("gymnax", "lerobot", "sb3")
 """Files at the top that lead to an optional package: they import from any folder, and nothing imports them."""
 
 APART = ("reachlab.envs.gymnax_env",)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from reachlab.envs.formats import from_json
+from reachlab.envs.setup import make_setup
 from reachlab.robots.robot import Robot
 
 
@@ -17,10 +20,12 @@ class Motors:
     Attributes:
         names: of its motors `[k]`.
         read: their positions `[..., k]` in LeRobot's units, of what can be commanded `[..., m]` [rad or m].
+        command: what can be commanded `[..., m]` [rad or m], of their positions `[..., k]`.
     """
 
     names: tuple[str, ...]
     read: Callable[[np.ndarray], np.ndarray]
+    command: Callable[[np.ndarray], np.ndarray]
 
 
 def motors_of(name: str, robot: Robot) -> Motors:
@@ -28,7 +33,13 @@ def motors_of(name: str, robot: Robot) -> Motors:
 
     The opening of its gripper [m], where it is driven, comes after them.
     """
-    return LEROBOT.get(name, lambda robot: Motors(robot.actuators, np.asarray))(robot)
+    return LEROBOT.get(name, lambda robot: Motors(robot.actuators, np.asarray, np.asarray))(robot)
+
+
+def exported_motors(facts: Mapping[str, Any]) -> Motors:
+    """Motors of the arm of an exported policy, by what its `policy.json` says."""
+    config = from_json(facts["settings"])
+    return motors_of(config.robot, make_setup(config).robot)
 
 
 def _so101(robot: Robot) -> Motors:
@@ -46,7 +57,11 @@ def _so101(robot: Robot) -> Motors:
         jaw = gripper.fingers(actuated[..., arm:]) if gripper else at_rest
         return np.concatenate([np.degrees(actuated[..., :arm]), 100 * (jaw - low) / (high - low)], axis=-1)
 
-    return Motors(tuple(f"{name}.pos" for name in (*robot.joint_names, joint.name)), read)
+    def command(motors: np.ndarray) -> np.ndarray:
+        joints, jaw = np.radians(motors[..., :arm]), low + (high - low) * motors[..., arm:] / 100
+        return np.concatenate([joints, gripper.opening(jaw)], axis=-1) if gripper else joints
+
+    return Motors(tuple(f"{name}.pos" for name in (*robot.joint_names, joint.name)), read, command)
 
 
 LEROBOT: dict[str, Callable[[Robot], Motors]] = {"so101": _so101}

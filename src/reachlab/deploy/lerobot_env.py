@@ -1,0 +1,191 @@
+"""A batch of environments as LeRobot knows them: motors are read and commanded, cameras look on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium.spaces import Box, Dict
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from reachlab.control.bodies import FAR
+from reachlab.deploy.lerobot_units import motors_of
+from reachlab.envs.core import Env
+from reachlab.envs.gymnasium_shared import METADATA, checked_actions, checked_seeds
+from reachlab.envs.random_streams import gymnasium_keys
+from reachlab.render import CAMERAS
+from reachlab.render.observation_camera import ObservationCamera
+from reachlab.render.view_randomisation import develop, make_views
+from reachlab.settings.config import RunConfig
+from reachlab.settings.json_form import override
+from reachlab.settings.validation import LAST_SEED, InputError, choose
+
+BODY = {"position": 3, "quaternion": 4, "half": 3, "radius": 1, "velocity": 3}
+"""What is told of each body beside the arm, and in how many numbers."""
+
+ENDS = np.cumsum(list(BODY.values()))
+"""Where the parts end in the numbers of a body."""
+
+FILMED = 10
+"""Environments of which LeRobot's evaluation makes films."""
+
+
+def told(facts: Mapping[str, Any], numbers: np.ndarray) -> dict[str, Any]:
+    """What a controller is asked, by the names of `Controller.step`, of an `environment_state [k]`.
+
+    Args:
+        facts: what the `policy.json` of its folder says.
+        numbers: the environment's.
+
+    Raises:
+        InputError: the environment is not one of the policy's task.
+    """
+    goal = facts["goal"]
+    place, velocity, rest = np.split(numbers, np.cumsum([7 if goal["orientation"] else 3, 3 * goal["moves"]]))
+    if rest.size % ENDS[-1]:
+        raise InputError("the environment asks for other goals than the policy's: give it the exported folder as task.")
+    rows = [np.split(row, ENDS[:-1]) for row in rest.reshape(-1, ENDS[-1]) if row[2] > FAR[2] / 2]
+    bodies = [dict(zip(BODY, (*row[:3], row[3][0], row[4]), strict=True)) for row in rows]
+    fixed = len(bodies) - len(facts["objects"])
+    asked = {"goal": place, "obstacles": bodies[:fixed], "objects": bodies[fixed:]}
+    return asked | ({"velocity": velocity} if goal["moves"] else {})
+
+
+class LeRobotVectorEnv(VectorEnv[Any, Any, Any]):
+    """A batch of arms for LeRobot's rollouts, in the form in which `record` writes datasets.
+
+    Actions are positions of the motors `[B, k]`. An observation is a dict:
+
+    - `agent_pos [B, k]`: where the motors are; for both see `lerobot_units.motors_of`.
+    - `environment_state [B, l]`: the goal's position [m], its quaternion wxyz and its velocity [m/s] where the task has
+      them, and `BODY` of each body beside the arm, the object last.
+    - `pixels`: of each camera `[B, size, size, 3]` uint8.
+
+    `info["is_success"] [B]` says which episodes end in success in this step: one that told of success before its end
+    would count for LeRobot too. Episodes that have ended count no more, and all begin anew by `reset`.
+    """
+
+    def __init__(self, config: RunConfig, num_envs: int = 1, cameras: Sequence[str] = (), size: int = 96) -> None:
+        """Batch of environments, with pictures by so many of `CAMERAS`.
+
+        Raises:
+            InputError: no such camera, or see `Env`.
+        """
+        for name in cameras:
+            choose("camera", name, CAMERAS)
+        self._env = env = Env(override(config, shaping=False), num_envs)
+        robot, rules, period = env.setup.robot, env.setup.rules, env.setup.period
+        self._motors, self._bounds = motors_of(env.config.robot, robot), robot.commands
+        self._most = np.array(robot.commands.speed) * (period if env.functions.real_time else np.inf)
+        self._objects = env.setup.task.scene(env.setup).objects > 0
+        self._cameras = {
+            name: ObservationCamera(robot, objects=self._objects, size=size, colour=bool(CAMERAS[name].angles))
+            for name in cameras
+        }
+        self._init, self._step = map(env.compile_whole, (env.init, env.step))
+        self._idle = np.zeros((num_envs, len(env.action_bounds[0])), np.float32)
+        self._of_each = {
+            "task": env.config.task,
+            "task_description": env.setup.task.asks(rules, period).partition(":")[0],
+            "_max_episode_steps": rules.max_steps,
+        }
+        self.num_envs, self.render_mode = num_envs, "rgb_array"
+        self.metadata = {**METADATA, "render_fps": round(1 / period), "autoreset_mode": AutoresetMode.DISABLED}
+        seen, _ = self.reset(seed=0)
+        self.single_observation_space: Any = _space(seen)
+        self.single_action_space = _space(seen["agent_pos"])
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Observations of new episodes in all environments, those of Gymnasium's for the same seeds, and info.
+
+        LeRobot's `options` have no effect.
+
+        Raises:
+            InputError: seeds that do not fit the batch.
+        """
+        del options
+        seeds = checked_seeds(seed, self.num_envs)
+        super().reset(seed=None if np.ndim(seed) else seeds[0])  # pyright: ignore[reportArgumentType]
+        drawn = [int(self.np_random.integers(LAST_SEED + 1)) if one is None else one for one in seeds]
+        self._state = self._init(gymnasium_keys(np.array(drawn, np.uint32)))
+        return self._seen(), {"is_success": np.zeros(self.num_envs, bool)}
+
+    def step(self, actions: Any) -> tuple[dict[str, Any], Any, Any, Any, dict[str, Any]]:
+        """Observations, rewards, terminated, truncated and info after commands to the motors `[B, k]`.
+
+        A command beyond the limits of position, and of speed where joints take time to move, is one at the limit.
+
+        Raises:
+            InputError: an action is misshapen or not finite; nothing has moved.
+        """
+        wanted = self._motors.command(checked_actions(actions, (self.num_envs, len(self._motors.names))))
+        before, bounds = np.asarray(self._state.command), self._bounds
+        command = np.clip(np.clip(wanted, before - self._most, before + self._most), bounds.lower, bounds.upper)
+        self._state, done = self._step(self._state, self._idle, instead=command.astype(np.float32))
+        success = np.asarray(done.done) & np.asarray(done.terms["success"])
+        reward = np.asarray(done.reward, np.float64)
+        return self._seen(), reward, np.array(done.terminated), np.array(done.truncated), {"is_success": success}
+
+    def call(self, name: str, *args: Any, **kwargs: Any) -> Sequence[Any]:
+        """What each environment answers, as a batch of single environments gives it.
+
+        Raises:
+            AttributeError: to a name that LeRobot's rollouts do not ask for.
+        """
+        del args, kwargs
+        if name == "render":
+            return self.render()
+        if name not in self._of_each:
+            raise AttributeError(f"{name!r} is none of {', '.join(self._of_each)} and render.")
+        return (self._of_each[name],) * self.num_envs
+
+    get_attr = call
+
+    def render(self) -> tuple[np.ndarray, ...]:
+        """A picture for people of each of the first `FILMED` environments, `[height, width, 3]` uint8."""
+        return tuple(self._env.render(self._state, index) for index in range(min(self.num_envs, FILMED)))
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Close simulator and cameras."""
+        del kwargs
+        for camera in self._cameras.values():
+            camera.close()
+        self._env.close()
+
+    def _seen(self) -> dict[str, Any]:
+        env, state, bodies = self._env, self._state, self._state.arm.bodies
+        goal, actuated = state.goal, np.concatenate([state.arm.q, state.arm.opening], axis=1)
+        known = [goal.position, goal.quaternion, goal.velocity]
+        if bodies.kind.size:  # what JAX computes of nothing takes time too
+            parts = [
+                bodies.position,
+                bodies.quaternion,
+                bodies.half,
+                bodies.radius[..., None],
+                bodies.velocity[..., :3],
+            ]
+            known.append(np.concatenate(parts, axis=-1).reshape(self.num_envs, -1))
+        seen: dict[str, Any] = {
+            "agent_pos": self._motors.read(actuated).astype(np.float32),
+            "environment_state": np.concatenate(known, axis=1).astype(np.float32),
+        }
+        samples, pictures = np.asarray(env.functions.view_samples(state.key)), dict[str, np.ndarray]()
+        for name, camera in self._cameras.items():
+            views = make_views(samples, env.setup.robot, objects=self._objects, angles=CAMERAS[name].angles)
+            drawn = develop(camera.pictures(actuated, np.asarray(goal.position), bodies, views), views)
+            pictures[name] = drawn if drawn.ndim > 3 else np.repeat(drawn[..., None], 3, axis=-1)
+        return seen | ({"pixels": pictures} if pictures else {})
+
+
+def _space(part: Any) -> Any:
+    """Space of one environment's share of an observation, or of a part of it, with the batch in front."""
+    if isinstance(part, dict):
+        return Dict({name: _space(value) for name, value in part.items()})
+    low, high = (0, 255) if part.dtype == np.uint8 else (-np.inf, np.inf)
+    return Box(low, high, part.shape[1:], part.dtype.type)

@@ -1,0 +1,53 @@
+"""Environments for Hugging Face LeRobot: `make_env` is what the `env.py` of a repository on its hub gives.
+
+Actions are positions of an arm's motors, in LeRobot's units, and observations the same with pictures: the form of the
+datasets that `reachlab record` writes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from reachlab.deploy.check import read_facts
+from reachlab.deploy.lerobot_env import LeRobotVectorEnv
+from reachlab.envs.formats import from_json
+from reachlab.envs.setup import configure_env, in_evaluation
+from reachlab.tasks import TASKS
+
+__all__ = ["make_env"]
+
+
+def make_env(
+    n_envs: int = 1,
+    use_async_envs: bool = False,
+    cfg: Any = None,
+    *,
+    task: str = "tutorial",
+    cameras: Sequence[str] = (),
+    size: int = 96,
+    **settings: Any,
+) -> LeRobotVectorEnv:
+    """A batch of environments, which is one compiled program, whether or not `use_async_envs` is asked for.
+
+    Args:
+        n_envs: environments in the batch.
+        use_async_envs: of LeRobot's interface, without effect.
+        cfg: LeRobot's `EnvConfig`, whose `task`, if it has one, is taken in place of the other.
+        task: a task preset, or a folder that `reachlab export` wrote: the environment in which its policy is evaluated.
+        cameras: names of cameras, as `reachlab record` has them.
+        size: height and width of their pictures [pixels].
+        settings: any field of the configuration.
+
+    Raises:
+        InputError: a task, folder, camera or setting that does not exist, or a value that is not allowed.
+    """
+    del use_async_envs
+    name = (cfg and cfg.task) or task
+    if name not in TASKS and Path(name).is_dir():
+        trained = from_json(read_facts(Path(name))["settings"])
+        config = in_evaluation(trained, trained.sim, **settings)
+    else:
+        config = configure_env(name, **settings)
+    return LeRobotVectorEnv(config, n_envs, cameras, size)
