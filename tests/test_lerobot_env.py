@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 
 import reachlab
-from reachlab.deploy.lerobot_env import LeRobotVectorEnv, told
+from reachlab.deploy.lerobot_env import LeRobotVectorEnv
+from reachlab.deploy.lerobot_surroundings import told
 from reachlab.deploy.lerobot_units import motors_of
 from reachlab.envs.presets import configure
 from reachlab.envs.setup import make_setup

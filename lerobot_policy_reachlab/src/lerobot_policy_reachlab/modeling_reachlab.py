@@ -18,7 +18,7 @@ from torch import Tensor
 
 from lerobot_policy_reachlab.configuration_reachlab import ReachlabConfig
 from reachlab.deploy.check import read_facts, start_controller
-from reachlab.deploy.lerobot_env import told
+from reachlab.deploy.lerobot_surroundings import told
 from reachlab.deploy.lerobot_units import exported_motors
 from reachlab.settings.validation import InputError
 

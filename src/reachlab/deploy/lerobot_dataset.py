@@ -61,6 +61,7 @@ class Layout(NamedTuple):
 
     Attributes:
         motors: names of what is observed and commanded.
+        beside: how many numbers are told of what is beside the arm.
         videos: names of features that are pictures.
         size: height and width of pictures [pixels].
         robot: name of the arm.
@@ -69,6 +70,7 @@ class Layout(NamedTuple):
     """
 
     motors: tuple[str, ...]
+    beside: int
     videos: tuple[str, ...]
     size: int
     robot: str
@@ -79,11 +81,13 @@ class Layout(NamedTuple):
     def features(self) -> dict[str, dict[str, Any]]:
         """Type, shape and names of each feature."""
         vector = {"dtype": "float32", "shape": [len(self.motors)], "names": list(self.motors)}
+        beside = {"dtype": "float32", "shape": [self.beside], "names": None}
         info = {**CODED, "has_audio": False, "video.height": self.size, "video.width": self.size, "video.fps": self.fps}
         sides = {"shape": [self.size, self.size, 3], "names": ["height", "width", "channels"]}
         video = {"dtype": "video", **sides, "info": info}
         scalars = {name: {"dtype": kind, "shape": [1], "names": None} for name, kind in SCALARS.items()}
-        return {"observation.state": vector, "action": vector} | dict.fromkeys(self.videos, video) | scalars
+        vectors = {"observation.state": vector, "observation.environment_state": beside, "action": vector}
+        return vectors | dict.fromkeys(self.videos, video) | scalars
 
 
 class Part(NamedTuple):

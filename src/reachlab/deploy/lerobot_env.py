@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,7 @@ from gymnasium.spaces import Box, Dict
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from reachlab.control.bodies import FAR
+from reachlab.deploy.lerobot_surroundings import surroundings
 from reachlab.deploy.lerobot_units import motors_of
 from reachlab.envs.core import Env
 from reachlab.envs.gymnasium_shared import METADATA, checked_actions, checked_seeds
@@ -20,37 +20,10 @@ from reachlab.render.observation_camera import ObservationCamera
 from reachlab.render.view_randomisation import develop, make_views
 from reachlab.settings.config import RunConfig
 from reachlab.settings.json_form import override
-from reachlab.settings.validation import LAST_SEED, InputError, choose
-
-BODY = {"position": 3, "quaternion": 4, "half": 3, "radius": 1, "velocity": 3}
-"""What is told of each body beside the arm, and in how many numbers."""
-
-ENDS = np.cumsum(list(BODY.values()))
-"""Where the parts end in the numbers of a body."""
+from reachlab.settings.validation import LAST_SEED, choose
 
 FILMED = 10
 """Environments of which LeRobot's evaluation makes films."""
-
-
-def told(facts: Mapping[str, Any], numbers: np.ndarray) -> dict[str, Any]:
-    """What a controller is asked, by the names of `Controller.step`, of an `environment_state [k]`.
-
-    Args:
-        facts: what the `policy.json` of its folder says.
-        numbers: the environment's.
-
-    Raises:
-        InputError: the environment is not one of the policy's task.
-    """
-    goal = facts["goal"]
-    place, velocity, rest = np.split(numbers, np.cumsum([7 if goal["orientation"] else 3, 3 * goal["moves"]]))
-    if rest.size % ENDS[-1]:
-        raise InputError("the environment asks for other goals than the policy's: give it the exported folder as task.")
-    rows = [np.split(row, ENDS[:-1]) for row in rest.reshape(-1, ENDS[-1]) if row[2] > FAR[2] / 2]
-    bodies = [dict(zip(BODY, (*row[:3], row[3][0], row[4]), strict=True)) for row in rows]
-    fixed = len(bodies) - len(facts["objects"])
-    asked = {"goal": place, "obstacles": bodies[:fixed], "objects": bodies[fixed:]}
-    return asked | ({"velocity": velocity} if goal["moves"] else {})
 
 
 class LeRobotVectorEnv(VectorEnv[Any, Any, Any]):
@@ -59,8 +32,7 @@ class LeRobotVectorEnv(VectorEnv[Any, Any, Any]):
     Actions are positions of the motors `[B, k]`. An observation is a dict:
 
     - `agent_pos [B, k]`: where the motors are; for both see `lerobot_units.motors_of`.
-    - `environment_state [B, l]`: the goal's position [m], its quaternion wxyz and its velocity [m/s] where the task has
-      them, and `BODY` of each body beside the arm, the object last.
+    - `environment_state [B, l]`: see `surroundings`.
     - `pixels`: of each camera `[B, size, size, 3]` uint8.
 
     `info["is_success"] [B]` says which episodes end in success in this step: one that told of success before its end
@@ -161,19 +133,9 @@ class LeRobotVectorEnv(VectorEnv[Any, Any, Any]):
     def _seen(self) -> dict[str, Any]:
         env, state, bodies = self._env, self._state, self._state.arm.bodies
         goal, actuated = state.goal, np.concatenate([state.arm.q, state.arm.opening], axis=1)
-        known = [goal.position, goal.quaternion, goal.velocity]
-        if bodies.kind.size:  # what JAX computes of nothing takes time too
-            parts = [
-                bodies.position,
-                bodies.quaternion,
-                bodies.half,
-                bodies.radius[..., None],
-                bodies.velocity[..., :3],
-            ]
-            known.append(np.concatenate(parts, axis=-1).reshape(self.num_envs, -1))
         seen: dict[str, Any] = {
             "agent_pos": self._motors.read(actuated).astype(np.float32),
-            "environment_state": np.concatenate(known, axis=1).astype(np.float32),
+            "environment_state": surroundings(goal, bodies),
         }
         samples, pictures = np.asarray(env.functions.view_samples(state.key)), dict[str, np.ndarray]()
         for name, camera in self._cameras.items():

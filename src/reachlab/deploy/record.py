@@ -17,7 +17,9 @@ import numpy as np
 from reachlab.agents.acting import Function, name_of
 from reachlab.agents.policy import Policy
 from reachlab.control.bodies import Bodies
+from reachlab.deploy.lerobot_surroundings import surroundings
 from reachlab.deploy.lerobot_units import Motors, motors_of
+from reachlab.emit.behaviour import example_state
 from reachlab.envs.core import Env
 from reachlab.envs.random_streams import RECORD_STREAM
 from reachlab.evaluation.episodes import Episodes, Step, Watch, ignore, make_runner, run_episodes
@@ -37,13 +39,17 @@ PATIENCE = 1000
 
 
 class Rows(NamedTuple):
-    """Steps: where the arm is and the command `[R, m]` [rad or m], the reward `[R]`, the goal `[R, 3]` m, bodies."""
+    """Steps: where the arm is and the command `[R, m]` [rad or m], the reward `[R]`, and what is beside the arm.
+
+    That is the goal `[R, 3]` m and the bodies, and both as numbers `[R, l]`, see `surroundings`.
+    """
 
     actuated: np.ndarray
     command: np.ndarray
     reward: np.ndarray
     goal: np.ndarray
     bodies: Bodies
+    beside: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -104,7 +110,9 @@ def record(
     start, out, most = time.perf_counter(), Path(out), config.episodes
     cameras = {f"observation.images.{name}": CAMERAS[choose("camera", name, CAMERAS)] for name in config.cameras}
     dataset, motors = _lerobot_dataset(), motors_of(env.config.robot, env.setup.robot)
-    layout = dataset.Layout(motors.names, tuple(cameras), config.size, *_named(env))
+    like = example_state(env)
+    beside = surroundings(like.goal, like.arm.bodies).shape[1]
+    layout = dataset.Layout(motors.names, beside, tuple(cameras), config.size, *_named(env))
     settings = flatten(to_json(env.config)) | vars(config)
     settings |= {"agent": name_of(agent), "checkpoint": checkpoint, "at_once": env.num_envs}
     try:
@@ -178,7 +186,12 @@ def _part(
     done, success = np.zeros((2, len(rows.reward)), bool)
     done[ends], success[ends] = True, played.success
     features = {"observation.state": motors.read(rows.actuated), "action": motors.read(rows.command)}
-    features |= {"next.reward": rows.reward, "next.done": done, "next.success": success}
+    features |= {
+        "observation.environment_state": rows.beside,
+        "next.reward": rows.reward,
+        "next.done": done,
+        "next.success": success,
+    }
     samples = np.asarray(env.functions.view_samples(batch.steps[0].state.key))[chosen]
     return features, lengths, batch.number + chosen, lambda key: _draw(studio[key], samples, lengths, rows)
 
@@ -186,7 +199,8 @@ def _part(
 def _rows(step: Step) -> Rows:
     arm, state = step.state.arm, step.state
     actuated = np.concatenate([arm.q, arm.opening], axis=1)
-    return Rows(actuated, *map(np.asarray, (step.command, step.reward, state.goal.position)), bodies=arm.bodies)
+    known = map(np.asarray, (step.command, step.reward, state.goal.position))
+    return Rows(actuated, *known, bodies=arm.bodies, beside=surroundings(state.goal, arm.bodies))
 
 
 @contextmanager
