@@ -10,17 +10,15 @@ from gymnasium.spaces import Box, Dict
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
+from reachlab.deploy.lerobot_pictures import Studio
 from reachlab.deploy.lerobot_surroundings import surroundings
 from reachlab.deploy.lerobot_units import motors_of
 from reachlab.envs.core import Env
 from reachlab.envs.gymnasium_shared import METADATA, checked_actions, checked_seeds
 from reachlab.envs.random_streams import gymnasium_keys
-from reachlab.render import CAMERAS
-from reachlab.render.observation_camera import ObservationCamera
-from reachlab.render.view_randomisation import develop, make_views
 from reachlab.settings.config import RunConfig
 from reachlab.settings.json_form import override
-from reachlab.settings.validation import LAST_SEED, choose
+from reachlab.settings.validation import LAST_SEED
 
 FILMED = 10
 """Environments of which LeRobot's evaluation makes films."""
@@ -45,17 +43,11 @@ class LeRobotVectorEnv(VectorEnv[Any, Any, Any]):
         Raises:
             InputError: no such camera, or see `Env`.
         """
-        for name in cameras:
-            choose("camera", name, CAMERAS)
         self._env = env = Env(override(config, shaping=False), num_envs)
+        self._studios = {name: Studio(env, name, size) for name in cameras}
         robot, rules, period = env.setup.robot, env.setup.rules, env.setup.period
         self._motors, self._bounds = motors_of(env.config.robot, robot), robot.commands
         self._most = np.array(robot.commands.speed) * (period if env.functions.real_time else np.inf)
-        self._objects = env.setup.task.scene(env.setup).objects > 0
-        self._cameras = {
-            name: ObservationCamera(robot, objects=self._objects, size=size, colour=bool(CAMERAS[name].angles))
-            for name in cameras
-        }
         self._init, self._step = map(env.compile_whole, (env.init, env.step))
         self._idle = np.zeros((num_envs, len(env.action_bounds[0])), np.float32)
         self._of_each = {
@@ -126,8 +118,8 @@ class LeRobotVectorEnv(VectorEnv[Any, Any, Any]):
     def close_extras(self, **kwargs: Any) -> None:
         """Close simulator and cameras."""
         del kwargs
-        for camera in self._cameras.values():
-            camera.close()
+        for studio in self._studios.values():
+            studio.close()
         self._env.close()
 
     def _seen(self) -> dict[str, Any]:
@@ -137,11 +129,10 @@ class LeRobotVectorEnv(VectorEnv[Any, Any, Any]):
             "agent_pos": self._motors.read(actuated).astype(np.float32),
             "environment_state": surroundings(goal, bodies),
         }
-        samples, pictures = np.asarray(env.functions.view_samples(state.key)), dict[str, np.ndarray]()
-        for name, camera in self._cameras.items():
-            views = make_views(samples, env.setup.robot, objects=self._objects, angles=CAMERAS[name].angles)
-            drawn = develop(camera.pictures(actuated, np.asarray(goal.position), bodies, views), views)
-            pictures[name] = drawn if drawn.ndim > 3 else np.repeat(drawn[..., None], 3, axis=-1)
+        samples, position = np.asarray(env.functions.view_samples(state.key)), np.asarray(goal.position)
+        pictures = {
+            name: studio.pictures(samples, actuated, position, bodies) for name, studio in self._studios.items()
+        }
         return seen | ({"pixels": pictures} if pictures else {})
 
 

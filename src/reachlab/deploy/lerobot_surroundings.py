@@ -24,7 +24,7 @@ def surroundings(goal: Goal, bodies: Bodies) -> np.ndarray:
     The goal's position [m], its quaternion wxyz and its velocity [m/s] where the task has them, and `BODY` of each body
     beside the arm, the object last.
     """
-    known = [goal.position, goal.quaternion, goal.velocity]
+    known: list[Any] = [goal.position, goal.quaternion, goal.velocity]
     if bodies.kind.size:  # what JAX computes of nothing takes time too
         velocity = bodies.velocity[..., :3]
         parts = [bodies.position, bodies.quaternion, bodies.half, bodies.radius[..., None], velocity]

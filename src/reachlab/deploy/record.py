@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
-from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,15 +16,14 @@ import numpy as np
 from reachlab.agents.acting import Function, name_of
 from reachlab.agents.policy import Policy
 from reachlab.control.bodies import Bodies
+from reachlab.deploy.lerobot_pictures import Studio
 from reachlab.deploy.lerobot_surroundings import surroundings
 from reachlab.deploy.lerobot_units import Motors, motors_of
 from reachlab.emit.behaviour import example_state
 from reachlab.envs.core import Env
 from reachlab.envs.random_streams import RECORD_STREAM
 from reachlab.evaluation.episodes import Episodes, Step, Watch, ignore, make_runner, run_episodes
-from reachlab.render import CAMERAS, CameraEntry
-from reachlab.render.observation_camera import ObservationCamera
-from reachlab.render.view_randomisation import Views, develop, make_views
+from reachlab.render import CAMERAS
 from reachlab.settings.config import RecordConfig
 from reachlab.settings.json_form import flatten, to_json
 from reachlab.settings.validation import InputError, choose, installing
@@ -62,13 +60,6 @@ class Recorded:
     tried: int
     bytes: int
     seconds: float
-
-
-class Studio(NamedTuple):
-    """A camera, and its views of view samples."""
-
-    camera: ObservationCamera
-    views: Callable[[np.ndarray], Views]
 
 
 class Batch(NamedTuple):
@@ -108,7 +99,7 @@ def record(
             many episodes is a success.
     """
     start, out, most = time.perf_counter(), Path(out), config.episodes
-    cameras = {f"observation.images.{name}": CAMERAS[choose("camera", name, CAMERAS)] for name in config.cameras}
+    cameras = {f"observation.images.{choose('camera', name, CAMERAS)}": name for name in config.cameras}
     dataset, motors = _lerobot_dataset(), motors_of(env.config.robot, env.setup.robot)
     like = example_state(env)
     beside = surroundings(like.goal, like.arm.bodies).shape[1]
@@ -117,7 +108,9 @@ def record(
     settings |= {"agent": name_of(agent), "checkpoint": checkpoint, "at_once": env.num_envs}
     try:
         with ExitStack() as stack:
-            studio = {key: stack.enter_context(_open(env, one, config.size)) for key, one in cameras.items()}
+            studio = {
+                key: stack.enter_context(closing(Studio(env, name, config.size))) for key, name in cameras.items()
+            }
             play, written = _player(env, agent, policy, config.seed), dataset.begin(out, settings)
             number = -(-written.number // env.num_envs) * env.num_envs
             while written.episodes < most:
@@ -203,20 +196,8 @@ def _rows(step: Step) -> Rows:
     return Rows(actuated, *known, bodies=arm.bodies, beside=surroundings(state.goal, arm.bodies))
 
 
-@contextmanager
-def _open(env: Env, entry: CameraEntry, size: int) -> Iterator[Studio]:
-    """A camera of the table, until the context ends."""
-    objects = env.setup.task.scene(env.setup).objects > 0
-    camera = ObservationCamera(env.setup.robot, objects=objects, size=size, colour=bool(entry.angles))
-    with closing(camera):
-        yield Studio(camera, partial(make_views, robot=env.setup.robot, objects=objects, angles=entry.angles))
-
-
 def _draw(studio: Studio, samples: np.ndarray, lengths: np.ndarray, rows: Rows) -> Iterator[np.ndarray]:
     """Pictures `[steps, size, size, 3]` uint8 of each episode, of their view samples, lengths and all their rows."""
-    ends, views = np.cumsum(lengths), studio.views(samples)
-    for episode, (end, length) in enumerate(zip(ends, lengths, strict=True)):
+    for sample, length, end in zip(samples, lengths, np.cumsum(lengths), strict=True):
         now: Rows = jax.tree.map(lambda part, own=slice(end - length, end): part[own], rows)
-        seen = Views(*(np.repeat(part[episode : episode + 1], length, axis=0) for part in views))
-        pictures = develop(studio.camera.pictures(now.actuated, now.goal, now.bodies, seen), seen)
-        yield pictures if pictures.ndim > 3 else np.repeat(pictures[..., None], 3, axis=-1)
+        yield studio.pictures(np.repeat(sample[None], length, axis=0), now.actuated, now.goal, now.bodies)
