@@ -356,7 +356,7 @@ def test_names_are_escaped_in_the_page(arm: Shown) -> None:
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        ([], "view needs at least one run directory, or a policy as panda/precise."),
+        ([], "view needs a run directory, a policy as panda/precise, or --task with a baseline as --agent ik."),
         (
             ["a", "--out", "page.html", "--port", "9"],
             "view --out serves nothing, so --port has no effect: leave it out.",

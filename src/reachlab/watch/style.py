@@ -7,8 +7,8 @@ from typing import Any
 from matplotlib.axis import Axis
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
-PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-"""Colours told apart without colour vision too (Okabe and Ito, "Color universal design", 2008)."""
+PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#999999")
+"""Told apart without colour vision too (Okabe and Ito, "Color universal design", 2008; a grey in place of yellow)."""
 
 LINES = ("-", "--", ":", "-.")
 """Kinds of line that tell simulators apart, and more groups than there are colours."""
