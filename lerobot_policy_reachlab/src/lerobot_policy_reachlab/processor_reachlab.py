@@ -15,7 +15,7 @@ Pipelines = tuple[
 
 
 def make_reachlab_pre_post_processors(config: ReachlabConfig, dataset_stats: Any = None) -> Pipelines:
-    """LeRobot's usual steps before and after a policy, without normalisation, which is in the exported graph.
+    """LeRobot's usual steps before and after a policy, without normalisation, which the exported policy does.
 
     Statistics of a dataset therefore have no effect.
     """
