@@ -549,6 +549,10 @@ def test_a_page_that_is_served_computes_what_it_can(asking: Page, precise: Path)
     assert "connect-src" not in file.read_text(encoding="utf-8")
 
 
+AT_REST = "(player => !player.waits && !player.asked.steps)(reachlab.live.player)"
+"""Whether all steps that a streamed arm was asked for have been told to the page."""
+
+
 @pytest.mark.skipif(find_spec("pybullet") is None, reason="needs the extra pybullet")
 def test_an_arm_in_pybullet_is_streamed_and_follows_the_mouse(asking: Page, tutorial: Path) -> None:
     with served(str(tutorial), "--sim", "pybullet", "--agent", "ik") as url:
@@ -564,7 +568,7 @@ def test_an_arm_in_pybullet_is_streamed_and_follows_the_mouse(asking: Page, tuto
         asking.mouse.up()
         assert apart(moment(asking)["tool"], moment(asking)["goal"]) < 0.1
         asking.get_by_role("button", name="Pause").click()
-        asking.wait_for_timeout(500)
+        wait_until(lambda: asking.evaluate(AT_REST), "the pause")
         steps = asking.evaluate("reachlab.live.player.steps")
         asking.get_by_role("button", name="Step").click()
         wait_until(lambda: asking.evaluate("reachlab.live.player.steps") == steps + 1, "a step")
