@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import jax
@@ -10,7 +12,7 @@ import numpy as np
 from jax import Array
 
 from reachlab.agents import AGENTS
-from reachlab.agents.policy import Policy
+from reachlab.agents.policy import Memory, Policy
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState, Transition
 from reachlab.envs.gymnasium_shared import checked_actions
@@ -20,11 +22,15 @@ from reachlab.tasks.schema import Field, Observed, Schema
 OF_THE_ARM = ("joints", "tool")
 """Parts of an observation whose bounds say which arm it is of."""
 
-Agent = Callable[[Env, Policy | None, EnvState, Array, Array | None], Array]
-"""Gives actions `[B, a]` for a state; the key is for agents that sample them, the picture for policies that need it."""
+Agent = Callable[[Env, Policy | None, EnvState, Array, Array | None], Array | tuple[Array, Memory]]
+"""Gives actions `[B, a]` for a state, or these and what is remembered then; the key is for agents that sample them, the
+picture for policies that need it."""
 
-Function = Callable[[Observed], Any]
-"""Gives actions `[B, a]` for observations, both in NumPy or what it understands: a policy of any other library."""
+Function = Callable[..., Any]
+"""Gives actions `[B, a]` for observations, both in NumPy or what it understands: a policy of any other library.
+
+Where it has a second argument it is given where episodes begin, `[B]` truths: a policy that remembers needs that.
+"""
 
 Act = Callable[..., tuple[EnvState, Transition, Array]]
 """State, transition and next random key after a step of an agent, of policy, state, key, `mask` and `instead`.
@@ -34,13 +40,23 @@ is a number is taken in place of the agent's, see `Env.step`.
 """
 
 
-def trained(env: Env, policy: Policy | None, state: EnvState, key: Array, picture: Array | None) -> Array:
+def trained(
+    env: Env, policy: Policy | None, state: EnvState, key: Array, picture: Array | None
+) -> tuple[Array, Memory]:
     """The trained policy, without noise."""
     del key
     if policy is None:
         raise InputError("agent 'trained' needs a run: name its directory.")
     _check_fits(policy.schema, env)
-    return policy.act(env.observe(state, picture))
+    return policy.decide(env.observe(state, picture), state.memory)
+
+
+def decide(
+    agent: Agent, env: Env, policy: Policy | None, state: EnvState, key: Array, picture: Array | None
+) -> tuple[Array, Memory]:
+    """Actions `[B, a]` of an agent, and what is remembered then: by baselines what was."""
+    given = agent(env, policy, state, key, picture)
+    return given if isinstance(given, tuple) else (given, state.memory)
 
 
 def _check_fits(schema: Schema, env: Env) -> None:
@@ -80,12 +96,12 @@ def make_act(env: Env, agent: str | Function) -> Act:
     entry = AGENTS[choose("agent", agent, AGENTS)]
     if entry.remembers:
         return entry.load()(env)
-    decide: Agent = entry.load()
+    chosen: Agent = entry.load()
 
     @env.compile_part
-    def decided(policy: Policy | None, state: EnvState, key: Array, picture: Any) -> tuple[Array, Array]:
+    def decided(policy: Policy | None, state: EnvState, key: Array, picture: Any) -> tuple[Array, Memory, Array]:
         key, now = jax.random.split(key)
-        return decide(env, policy, state, now, picture), key
+        return *decide(chosen, env, policy, state, now, picture), key
 
     draws = env.pictured and entry.trained
 
@@ -93,11 +109,20 @@ def make_act(env: Env, agent: str | Function) -> Act:
         policy: Policy | None, state: EnvState, key: Array, mask: Array | None = None, instead: Array | None = None
     ) -> tuple[EnvState, Transition, Array]:
         picture = env.render_observation(state, None if mask is None else np.asarray(mask)) if draws else None
-        action, key = decided(policy, state, key, picture)
-        state, transition = env.step(state, action, instead=instead)
+        action, memory, key = decided(policy, state, key, picture)
+        state, transition = env.step(replace(state, memory=memory), action, instead=instead)
         return state, transition, key
 
     return act
+
+
+def _arguments(function: Function) -> list[str]:
+    """Names of the arguments that a function takes by place; one where that is not known."""
+    try:
+        known = inspect.signature(function).parameters.values()
+    except (TypeError, ValueError):
+        return ["observation"]
+    return [one.name for one in known if one.kind in (one.POSITIONAL_ONLY, one.POSITIONAL_OR_KEYWORD)]
 
 
 def _act_by(decide: Function, env: Env) -> Act:
@@ -106,14 +131,16 @@ def _act_by(decide: Function, env: Env) -> Act:
     Raises:
         InputError: when it is called, where it gives actions that are misshapen or not finite.
     """
-    step = env.compile_whole(env.step)
+    step, told = env.compile_whole(env.step), len(_arguments(decide)) > 1
 
     def act(
         policy: Policy | None, state: EnvState, key: Array, mask: Array | None = None, instead: Array | None = None
     ) -> tuple[EnvState, Transition, Array]:
         del policy
         seen = jax.tree.map(np.array, env.observe_now(state, None if mask is None else np.asarray(mask)))
-        state, transition = step(state, checked_actions(decide(seen), state.last_action.shape), instead=instead)
+        begins = (np.asarray(state.clock) == 0,) if told else ()
+        actions = checked_actions(decide(seen, *begins), state.last_action.shape)
+        state, transition = step(state, actions, instead=instead)
         return state, transition, key
 
     return act

@@ -10,6 +10,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from reachlab.agents.layers import Layers
+
 WHITE = 255.0
 """Value of a white pixel."""
 
@@ -30,9 +32,6 @@ SPREAD = 3.0
 OFFSET_WEIGHT, PLACE_WEIGHT = 0.5, 1.0
 """Weights of how far from a point its cells place it, and of how far from it all cells together do [cells], beside that
 of choosing the cell."""
-
-Layers = list[tuple[Array, Array]]
-"""Layers of a network, each `(weight [i, o], bias [o])`."""
 
 
 class Squares:

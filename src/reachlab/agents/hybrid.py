@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from reachlab.agents.acting import trained
+from reachlab.agents.acting import decide, trained
 from reachlab.agents.planner import TINY, Following
 from reachlab.agents.policy import Policy
 from reachlab.envs.core import Env
@@ -38,10 +38,11 @@ def make_ahead(env: Env) -> Ahead:
     def ahead(policy: Policy | None, state: EnvState) -> tuple[Array, Array]:
         def step(state: EnvState, _: None) -> tuple[EnvState, tuple[Array, Array]]:
             arm = state.arm
-            action, command, motion = functions.command(state, trained(env, policy, state, state.key, None), None)
+            action, memory = trained(env, policy, state, state.key, None)
+            action, command, motion = functions.command(state, action, None)
             way = share * (command[:, :n] - arm.q)
             moved = Moved(arm.q + way, way / setup.period, arm.bodies, arm.contact, arm.opening)
-            state, transition = functions.judge(state, moved, command, action, motion)
+            state, transition = functions.judge(replace(state, memory=memory), moved, command, action, motion)
             return state, (moved.q, transition.terms["success"])
 
         begun = replace(state, arm=replace(state.arm, engine=None), sensed=None, sight=None)
@@ -56,7 +57,7 @@ class Hybrid(Following):
     def __init__(self, env: Env) -> None:
         """No episode is known yet."""
         super().__init__(env)
-        self._act, self._ahead = jit(partial(trained, env)), jit(make_ahead(env))
+        self._act, self._ahead = jit(partial(decide, trained, env)), jit(make_ahead(env))
         self._meanwhile = env.setup.period  # a plan begins where the last command leads, while the arm goes there
         self._leads = np.zeros(env.num_envs, bool)
         self._nearest, self._since = np.zeros(env.num_envs), np.zeros(env.num_envs, int)

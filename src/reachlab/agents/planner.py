@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from functools import partial
 
 import jax
@@ -10,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from reachlab.agents.acting import decide
 from reachlab.agents.baselines import ik
 from reachlab.agents.policy import Policy
 from reachlab.control.bodies import Bodies, absent
@@ -136,7 +138,7 @@ class Following:
         lag = np.maximum(env.setup.lag, TINY)
         self._lag, self._gain = np.array(env.setup.lag), GAIN * env.setup.period / lag
         self._most = np.array(env.setup.robot.speed) * env.setup.period
-        self._situation, self._act = jit(env.situation), jit(partial(ik, env))
+        self._situation, self._act = jit(env.situation), jit(partial(decide, ik, env))
 
     def __call__(
         self,
@@ -151,8 +153,8 @@ class Following:
         commands = self.commands(policy, state, rows)
         if instead is not None:
             commands = np.where(np.isnan(instead), commands, instead)
-        action = self._act(policy, state, key, None)
-        state, transition = self._env.step(state, action, instead=jnp.asarray(commands))
+        action, memory = self._act(policy, state, key, None)
+        state, transition = self._env.step(replace(state, memory=memory), action, instead=jnp.asarray(commands))
         return state, transition, key
 
     def planned(self) -> np.ndarray:

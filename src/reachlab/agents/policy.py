@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple, cast
+from typing import NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 
-from reachlab.agents.encoder import Encoder, Keypoints, Layers, Squares
+from reachlab.agents.encoder import Encoder, Keypoints, Squares
+from reachlab.agents.layers import Layers, forward, make_layers
+from reachlab.agents.memory import Cell
 from reachlab.robots.kinematics.forward import added
 from reachlab.settings.validation import InputError
 from reachlab.tasks.schema import SIZE, Observed, Schema
@@ -32,19 +33,34 @@ et al., "What matters in on-policy reinforcement learning?", 2021)."""
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Parameters:
-    """Layers of actor and critic, `log_std [a]`, and the encoder where observations hold a picture."""
+    """Layers of actor and critic, `log_std [a]`, the encoder of a picture if there is one, and the memory if any."""
 
     actor: Layers
     critic: Layers
     log_std: Array
     encoder: Encoder | None = None
+    memory: Cell | None = None
+
+
+Memory = Array | None
+"""What a policy remembers `[..., M]`; None of one without memory."""
 
 
 class Inputs(NamedTuple):
-    """Inputs of the networks: a picture `[..., SIZE, SIZE]` uint8 and a normalised vector `[..., k]`, or one."""
+    """Inputs of the networks.
+
+    Attributes:
+        picture: `[..., SIZE, SIZE]` uint8; None where observations hold none.
+        vector: normalised `[..., k]`; None where observations are a picture.
+        memory: what is remembered before them `[..., M]`; None where nothing is. Before a sequence of inputs
+            `[T, B, ...]`, `[1, B, M]`.
+        begins: of such a sequence, with which of its inputs episodes begin `[T, B]`.
+    """
 
     picture: Array | None
     vector: Array | None
+    memory: Array | None = None
+    begins: Array | None = None
 
 
 @jax.tree_util.register_dataclass
@@ -124,12 +140,31 @@ class Policy:
     schema: Schema = field(metadata={"static": True})
 
     def act(self, observation: Observed, key: Array | None = None) -> Array:
-        """Action `[..., a]` for an observation: the mean without a key, a sample with one."""
-        head = distribution(self.parameters, self.inputs(observation))
-        return self.action(head.mean if key is None else head.sample(key))
+        """Action `[..., a]` for an observation: the mean without a key, a sample with one.
 
-    def inputs(self, observation: Observed) -> Inputs:
-        """Inputs of the networks, of an observation."""
+        Raises:
+            InputError: the policy has a memory.
+        """
+        if self.parameters.memory is not None:
+            raise InputError("this policy remembers: give its memory to `decide`, at first that of `initial`.")
+        return self.decide(observation, None, key)[0]
+
+    def initial(self, *batch: int) -> Memory:
+        """What is remembered `[..., M]` at the start of episodes; None of a policy without memory."""
+        cell = self.parameters.memory
+        return None if cell is None else jnp.zeros((*batch, cell.size))
+
+    def decide(self, observation: Observed, memory: Memory, key: Array | None = None) -> tuple[Array, Memory]:
+        """Action `[..., a]` for an observation and what was remembered, and what is remembered then.
+
+        The action is the mean without a key, a sample with one.
+        """
+        known = features(self.parameters, self.inputs(observation, memory))
+        head = gaussian(self.parameters, known)
+        return self.action(head.mean if key is None else head.sample(key)), remembered(self.parameters, known)
+
+    def inputs(self, observation: Observed, memory: Memory = None) -> Inputs:
+        """Inputs of the networks, of an observation and what is remembered."""
         picture, vector = self.schema.split(observation)
         if vector is not None and jnp.shape(vector)[-1:] != (self.schema.vector_size,):
             names = ", ".join(field.name for field in self.schema.vectors)
@@ -137,7 +172,7 @@ class Policy:
                 f"the policy observes {names}, {self.schema.vector_size} numbers, and got an array of shape"
                 f" {jnp.shape(vector)}: give the environment the run's `observation`."
             )
-        return Inputs(picture, None if vector is None else self.normaliser(vector))
+        return Inputs(picture, None if vector is None else self.normaliser(vector), memory)
 
     def observed(self, observation: Observed) -> Policy:
         """Policy whose normaliser knows a batch `[n, ...]` of observations more."""
@@ -150,23 +185,49 @@ class Policy:
         return self.centre + self.half * output
 
 
-def features(parameters: Parameters, inputs: Inputs) -> Array:
-    """Inputs of actor and critic `[..., f]`: the vector, and what the encoder makes of the picture."""
-    picture, vector = inputs
+def encoded(parameters: Parameters, inputs: Inputs) -> Array:
+    """The vector, and what the encoder makes of the picture `[..., f]`."""
+    picture, vector = inputs.picture, inputs.vector
     if picture is None or parameters.encoder is None:
         return cast("Array", vector)  # an observation has a picture or a vector
-    encoded = parameters.encoder(picture)
-    return encoded if vector is None else jnp.concatenate([encoded, vector], axis=-1)
+    points = parameters.encoder(picture)
+    return points if vector is None else jnp.concatenate([points, vector], axis=-1)
+
+
+def features(parameters: Parameters, inputs: Inputs) -> Array:
+    """Inputs of actor and critic `[..., f]`: what is observed and, behind it, what is remembered then."""
+    x, cell, memory = encoded(parameters, inputs), parameters.memory, inputs.memory
+    if cell is None:
+        return x
+    if memory is None:
+        raise InputError("this policy remembers: it has to be given its memory.")
+    after = cell(memory, x) if inputs.begins is None else cell.over(memory[0], x, inputs.begins)
+    return jnp.concatenate([x, after], axis=-1)
+
+
+def remembered(parameters: Parameters, known: Array) -> Memory:
+    """What is remembered `[..., M]`, of features."""
+    return None if parameters.memory is None else known[..., -parameters.memory.size :]
+
+
+def gaussian(parameters: Parameters, known: Array) -> Gaussian:
+    """Distribution of network outputs, of features."""
+    return Gaussian(forward(parameters.actor, known), parameters.log_std)
+
+
+def worth(parameters: Parameters, known: Array) -> Array:
+    """Expected return `[...]`, of features."""
+    return forward(parameters.critic, known)[..., 0]
 
 
 def distribution(parameters: Parameters, inputs: Inputs) -> Gaussian:
     """Distribution of network outputs."""
-    return Gaussian(_forward(parameters.actor, features(parameters, inputs)), parameters.log_std)
+    return gaussian(parameters, features(parameters, inputs))
 
 
 def value(parameters: Parameters, inputs: Inputs) -> Array:
     """Expected return `[...]`."""
-    return _forward(parameters.critic, features(parameters, inputs))[..., 0]
+    return worth(parameters, features(parameters, inputs))
 
 
 def make_policy(
@@ -177,11 +238,12 @@ def make_policy(
     initial_std: float,
     *,
     points: int = 0,
+    memory: int = 0,
 ) -> Policy:
     """Untrained policy for observations of a schema and actions with these lower and upper bounds `[a]`.
 
     Where the observation holds a picture the policy has an encoder, which finds so many `points` in it or, with 0, sees
-    it as a whole.
+    it as a whole. It remembers so many numbers.
     """
     low, high = (jnp.asarray(bound) for bound in action_bounds)
     k, a, encoder = schema.vector_size, len(low), None
@@ -189,47 +251,14 @@ def make_policy(
     if schema.pictures:
         encoder = Keypoints.make(for_encoder, points) if points else Squares.make(for_encoder, SIZE)
     inputs = k + (encoder.features if encoder else 0)
+    cell = Cell.make(jax.random.fold_in(key, 3), inputs, memory) if memory else None
+    inputs += memory
     parameters = Parameters(
-        actor=_layers(for_actor, (inputs, *hidden, a), ACTOR_OUTPUT_GAIN),
-        critic=_layers(for_critic, (inputs, *hidden, 1), 1.0),
+        actor=make_layers(for_actor, (inputs, *hidden, a), ACTOR_OUTPUT_GAIN),
+        critic=make_layers(for_critic, (inputs, *hidden, 1), 1.0),
         log_std=jnp.full(a, math.log(initial_std), jnp.float32),
         encoder=encoder,
+        memory=cell,
     )
     normaliser = Normaliser(jnp.zeros(k), jnp.ones(k), jnp.zeros(()))
     return Policy(parameters, normaliser, (low + high) / 2, (high - low) / 2, schema)
-
-
-def _layers(key: Array, widths: Sequence[int], output_gain: float) -> Layers:
-    """Layers with orthogonal weights (Saxe et al., arXiv:1312.6120)."""
-    gains = [math.sqrt(2)] * (len(widths) - 2) + [output_gain]
-    keys, sizes = jax.random.split(key, len(gains)), list(itertools.pairwise(widths))
-    sampled = [jax.random.normal(one, (max(size), min(size))) for one, size in zip(keys, sizes, strict=True)]
-    weights = zip(gains, sizes, _orthonormal(sampled), strict=True)
-    return [(gain * (q if i >= o else q.T), jnp.zeros(o)) for gain, (i, o), q in weights]
-
-
-def _orthonormal(matrices: Sequence[Array]) -> list[Array]:
-    """Matrices `[m, n]`, n ≤ m, each made orthonormal column by column, from the first on.
-
-    By Gram and Schmidt, twice, which is enough (Giraud et al., 2005), in one loop for all of them. A decomposition of
-    JAX's needs LAPACK, for which it imports SciPy: 0.7 s of each training.
-    """
-    longest, most = (max(matrix.shape[axis] for matrix in matrices) for axis in (0, 1))
-    padded = [jnp.pad(x, ((0, longest - x.shape[0]), (0, most - x.shape[1]))) for x in matrices]
-
-    def orthonormalise(i: Any, q: Array) -> Array:
-        column, earlier = q[:, :, i], jnp.where(jnp.arange(most) < i, q, 0.0)
-        for _ in range(2):
-            column -= jnp.einsum("kmn,kn->km", earlier, jnp.einsum("kmn,km->kn", earlier, column))
-        length = jnp.linalg.norm(column, axis=1, keepdims=True)
-        return q.at[:, :, i].set(column / jnp.maximum(length, jnp.finfo(q.dtype).tiny))  # what was padded is zero
-
-    done = jax.lax.fori_loop(0, most, orthonormalise, jnp.stack(padded))
-    return [q[: x.shape[0], : x.shape[1]] for q, x in zip(done, matrices, strict=True)]
-
-
-def _forward(layers: Layers, x: Array) -> Array:
-    for weight, bias in layers[:-1]:
-        x = jnp.tanh(x @ weight + bias)
-    weight, bias = layers[-1]
-    return x @ weight + bias

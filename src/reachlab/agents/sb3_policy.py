@@ -54,7 +54,7 @@ class SavedModel:
 
 
 def load_model(file: Path, normaliser: Path | None = None) -> SavedModel:
-    """A model that `model.save` has written, of any algorithm whose policy has no memory.
+    """A model that `model.save` has written, of any algorithm; one that remembers is told where episodes begin.
 
     Both files are unpickled, which runs whatever code they hold: load what you trust.
 
@@ -86,8 +86,13 @@ def load_model(file: Path, normaliser: Path | None = None) -> SavedModel:
         with _loading(normaliser, "a normaliser"):
             normalise = load_from_pkl(io.BytesIO(read_regular(normaliser, MOST_MODEL)[0])).normalize_obs
 
-    def sb3(observation: Any) -> np.ndarray:
-        return policy.predict(normalise(observation) if normalise else observation, deterministic=True)[0]
+    kept: Any = None
+
+    def sb3(observation: Any, begins: np.ndarray | None = None) -> np.ndarray:
+        nonlocal kept
+        seen = normalise(observation) if normalise else observation
+        actions, kept = policy.predict(seen, None if begins is None else kept, begins, deterministic=True)
+        return actions
 
     settings = getattr(policy.action_space, SETTINGS, None)
     checkpoint = {"steps": data.get("num_timesteps"), "sha256": digest}
@@ -117,8 +122,6 @@ def _policy(data: dict[str, Any], parameters: dict[str, Any]) -> Any:
     """The policy alone, whatever algorithm trained it."""
     spaces, options = (data["observation_space"], data["action_space"]), data["policy_kwargs"]
     policy = data["policy_class"](*spaces, lambda _: 0.0, **options)
-    if hasattr(policy, "lstm_actor"):
-        raise NotImplementedError("it has a memory, and its actions do not follow from one observation")
     policy.load_state_dict(parameters["policy"])
     policy.set_training_mode(False)
     return policy

@@ -113,8 +113,8 @@ def _shown_of(arguments: View, path: Path | None) -> Iterator[Shown]:
     env = Env(settings_shown(subject.config, arguments.sim, **changed), 1)
     acting, _, _ = subject.acting(env, agent)
 
-    def trained(observation: Any) -> Any:
-        return model and model.act(observation)
+    def trained(observation: Any, begins: Any) -> Any:
+        return model and model.act(observation, begins)
 
     name = path.name if path else subject.config.task
     yield shown_in(env, trained if model and AGENTS[agent].trained else acting, None, seed=arguments.seed, name=name)

@@ -16,7 +16,7 @@ from reachlab.settings.validation import InputError
 COMPILERS = ("cc", "gcc", "clang")
 """Names of compilers, of which the first that is there is taken."""
 
-OWN = ("command", "last_action")
+OWN = ("command", "last_action", "memory")
 """Inputs of a decision that are part of the state."""
 
 FLAGS = ("-std=c99", "-O2", "-shared", "-fPIC", "-Wall", "-Wextra", "-Werror", "-pedantic")
@@ -49,7 +49,7 @@ class CPolicy:
         sizes = {name: int(np.prod(shape)) for name, shape in sorted(inputs.items())}
         given = {name: size for name, size in sizes.items() if name not in OWN}
         kinds = {"stop_step": ctypes.c_int, "bodies_kind": ctypes.c_int, "picture": ctypes.c_int}
-        state = dict.fromkeys(Motion._fields, n) | {"last_action": sizes["last_action"]}
+        state = dict.fromkeys(Motion._fields, n) | {name: sizes[name] for name in OWN[1:] if name in sizes}
         self.input, self.state = (
             type(
                 what,

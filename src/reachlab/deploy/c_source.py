@@ -13,7 +13,7 @@ from jax import ShapeDtypeStruct
 
 from reachlab.control.motion_limits import Motion, MotionLimits
 from reachlab.deploy.c_library import OWN
-from reachlab.emit.behaviour import Behaviour
+from reachlab.emit.behaviour import AFTER, Behaviour
 from reachlab.emit.braced import c_declarations, c_function, c_numbers
 from reachlab.emit.program import Program
 from reachlab.emit.tracing import trace
@@ -44,14 +44,9 @@ def c_sources(facts: dict[str, Any], limits: MotionLimits, step: Behaviour) -> d
     fields = {
         name: f"{'int' if name == 'stop_step' else 'reachlab_real'} {name}[{limits.n}];" for name in Motion._fields
     }
-    decided = [
-        f"state->{one.name}"
-        if one.name == "last_action"
-        else "state->position"
-        if one.name == "command"
-        else f"input->{one.name}"
-        for one in decide.inputs
-    ]
+    of_state = {name: f"state->{'position' if name == 'command' else name}" for name in OWN}
+    decided = [of_state.get(one.name, f"input->{one.name}") for one in decide.inputs]
+    memory = sum(len(one.atoms) for one in decide.outputs if one.name == AFTER)
     moved = [{"wanted": "wanted", "brake": "stops"}.get(one.name, f"state->{one.name}") for one in motion.inputs]
     moved += [f"next.{one.name.removeprefix('next_')}" for one in motion.outputs]
     programs = [decide, motion, *([step.place] if step.place else [])]
@@ -70,6 +65,9 @@ def c_sources(facts: dict[str, Any], limits: MotionLimits, step: Behaviour) -> d
         "rested": c_numbers(np.full(limits.n, limits.steps)),
         "checked": " && ".join(f"finite(input->{one.name}, {one.size})" for one in inputs if one.kind == "real"),
         "decided": ", ".join(decided),
+        "memory": f"\n    reachlab_real memory[{memory}];" if memory else "",
+        "remembers": ", next.memory" if memory else "",
+        "remembered": f" || !finite(next.memory, {memory})" if memory else "",
         "moved": ", ".join(moved),
         "place": _placing(step.place, ";\n"),
         "placing": _placing(step.place, f"\n{{\n{_placed(step.place)}\n}}"),

@@ -18,7 +18,7 @@ from reachlab.agents.acting import make_act
 from reachlab.agents.policy import Policy
 from reachlab.control.motion_limits import MotionLimits
 from reachlab.deploy.bundle import controller_source
-from reachlab.deploy.c_library import CPolicy, compiler
+from reachlab.deploy.c_library import OWN, CPolicy, compiler
 from reachlab.deploy.c_source import c_sources
 from reachlab.deploy.card import model_card
 from reachlab.deploy.facts import describe
@@ -165,10 +165,11 @@ def compare(folder: Path, env: Env, policy: Policy, situations: int = SITUATIONS
     printed, limits, low = load_step(folder)["decide"], _limits(env, facts), env.action_bounds[0]
     size, worst = env.action_bounds[1] - low, defaultdict[str, float](float)
 
-    def expected(state: EnvState, picture: Any) -> tuple[Any, Any, Any]:
+    def expected(state: EnvState, picture: Any) -> tuple[Any, Any, Any, Any]:
         seen = functions.observe(state, picture)
-        action, command, _ = functions.command(state, policy.act(seen), None)
-        return seen, action, command
+        action, memory = policy.decide(seen, state.memory)
+        action, command, _ = functions.command(state, action, None)
+        return seen, action, command, memory
 
     def note(what: str, difference: Any) -> None:
         worst[what] = max(worst[what], float(np.abs(difference).max()))
@@ -177,14 +178,18 @@ def compare(folder: Path, env: Env, policy: Policy, situations: int = SITUATIONS
     with tempfile.TemporaryDirectory() as build:
         c = CPolicy(folder, facts["inputs"], limits.n, Path(build)) if compiler() and not env.pictured else None
         for state, picture in _situations(env, policy, -(-situations // env.num_envs)):
-            seen, actions, commands = jax.tree.map(np.asarray, decide(state, picture))
-            note("ONNX Runtime", (onnx.act(seen) - actions) / size)
-            for given, command in zip(rows_of(state, picture, facts["inputs"]), commands, strict=True):
-                wanted = np.array(printed(**given)[1])
-                note("step.py", wanted - command)
+            seen, actions, commands, memory = jax.tree.map(np.asarray, decide(state, picture))
+            computed, after = onnx.decide(seen, state.memory)
+            note("ONNX Runtime", (computed - actions) / size)
+            note("ONNX Runtime", 0.0 if memory is None else after - memory)
+            for row, given in enumerate(rows_of(state, picture, facts["inputs"])):
+                _, wanted, *after = map(np.array, printed(**given))
+                note("step.py", wanted - commands[row])
+                note("step.py", 0.0 if memory is None else after[0] - memory[row])
                 if c is not None:
                     motion = limits.at_rest(np.array(given.pop("command")))
-                    c.set(c.state, **motion._asdict(), last_action=given.pop("last_action"))
+                    kept = {name: given.pop(name) for name in OWN[1:] if name in given}
+                    c.set(c.state, **motion._asdict(), **kept)
                     c.set(c.input, **given)
                     note("reachlab_policy.c", c.step()[0] - limits.advance(motion, wanted).position)
     return dict(worst)

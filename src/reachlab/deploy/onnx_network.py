@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from reachlab.deploy.check import read_facts
+from reachlab.emit.behaviour import MEMORY
 from reachlab.envs.formats import from_json
 from reachlab.envs.presets import configure
 from reachlab.settings.config import RunConfig
@@ -20,6 +21,13 @@ from reachlab.tasks.schema import Observed, Schema
 
 FACTS = "policy.json"
 """File beside the graph that says what the policy observes and commands."""
+
+
+def forget(memory: Any, begins: np.ndarray | None) -> Any:
+    """What is remembered `[B, M]`, and nothing where `begins [B]` says so."""
+    if memory is None or begins is None or len(memory) != len(begins):
+        return memory
+    return np.where(begins[:, None], 0.0, memory)
 
 
 class OnnxNetwork:
@@ -50,6 +58,8 @@ class OnnxNetwork:
             why = " ".join(str(error).split())
             raise InputError(f"'{self.file}' cannot be read as a policy in ONNX: {why}.") from None
         self._inputs = {one.name: one for one in self._session.get_inputs()}
+        self._remembers = int(self._inputs.pop(MEMORY).shape[1]) if MEMORY in self._inputs else 0
+        self._kept: Any = None
         self.config = _settings(self.file.with_name(FACTS))
         self.checkpoint: dict[str, Any] = {"steps": None, "sha256": hashlib.sha256(content).hexdigest()}
 
@@ -75,15 +85,28 @@ class OnnxNetwork:
                     f" what the policy observes in a '{FACTS}' beside it, as docs/deploy.md shows."
                 )
 
-    def onnx(self, observation: Observed) -> np.ndarray:
-        """Actions `[B, a]` of observations with the batch in front."""
+    def onnx(self, observation: Observed, begins: np.ndarray | None = None) -> np.ndarray:
+        """Actions `[B, a]` of observations with the batch in front.
+
+        A policy that remembers begins anew where `begins [B]` says so, and in all where the batch has another size.
+        """
+        actions, self._kept = self.decide(observation, forget(self._kept, begins))
+        return actions
+
+    def decide(self, observation: Observed, memory: Any) -> tuple[np.ndarray, Any]:
+        """The same, and what is remembered then `[B, M]`, of what was; None of a policy without memory."""
         given = self._named(observation)
-        batch = self._inputs[next(iter(given))].shape[0]
+        count, batch = len(next(iter(given.values()))), self._inputs[next(iter(given))].shape[0]
+        if self._remembers:
+            kept = memory is not None and len(memory) == count
+            given[MEMORY] = np.asarray(memory, np.float32) if kept else np.zeros((count, self._remembers), np.float32)
         if batch == 1:  # a graph that was made for one observation at a time
-            count = len(next(iter(given.values())))
             rows = [{name: part[i : i + 1] for name, part in given.items()} for i in range(count)]
-            return np.concatenate([self._session.run(None, row)[0] for row in rows])
-        return self._session.run(None, given)[0]
+            every = [self._session.run(None, row) for row in rows]
+            results = [np.concatenate(parts) for parts in zip(*every, strict=True)]
+        else:
+            results = self._session.run(None, given)
+        return results[0], results[1] if self._remembers else None
 
     act = onnx
     """Under the name by which policies of others are asked; reports call it by the first one."""

@@ -9,9 +9,13 @@ import numpy as np
 
 from reachlab.agents.encoder import CELL, CHANNELS, PATCH, SHARPNESS, WHITE, Encoder, Keypoints, middles
 from reachlab.agents.policy import OBSERVATION_CLIP, SMALLEST_STD, Policy
+from reachlab.emit.behaviour import AFTER, MEMORY
 from reachlab.settings.validation import InputError, installing
 from reachlab.tasks.schema import GOALS, SIZE, Schema
 from reachlab.tasks.task import Bounds
+
+GATES = ("reset", "keep", "new")
+"""Of a memory, see `memory.Cell`."""
 
 OPSET, IR = 17, 8
 """Versions of the operators and of the file: old ones, that every runtime of recent years reads."""
@@ -20,7 +24,7 @@ OPSET, IR = 17, 8
 def named_weights(policy: Policy, bounds: Bounds) -> dict[str, np.ndarray]:
     """Arrays of a policy that gives actions within bounds: what the controller and the graph compute with."""
     plain: Policy = jax.tree.map(np.asarray, policy)
-    encoder = plain.parameters.encoder
+    encoder, cell = plain.parameters.encoder, plain.parameters.memory
     layers = {"actor": plain.parameters.actor, "encoder": encoder.layers if encoder else []}
     weights: dict[str, Any] = {
         f"{name}.{i}.{part}": array
@@ -28,6 +32,9 @@ def named_weights(policy: Policy, bounds: Bounds) -> dict[str, np.ndarray]:
         for i, layer in enumerate(those)
         for part, array in zip(("weight", "bias"), layer, strict=True)
     }
+    for name in GATES if cell else ():
+        weights |= {f"memory.{name}.{part}": array for part, array in getattr(cell, name)._asdict().items()}
+    weights |= {"memory.kept_bias": cell.kept_bias} if cell else {}
     named: dict[str, np.ndarray] = weights | {
         "normaliser.mean": np.asarray(plain.normaliser.mean, np.float32),
         "normaliser.scale": np.sqrt(plain.normaliser.variance, dtype=np.float32) + np.float32(SMALLEST_STD),
@@ -79,7 +86,9 @@ def onnx_model(policy: Policy, bounds: Bounds, *, clips: bool) -> Any:
         vector = vectors[0] if len(vectors) == 1 else add("Concat", vectors, "vector", axis=1)
         scaled = add("Div", [add("Sub", [vector, "normaliser.mean"], "shifted"), "normaliser.scale"], "scaled")
         parts.append(add("Clip", [scaled, "clip.low", "clip.high"], "normalised"))
-    x = parts[0] if len(parts) == 1 else add("Concat", parts, "features", axis=1)
+    x, cell = parts[0] if len(parts) == 1 else add("Concat", parts, "features", axis=1), policy.parameters.memory
+    if cell is not None:
+        x = add("Concat", [x, _remembered(x, add)], "known", axis=1)
     last = len(policy.parameters.actor) - 1
     for i in range(last):
         x = add("Tanh", [dense(x, f"actor.{i}")], f"hidden.{i}")
@@ -96,17 +105,34 @@ def onnx_model(policy: Policy, bounds: Bounds, *, clips: bool) -> Any:
         if name in used
     ]
     kinds = {True: TensorProto.UINT8, False: TensorProto.FLOAT}
+    given += [(MEMORY, [cell.size], False)] if cell is not None else []
+    results = {"action": len(bounds[0])} | ({AFTER: cell.size} if cell is not None else {})
     graph = helper.make_graph(
         nodes,
         "policy",
         [helper.make_tensor_value_info(name, kinds[picture], ["batch", *shape]) for name, shape, picture in given],
-        [helper.make_tensor_value_info("action", TensorProto.FLOAT, ["batch", len(bounds[0])])],
+        [helper.make_tensor_value_info(name, TensorProto.FLOAT, ["batch", size]) for name, size in results.items()],
         arrays,
     )
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], producer_name="reachlab")
     model.ir_version = IR
     checker.check_model(model, full_check=True)
     return model
+
+
+def _remembered(x: str, add: Any) -> str:
+    """What is remembered after features, see `memory.Cell`."""
+
+    def gate(name: str, kept: str) -> str:
+        given = add("Gemm", [x, f"memory.{name}.given", f"memory.{name}.bias"], f"memory.{name}.in")
+        return add("Add", [given, kept], f"memory.{name}.sum")
+
+    kept = {name: add("MatMul", [MEMORY, f"memory.{name}.kept"], f"memory.{name}.known") for name in GATES}
+    reset, keep = (add("Sigmoid", [gate(name, kept[name])], f"memory.{name}.open") for name in GATES[:2])
+    counts = add("Mul", [reset, add("Add", [kept["new"], "memory.kept_bias"], "memory.new.biased")], "memory.counts")
+    new = add("Tanh", [gate("new", counts)], "memory.new.value")
+    change = add("Mul", [keep, add("Sub", [MEMORY, new], "memory.old")], "memory.change")
+    return add("Add", [new, change], AFTER)
 
 
 def _encoded(encoder: Encoder, name: str, add: Any, constants: dict[str, Any]) -> str:

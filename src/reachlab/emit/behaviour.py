@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, ShapeDtypeStruct
 
-from reachlab.agents.policy import Policy
+from reachlab.agents.policy import Memory, Policy
 from reachlab.control.bodies import Bodies
 from reachlab.control.situation import Goal
 from reachlab.emit.program import Program, reads
@@ -25,6 +25,9 @@ from reachlab.tasks.schema import SIZE
 GOAL, BODIES = "goal_", "bodies_"
 """Begins of the names of inputs that are parts of the goal and of the bodies."""
 
+MEMORY, AFTER = "memory", "wanted_memory"
+"""Names of what was remembered, as an input, and of what is remembered then, as a result."""
+
 Shapes = dict[str, ShapeDtypeStruct]
 
 
@@ -34,7 +37,8 @@ class Behaviour:
 
     Attributes:
         inputs: names and shapes of what a decision is made of.
-        decide: action `[a]` and command `[m]`, of what is measured `[m]`, the goal, and the last command and action.
+        decide: action `[a]` and command `[m]`, and what is remembered then, of what is measured `[m]`, the goal, the
+            last command and action, and what was remembered.
         tool: position `[3]` m and quaternion `[4]` wxyz of the tool, of what is measured.
         place: the goal put at a position and in an orientation with joints that have it, and whether there are any;
             None where goals need no joints.
@@ -71,9 +75,10 @@ def behaviour(env: Env, policy: Policy, constants: Mapping[str, np.ndarray]) -> 
 
     def decide(**given: Array) -> dict[str, Array]:
         state = measured_state(functions, like, given)
-        action = policy.act(functions.observe(state, given["picture"][None] if "picture" in given else None))
+        seen = functions.observe(state, given["picture"][None] if "picture" in given else None)
+        action, memory = policy.decide(seen, state.memory)
         action, command, _ = functions.command(state, action, None)
-        return {"action": action[0], "wanted": command[0]}
+        return {"action": action[0], "wanted": command[0], **memory_of(memory)}
 
     def tool(q: Array) -> dict[str, Array]:
         return forward_kinematics(robot.chain, q[: robot.chain.n])._asdict()
@@ -101,7 +106,14 @@ def behaviour(env: Env, policy: Policy, constants: Mapping[str, np.ndarray]) -> 
 
 def as_measured(functions: EnvFunctions) -> EnvFunctions:
     """Functions of an environment whose measurements are those that are given, and whose commands go on to a shell."""
-    return replace(functions, randomise=(), limits=None)
+    setup, rules = functions.setup, functions.setup.rules
+    seen = replace(rules, goal_steps=None, goal_lost=0.0) if rules.hides_goal else rules
+    return replace(functions, setup=replace(setup, rules=seen), randomise=(), limits=None)
+
+
+def memory_of(memory: Memory) -> dict[str, Array]:
+    """What is remembered then `[1, M]` by its name as a result; nothing of a policy without memory."""
+    return {} if memory is None else {AFTER: memory[0]}
 
 
 def example_state(env: Env, begin: Begin | None = None) -> EnvState:
@@ -133,6 +145,7 @@ def decision_inputs(env: Env, like: EnvState) -> Shapes:
     """Names and shapes of what a decision is made of: what of goal and bodies there is in the task."""
     sizes: dict[str, int] = dict.fromkeys(("q", "qd", "command"), len(env.setup.robot.actuators))
     sizes["last_action"] = len(env.action_bounds[0])
+    sizes |= {MEMORY: env.functions.memory} if env.functions.memory else {}
     shapes = {name: ShapeDtypeStruct((size,), jnp.float32) for name, size in sizes.items()}
     shapes |= {GOAL + name: shape for name, shape in _parts(like.goal).items() if name != "path"}
     shapes |= {BODIES + name: shape for name, shape in _parts(like.arm.bodies).items()}
@@ -170,6 +183,7 @@ def measured_state(functions: EnvFunctions, like: EnvState, given: Mapping[str, 
         motion=None,
         sensed=None,
         sight=None,
+        memory=given[MEMORY][None] if MEMORY in given else None,
     )
     return replace(state, errors=setup.task.errors(setup, functions.situation(state)))
 
@@ -178,6 +192,7 @@ def rows_of(state: EnvState, picture: Any, names: Iterable[str]) -> Iterator[dic
     """Inputs of decisions by name, of each of a batch of states: lists of numbers, and a picture as it is."""
     speeds = jnp.concatenate([state.arm.qd, jnp.zeros_like(state.arm.opening)], axis=-1)
     known = {"q": state.arm.actuated, "qd": speeds, "command": state.command, "last_action": state.last_action}
+    known |= {} if state.memory is None else {MEMORY: state.memory}
     known |= {GOAL + field.name: getattr(state.goal, field.name) for field in fields(state.goal)}
     known |= {BODIES + field.name: getattr(state.arm.bodies, field.name) for field in fields(state.arm.bodies)}
     given = {name: np.asarray(picture if name == "picture" else known[name]) for name in names}

@@ -17,6 +17,7 @@ from jax import Array
 
 from reachlab.control.bodies import Bodies
 from reachlab.control.situation import Goal, Situation, shaped_within
+from reachlab.envs.delays import goal_seen
 from reachlab.envs.functions import EnvFunctions, EnvState, Stepped, Transition
 from reachlab.envs.sampling import in_parts
 from reachlab.envs.setup import make_setup, settled
@@ -93,6 +94,7 @@ class Env:
             max(self.simulator.lag) > 0,
             self.pictured,
             shaped_within(self.setup) if config.physics.shaping else None,
+            config.learner.memory,
         )
         # The functions around the simulator's steps: traced with them, or compiled one by one, where an engine takes
         # most of the time.
@@ -108,6 +110,7 @@ class Env:
         self._clearances = jit(
             lambda q, here: clearances(capsules(), capsules_at(chain, capsules(), q), here), brief=True
         )
+        self._goal_seen = jit(functools.partial(goal_seen, setup.rules), brief=True)
         self._observe, self._view_samples = jit(f.observe, brief=True), jit(f.view_samples, brief=True)
 
     def _part(self, function: Callable[..., Any]) -> Callable[..., Any]:
@@ -217,7 +220,10 @@ class Env:
         if not self.pictured:
             return None
         pictures = np.zeros((self.num_envs, SIZE, SIZE), np.uint8)
-        chosen = np.flatnonzero(np.ones(self.num_envs, bool) if mask is None else mask)
+        shown = np.ones(self.num_envs, bool) if mask is None else mask
+        if self.setup.rules.hides_goal:
+            shown = shown & np.asarray(self._goal_seen(state.key, state.clock))
+        chosen = np.flatnonzero(shown)
         pictures[chosen] = self.render_situations(replace(state.arm, engine=None), state.goal, state.key, chosen)
         return pictures
 

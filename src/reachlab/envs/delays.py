@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 
 from reachlab.control.bodies import Bodies
-from reachlab.envs.random_streams import delay_keys, sight_keys
+from reachlab.envs.random_streams import delay_keys, goal_keys, sight_keys
 from reachlab.sims.simulator import SimState
 
 JITTER = 0.01
@@ -47,6 +48,12 @@ def sense(before: Sensed, arm: SimState, keys: Array, clock: Array, period: floa
     q = jnp.where(lost, before.q, arm.q + older * (before.past_q - arm.q))
     qd = jnp.where(lost, before.qd, arm.qd + older * (before.past_qd - arm.qd))
     return Sensed(q, qd, arm.q, arm.qd)
+
+
+def goal_seen(rules: Any, keys: Array, clock: Array) -> Array:
+    """Whether the goal is seen at the steps `clock [B]` of the episodes with `keys [B]`."""
+    lost = jax.vmap(jax.random.uniform)(goal_keys(keys, clock)) < rules.goal_lost
+    return ~lost if rules.goal_steps is None else ~lost & (clock < rules.goal_steps)
 
 
 @jax.tree_util.register_dataclass

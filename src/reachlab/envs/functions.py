@@ -12,7 +12,7 @@ from jax import Array
 from reachlab.control.bodies import Bodies, turned
 from reachlab.control.motion_limits import Motion, MotionLimits
 from reachlab.control.situation import Goal, Situation
-from reachlab.envs.delays import Sensed, Sight, sense
+from reachlab.envs.delays import Sensed, Sight, goal_seen, sense
 from reachlab.envs.random_streams import (
     CHAIN_STREAM,
     OBJECT_STREAM,
@@ -57,6 +57,7 @@ class EnvState:
         motion: of the commands, whose position is `command`; None where they are not shaped.
         sensed: what is known of the joints; None where measurements come at once.
         sight: what is known of the bodies; None where they are seen at once.
+        memory: what the policy remembers of the episode `[B, M]`; None of one without memory.
     """
 
     arm: SimState
@@ -70,6 +71,7 @@ class EnvState:
     motion: Motion | None = None
     sensed: Sensed | None = None
     sight: Sight | None = None
+    memory: Array | None = None
 
     @property
     def distance(self) -> Array:
@@ -133,6 +135,7 @@ class EnvFunctions:
         real_time: joints take time to move, so that a command may change no faster than they can.
         pictured: the observation holds a picture.
         limits: within which commands are shaped; None where they are not.
+        memory: numbers that the policy remembers.
     """
 
     setup: TaskSetup
@@ -140,6 +143,7 @@ class EnvFunctions:
     real_time: bool
     pictured: bool
     limits: MotionLimits | None = None
+    memory: int = 0
 
     def sample_episode(self, keys: Array, goal: Goal | None = None, held_out: Array | bool = False) -> Begin:
         """Beginnings of episodes, of those of a `goal` if one is given, and their next keys; see `Task.sample`."""
@@ -183,6 +187,7 @@ class EnvFunctions:
             motion=None if self.limits is None else self.limits.at_rest(rest, jnp),
             sensed=Sensed(arm.q, arm.qd, arm.q, arm.qd) if "delay" in self.randomise else None,
             sight=Sight.of(arm.bodies) if "sight" in self.randomise else None,
+            memory=jnp.zeros((count, self.memory)) if self.memory else None,
         )
 
     def command(self, state: EnvState, action: Array, instead: Array | None) -> tuple[Array, Array, Motion | None]:
@@ -232,7 +237,8 @@ class EnvFunctions:
         bodies = bodies if setup.task.scene(setup).moved else moved.bodies
         arm = SimState(moved.q, moved.qd, *tool, bodies, moved.contact, moved.opening)
         errors, progress, key = outcome.errors, outcome.progress, before.key
-        return EnvState(arm, goal, command, action, errors, progress, clock, key, motion, sensed, sight), transition
+        known = (sensed, sight, before.memory)
+        return EnvState(arm, goal, command, action, errors, progress, clock, key, motion, *known), transition
 
     def observe(self, state: EnvState, picture: BatchArray | None = None) -> Observed:
         """Observation of a state; one that holds a picture is given it."""
@@ -254,8 +260,17 @@ class EnvFunctions:
             now = now._replace(bodies=sight.known)
         if "objects" in self.randomise:
             now = now._replace(bodies=jax.vmap(misplaced)(keys, now.bodies))
-        if sensed is None and "dynamics" not in self.randomise:
+        if sensed is not None or "dynamics" in self.randomise:
+            now = self._sensed(now, keys, clock, sensed)
+        if not self.setup.rules.hides_goal:
             return now
+        there = goal_seen(self.setup.rules, keys, clock)[:, None]
+        place = jnp.where(there, now.goal.position, now.tool_position)
+        velocity = jnp.where(there, now.goal.velocity, 0.0)
+        return now._replace(goal=replace(now.goal, position=place, velocity=velocity))
+
+    def _sensed(self, now: Situation, keys: Array, clock: Array, sensed: Sensed | None) -> Situation:
+        """A situation with its joints as they are measured."""
         q, qd = (now.q, now.qd) if sensed is None else (sensed.q, sensed.qd)
         if "dynamics" in self.randomise:
             noise = jax.vmap(lambda key: jax.random.normal(key, (2, now.q.shape[-1])))(noise_keys(keys, clock))

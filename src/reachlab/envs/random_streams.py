@@ -23,10 +23,10 @@ PARTS = 4
 VIEW_STREAM, NOISE_STREAM, AGENT_STREAM, CHAIN_STREAM, SCENE_STREAM, DELAY_STREAM, OBJECT_STREAM, PLACE_STREAM = (
     2**32 - 1 - i for i in range(8)
 )
-SIGHT_STREAM = 2**32 - 9
+SIGHT_STREAM, GOAL_STREAM = 2**32 - 9, 2**32 - 10
 """Streams of an episode's key beside these parts: its view, the noise of its measurements, what its agent samples,
 where the next episode begins, its bodies, how late its measurements are, which objects it has, where they are
-measured and how late."""
+measured and how late, and when its goal is seen."""
 
 
 def stream_key(seed: int | Array, stream: int) -> Array:
@@ -67,6 +67,11 @@ def delay_keys(keys: Array, clock: Array) -> Array:
 def sight_keys(keys: Array, clock: Array) -> Array:
     """The same of how late bodies are seen."""
     return _step_keys(keys, clock, SIGHT_STREAM)
+
+
+def goal_keys(keys: Array, clock: Array) -> Array:
+    """The same of whether the goal is seen."""
+    return _step_keys(keys, clock, GOAL_STREAM)
 
 
 def _step_keys(keys: Array, clock: Array, stream: int) -> Array:

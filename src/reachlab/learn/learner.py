@@ -49,7 +49,8 @@ class Learner:
 def make_initial_policy(config: RunConfig, env: Env, key: Array) -> Policy:
     """Untrained policy for an environment."""
     settings, points = config.learner, ACTIONS[config.rules.action].points
-    return make_policy(key, env.schema, env.action_bounds, settings.hidden, settings.initial_std, points=points)
+    box, more = env.action_bounds, {"points": points, "memory": settings.memory}
+    return make_policy(key, env.schema, box, settings.hidden, settings.initial_std, **more)
 
 
 def make_optimiser(config: RunConfig, updates: int) -> optax.GradientTransformation:

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import optax
 from jax import Array
 
-from reachlab.agents.policy import Inputs, Parameters, Policy, distribution, value
+from reachlab.agents.policy import Inputs, Parameters, Policy, features, gaussian, remembered, value, worth
 from reachlab.learn.learner import Learner, make_optimiser
 from reachlab.learn.rollout import Rollout
 from reachlab.settings.config import PPOConfig, RunConfig
@@ -20,7 +20,10 @@ Carry = tuple[Parameters, optax.OptState]
 
 
 class Batch(NamedTuple):
-    """Samples of a rollout, `[N]` in front: what the networks are given, their outputs and what these are worth."""
+    """Samples of a rollout: what the networks are given, their outputs and what these are worth.
+
+    With `[N]` in front or, of a policy that remembers, `[T, B]`.
+    """
 
     inputs: Inputs
     output: Array
@@ -56,13 +59,14 @@ def gae(
 
 def loss(parameters: Parameters, batch: Batch, config: PPOConfig) -> tuple[Array, dict[str, Array]]:
     """Clipped surrogate loss `[]` of a batch, and scalars worth watching."""
-    head = distribution(parameters, batch.inputs)
+    known = features(parameters, batch.inputs)
+    head = gaussian(parameters, known)
     log_ratio = head.log_prob(batch.output) - batch.log_prob
     ratio = jnp.exp(log_ratio)
     advantage = (batch.advantage - batch.advantage.mean()) / (batch.advantage.std() + 1e-8)
     clipped = jnp.clip(ratio, 1 - config.clip_ratio, 1 + config.clip_ratio)
     policy_loss = -jnp.minimum(ratio * advantage, clipped * advantage).mean()
-    value_loss = 0.5 * jnp.square(value(parameters, batch.inputs) - batch.returns).mean()
+    value_loss = 0.5 * jnp.square(worth(parameters, known) - batch.returns).mean()
     entropy = head.entropy()
     total = policy_loss + config.value_weight * value_loss - config.entropy_weight * entropy
     return total, {
@@ -87,8 +91,7 @@ def update(learner: Learner, rollout: Rollout, key: Array, config: RunConfig) ->
     """
     settings, policy = config.ppo, learner.policy
     optimiser = make_optimiser(config, updates_per_iteration(settings))
-    samples = _samples(policy, rollout, settings)
-    size = samples.log_prob.shape[0]
+    samples, size, whole = _samples(policy, rollout, settings), rollout.reward.size, rollout.memory is not None
 
     def gradient_step(carry: Carry, batch: Batch) -> tuple[Carry, dict[str, Array]]:
         parameters, state = carry
@@ -98,9 +101,16 @@ def update(learner: Learner, rollout: Rollout, key: Array, config: RunConfig) ->
         return (jax.tree.map(jnp.add, parameters, change), state), watched
 
     def epoch(carry: Carry, key: Array) -> tuple[Carry, dict[str, Array]]:
-        batches = _shuffle(key, *rollout.reward.shape).reshape(settings.minibatches, -1)
+        num_envs = rollout.reward.shape[1]
+        order = jax.random.permutation(key, num_envs) if whole else _shuffle(key, *rollout.reward.shape)
+
+        def part(x: Array, rows: Array) -> Array:
+            return x[:, rows] if whole else x[rows]  # what is remembered needs all that was before
+
         return jax.lax.scan(
-            lambda carry, rows: gradient_step(carry, jax.tree.map(lambda x: x[rows], samples)), carry, batches
+            lambda carry, rows: gradient_step(carry, jax.tree.map(lambda x: part(x, rows), samples)),
+            carry,
+            order.reshape(settings.minibatches, -1),
         )
 
     carry = (policy.parameters, learner.optimiser)
@@ -140,9 +150,14 @@ def _values(policy: Policy, inputs: Inputs) -> Array:
 
 
 def _samples(policy: Policy, rollout: Rollout, config: PPOConfig) -> Batch:
-    inputs = policy.inputs(rollout.observation)
+    parameters, memory = policy.parameters, rollout.memory
+    inputs = policy.inputs(rollout.observation, memory)
     v_t = _values(policy, inputs)
-    v_tp1 = _values(policy, policy.inputs(rollout.next_observation))
+    after = None if memory is None else remembered(parameters, features(parameters, inputs))
+    v_tp1 = _values(policy, policy.inputs(rollout.next_observation, after))
     advantage = gae(rollout.reward, v_t, v_tp1, rollout.terminated, rollout.done, config.gamma, config.gae_lambda)
     samples = Batch(inputs, rollout.output, rollout.log_prob, advantage, advantage + v_t)
-    return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), samples)
+    if memory is None:
+        return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), samples)
+    begins = jnp.concatenate([jnp.zeros_like(rollout.done[:1]), rollout.done[:-1]])
+    return samples._replace(inputs=inputs._replace(memory=memory[:1], begins=begins))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import jax
@@ -13,7 +13,7 @@ import numpy as np
 from jax import Array
 from jax.stages import Wrapped
 
-from reachlab.agents.policy import Policy, distribution
+from reachlab.agents.policy import Memory, Policy, features, gaussian, remembered
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvFunctions, EnvState, Transition
 from reachlab.jax_setup import jit
@@ -36,6 +36,7 @@ class Rollout:
         success: `[T, B]`.
         distance: tool to target after the step `[T, B]` [m].
         clock: number of the step in its episode `[T, B]`.
+        memory: what the policy remembered before it `[T, B, M]`; None of one without memory.
     """
 
     observation: Observed
@@ -48,6 +49,7 @@ class Rollout:
     success: Array
     distance: Array
     clock: Array
+    memory: Memory = None
 
     @property
     def done(self) -> Array:
@@ -70,8 +72,9 @@ def collect(env: Env, policy: Policy, state: EnvState, key: Array, config: LoopC
     """State after `rollout_steps` actions of every environment, and the experience; episodes that end begin anew."""
 
     def step(state: EnvState, key: Array) -> tuple[EnvState, Rollout]:
-        choice = sample_action(policy, env.observe(state), jax.random.normal(key, (env.num_envs, *policy.half.shape)))
-        state, transition = env.step(state, choice.action, config.action_repeat)
+        noise = jax.random.normal(key, (env.num_envs, *policy.half.shape))
+        choice = sample_action(policy, env.observe(state), state.memory, noise)
+        state, transition = env.step(replace(state, memory=choice.after), choice.action, config.action_repeat)
         row = _row(choice, state, transition, transition.observation)
         return env.reset(state, transition.done, config.chained_starts or None), row
 
@@ -93,9 +96,9 @@ def host_collector(first: int = 0, of: int | None = None) -> Collect:
         rows, observation = [], env.observe_now(state)
         noise = np.asarray(draw(of or env.num_envs, *policy.half.shape)(jax.random.split(key, config.rollout_steps)))
         for now in noise[:, first : first + env.num_envs]:
-            choice = choose(policy, observation, now)
+            choice = choose(policy, observation, state.memory, now)
             try:
-                state, transition = env.step(state, choice.action, config.action_repeat)
+                state, transition = env.step(replace(state, memory=choice.after), choice.action, config.action_repeat)
             except FloatingPointError as error:
                 raise EngineError(str(error), _stacked(rows) if rows else None) from None
             observation = env.observe_now(state) if env.pictured else transition.observation
@@ -113,19 +116,25 @@ def _stacked(rows: Sequence[Rollout]) -> Rollout:
 
 
 class Choice(NamedTuple):
-    """What a policy observed and sampled: `observation [B, k]`, `output`, `action [B, a]`, `log_prob [B]`."""
+    """What a policy observed and remembered, what it sampled, and what it remembers then.
+
+    `observation [B, k]`, `memory [B, M]`, `output` and `action [B, a]`, `log_prob [B]`, `after [B, M]`.
+    """
 
     observation: Observed
+    memory: Memory
     output: Array
     action: Array
     log_prob: Array
+    after: Memory
 
 
-def sample_action(policy: Policy, observation: Observed, noise: Array) -> Choice:
+def sample_action(policy: Policy, observation: Observed, memory: Memory, noise: Array) -> Choice:
     """A sample of the policy's distribution, by standard normal `noise [B, a]`."""
-    head = distribution(policy.parameters, policy.inputs(observation))
+    known = features(policy.parameters, policy.inputs(observation, memory))
+    head, after = gaussian(policy.parameters, known), remembered(policy.parameters, known)
     output = head.moved(noise)
-    return Choice(observation, output, policy.action(output), head.log_prob(output))
+    return Choice(observation, memory, output, policy.action(output), head.log_prob(output), after)
 
 
 def _row(choice: Choice, state: EnvState, transition: Transition, after: Observed) -> Rollout:
@@ -140,6 +149,7 @@ def _row(choice: Choice, state: EnvState, transition: Transition, after: Observe
         success=transition.terms["success"],
         distance=transition.errors.distance,
         clock=state.clock,
+        memory=choice.memory,
     )
 
 

@@ -94,6 +94,11 @@ class TaskSettings(Checked):
         return False
 
     @property
+    def hides_goal(self) -> bool:
+        """Whether the goal is not seen at times."""
+        return False
+
+    @property
     def ends_outside(self) -> bool:
         """Whether leaving the workspace ends an episode."""
         return False

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from reachlab.settings.preset_record import Preset, Rule
 from reachlab.settings.rules import TaskSettings
-from reachlab.settings.validation import BY_ARM, InProportion, Point, Range
+from reachlab.settings.validation import BY_ARM, Fraction, InProportion, Point, Range
 
 if TYPE_CHECKING:
     from reachlab.tasks.task import Task
@@ -69,6 +69,11 @@ class Tutorial(TaskSettings):
     """Lower corner of the box of targets [m]; by default the robot's own."""
     target_high: Point | None = None
     """Upper corner of the box of targets [m]; by default the robot's own."""
+    goal_steps: Annotated[int, Range(1, 10**5)] | None = None
+    """Steps at the start of an episode after which the target is not seen any more; by default it always is."""
+    goal_lost: Fraction = 0.0
+    """Share of the steps in which the target is not seen. It is observed where the tool is then, and a picture is
+    black."""
 
     @classmethod
     def task(cls) -> Task:
@@ -93,6 +98,8 @@ class Tutorial(TaskSettings):
 
     def contradiction(self) -> str | None:
         """What of these settings cannot be together."""
+        if self.hides_goal and (self.asks_orientation or "joints" in self.gives):
+            return "goal_steps and goal_lost are of targets that are points alone, as in task precise: leave them out."
         if self.targets == "any" and not self.asks_orientation:
             return "targets 'any' are poses: choose task 'pose', or targets 'box' or 'table'."
         if self.targets != "box" or self.target_low is None or self.target_high is None:
@@ -101,6 +108,11 @@ class Tutorial(TaskSettings):
             if low > high:
                 return f"target_low is above target_high in {axis}, {low:g} against {high:g} m: exchange them."
         return None
+
+    @property
+    def hides_goal(self) -> bool:
+        """Whether the target is not seen at times."""
+        return self.goal_steps is not None or self.goal_lost > 0
 
     @property
     def ends_outside(self) -> bool:

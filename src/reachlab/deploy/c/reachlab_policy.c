@@ -58,10 +58,10 @@ int reachlab_step(reachlab_state *state, const reachlab_input *input, int brake,
     for (int i = 0; i < REACHLAB_COMMANDS; ++i) wanted[i] = state->position[i];
     if (!({{checked}})) problem = REACHLAB_NOT_FINITE;
     if (problem == REACHLAB_OK && !brake) {
-        decide({{decided}}, next.last_action, wanted);
-        if (!finite(wanted, REACHLAB_COMMANDS) || !finite(next.last_action, {{actions}})) {
+        decide({{decided}}, next.last_action, wanted{{remembers}});
+        if (!finite(wanted, REACHLAB_COMMANDS) || !finite(next.last_action, {{actions}}){{remembered}}) {
             problem = REACHLAB_NOT_FINITE;
-            for (int i = 0; i < {{actions}}; ++i) next.last_action[i] = state->last_action[i];
+            next = *state;
             for (int i = 0; i < REACHLAB_COMMANDS; ++i) wanted[i] = state->position[i];
         }
     }

@@ -29,10 +29,10 @@ typedef struct {
 {{input}}
 } reachlab_input;
 
-/* The motion that has been commanded, and the last action. */
+/* The motion that has been commanded, the last action, and what the policy remembers if it does. */
 typedef struct {
 {{state}}
-    reachlab_real last_action[{{actions}}];
+    reachlab_real last_action[{{actions}}];{{memory}}
 } reachlab_state;
 
 enum { REACHLAB_OK = 0, REACHLAB_NOT_FINITE = 1 };

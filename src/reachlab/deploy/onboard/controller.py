@@ -115,6 +115,7 @@ class Controller:
         self._watch.reset(q)
         self._aim.clear()
         self._action, self.problem = [0.0] * self._inputs["last_action"][0], ""
+        self._memory = [0.0] * self._inputs.get("memory", [0])[0]
         self._stopped, self.braking, self._is_new = "", False, False
 
     def stop(self) -> None:
@@ -203,7 +204,8 @@ class Controller:
         """
         rest, inputs = self.motion.position, self._inputs
         given = {"q": self._watch.q.tolist(), "qd": self._watch.qd.tolist(), "command": rest.tolist()}
-        given.update({"last_action": self._action, **{f"goal_{name}": part for name, part in goal.items()}})
+        given.update({"last_action": self._action, "memory": self._memory})
+        given.update({f"goal_{name}": part for name, part in goal.items()})
         if "picture" in inputs:
             if picture is None or list(np.shape(picture)) != inputs["picture"]:
                 return rest, f"the policy needs a picture of {inputs['picture']} pixels"
@@ -218,11 +220,11 @@ class Controller:
                 return rest, str(error)
             given.update({f"bodies_{name}": numbers for name, numbers in around.items()})
         with np.errstate(all="ignore"):  # what is not finite is refused below
-            action, wanted = self._decide(**{name: given[name] for name in inputs})
+            action, wanted, *memory = self._decide(**{name: given[name] for name in inputs})
         wanted = np.array(wanted)
-        if not np.isfinite(wanted).all():
+        if not (np.isfinite(wanted).all() and np.isfinite(memory).all()):
             return rest, "the policy's command is not finite"
-        self._action = action
+        self._action, self._memory = action, memory[0] if memory else []
         return wanted, ""
 
     # --- log ----------------------------------------------------------------------------------------

@@ -6,6 +6,7 @@ class Run {
     if (!facts.begins) return; // the page does not compute it
     this.functions = program(arrays(facts.constants));
     this.nothing = facts.action.low.map(() => 0);
+    this.forgotten = Array(facts.memory).fill(0);
     this.free = facts.actuators.map(() => NaN);
     this.simulator = this.makeSimulator();
     this.choose("held out");
@@ -96,7 +97,7 @@ class Episode extends Moment {
   constructor(run, { q, ...beside }, simulator = run.simulator) {
     super(run);
     this.simulator = simulator;
-    this.ask({ q, qd: q.map(() => 0), command: q, last_action: run.nothing, ...beside });
+    this.ask({ q, qd: q.map(() => 0), command: q, last_action: run.nothing, memory: run.forgotten, ...beside });
     simulator.begin(this.state);
   }
 

@@ -16,6 +16,7 @@ from reachlab.agents.policy import Policy
 from reachlab.emit.behaviour import (
     BODIES,
     GOAL,
+    MEMORY,
     as_measured,
     bodies_of,
     decision_inputs,
@@ -96,10 +97,13 @@ def _decide(page: Episodes, agent: str, given: Mapping[str, Array]) -> dict[str,
     functions, setup = page.functions, page.functions.setup
     state = measured_state(functions, page.like, given)
     now = functions.situation(state)
-    towards = ACTIONS[setup.rules.action].towards
-    action = page.policy.act(functions.observe(state)) if agent == "trained" else towards(setup, now, now)
+    if agent == "trained":
+        action, memory = page.policy.decide(functions.observe(state), state.memory)
+    else:
+        action, memory = ACTIONS[setup.rules.action].towards(setup, now, now), state.memory
     action, command, _ = functions.command(state, action, None)
-    return {"action": action[0], "wanted": jnp.where(jnp.isnan(given["instead"]), command, given["instead"])[0]}
+    wanted = jnp.where(jnp.isnan(given["instead"]), command, given["instead"])[0]
+    return {"action": action[0], "wanted": wanted} | ({} if memory is None else {MEMORY: memory[0]})
 
 
 def _judge(page: Episodes, given: Mapping[str, Array]) -> dict[str, Array]:
@@ -149,6 +153,7 @@ def arrays_of(setup: TaskSetup, state: EnvState) -> dict[str, Array]:
     errors = state.errors
     speeds = jnp.concatenate([state.arm.qd, jnp.zeros_like(state.arm.opening)], axis=-1)
     named = {"q": state.arm.actuated, "qd": speeds, "command": state.command, "last_action": state.last_action}
+    named |= {} if state.memory is None else {MEMORY: state.memory}
     named |= {"tool": state.arm.tool_position, "angle": errors.angle[:, None]}
     named |= {GOAL + field.name: getattr(state.goal, field.name) for field in fields(state.goal)}
     named |= {BODIES + field.name: getattr(state.arm.bodies, field.name) for field in fields(state.arm.bodies)}

@@ -137,6 +137,7 @@ def why_streamed(config: RunConfig, agent: str | Function) -> str:
         "the page draws no pictures for a policy": OBSERVATIONS[config.rules.observation].pictured,
         "the page computes no policy of another library": not isinstance(agent, str),
         f"the page has no agent {name_of(agent)}": agent not in PLAYED,
+        "the page always sees the target": config.rules.hides_goal,
         "the page does not shape commands": config.physics.shaping,
         "the page does not hold the meshes that collide with the table": config.physics.collisions,
     }
@@ -196,6 +197,7 @@ def _computed(one: Shown, functions: Sequence[Program]) -> dict[str, Any]:
         "physics": engine,
         "exact": encoded(exact),
         "action": {"low": least.tolist(), "high": most.tolist()},
+        "memory": one.env.functions.memory,
         "begins": {
             name: {"count": len(begin.q), "arrays": encoded(drawn(one.env, begin))}
             for name, begin in begins.items()
