@@ -103,7 +103,7 @@ def test_the_run_directory_is_as_that_of_a_training(whole: Path) -> None:
 def test_pictures_that_are_drawn_again_are_the_same() -> None:
     env = Env(configure(observation="image", randomise=("view",)), 8)
     state = env.init(env_keys(0, 8))
-    buffer, album, again = make_buffer(state, 0, 12), Pictures(env, 12), Pictures(env, 12)
+    buffer, album, again = make_buffer(state, 0, 12, dated=False), Pictures(env, 12), Pictures(env, 12)
     for seed in range(2):
         state = env.init(env_keys(8 * seed, 8))
         buffer = add(buffer, state, jnp.zeros((8, 0)), state.last_action)

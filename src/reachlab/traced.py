@@ -171,3 +171,8 @@ def _surroundings() -> tuple[object, ...]:
     options = sorted((name, repr(value)) for name, value in jax.config.values.items() if "cache" not in name)
     versions = jax.default_backend(), jax.__version__, version("optax"), np.__version__, sys.version, platform.machine()
     return *package(), *options, *versions
+
+
+def digest(arrays: Any) -> str:
+    """Digest of a pytree of arrays."""
+    return hashlib.sha256(b"".join(np.asarray(x).tobytes() for x in jax.tree.leaves(arrays))).hexdigest()

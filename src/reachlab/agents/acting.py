@@ -17,7 +17,7 @@ from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState, Transition
 from reachlab.envs.gymnasium_shared import checked_actions
 from reachlab.settings.validation import InputError, choose
-from reachlab.tasks.schema import Field, Observed, Schema
+from reachlab.tasks.schema import Field, Schema
 
 OF_THE_ARM = ("joints", "tool")
 """Parts of an observation whose bounds say which arm it is of."""

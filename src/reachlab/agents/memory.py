@@ -50,8 +50,9 @@ class Cell:
         for_given, for_kept = jax.random.split(key)
         given = jax.random.normal(for_given, (3, inputs, size)) / math.sqrt(inputs)
         kept = orthonormal([jax.random.normal(one, (size, size)) for one in jax.random.split(for_kept, 3)])
-        gates = (Gate(*parts, jnp.full(size, bias)) for *parts, bias in zip(given, kept, (0.0, KEEP, 0.0), strict=True))
-        return cls(*gates, jnp.zeros(size))
+        biases = (jnp.full(size, bias) for bias in (0.0, KEEP, 0.0))
+        reset, keep, new = map(Gate, given, kept, biases)
+        return cls(reset, keep, new, jnp.zeros(size))
 
     @property
     def size(self) -> int:

@@ -18,6 +18,7 @@ from reachlab.settings.config import DaggerConfig, RunConfig
 from reachlab.settings.validation import (
     Checked,
     Count,
+    Fraction,
     NonNegative,
     NonNegativeInt,
     Positive,
@@ -101,18 +102,23 @@ class Distil(Training):
     """Held-out episodes of the report at the end."""
     action_repeat: Count = DISTILLATION["action_repeat"]
     """While training, steps from one picture to the next; the action is the same in between."""
+    memory: Annotated[int, Range(0, 4096)] = 0
+    """Numbers that the student remembers from step to step; 0: it acts by what it observes now."""
+    goal_lost: Fraction = 0.0
+    """Share of the steps in which its picture is black."""
     deterministic: bool = False
     """Compute on one thread: the same weights on any number of cores."""
     settings: DaggerConfig = field(default_factory=DaggerConfig)
 
 
 STUDENT = ("observation", "seed", "randomise", "total_steps", "report_episodes", "action_repeat", "deterministic")
+STUDENT += ("memory", "goal_lost")
 """Flags of `Distil` that are settings of its run, beside `settings`."""
 
 
 EVALUATED = (
     *("targets", "target_turn", "target_low", "target_high", "target_height", "goal_paths", "goal_speed", "goal_jump"),
-    *("scene", "obstacles", "goal_velocity", "settle_steps", "start_noise", "max_steps"),
+    *("goal_steps", "goal_lost", "scene", "obstacles", "goal_velocity", "settle_steps", "start_noise", "max_steps"),
 )
 """Settings of a task that an evaluation may change: what is asked for, and for how long."""
 

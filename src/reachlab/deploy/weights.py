@@ -86,9 +86,9 @@ def onnx_model(policy: Policy, bounds: Bounds, *, clips: bool) -> Any:
         vector = vectors[0] if len(vectors) == 1 else add("Concat", vectors, "vector", axis=1)
         scaled = add("Div", [add("Sub", [vector, "normaliser.mean"], "shifted"), "normaliser.scale"], "scaled")
         parts.append(add("Clip", [scaled, "clip.low", "clip.high"], "normalised"))
-    x, cell = parts[0] if len(parts) == 1 else add("Concat", parts, "features", axis=1), policy.parameters.memory
-    if cell is not None:
-        x = add("Concat", [x, _remembered(x, add)], "known", axis=1)
+    x = parts[0] if len(parts) == 1 else add("Concat", parts, "features", axis=1)
+    more = [(MEMORY, [policy.parameters.memory.size], False)] if policy.parameters.memory else []
+    x = add("Concat", [x, _remembered(x, add)], "known", axis=1) if more else x
     last = len(policy.parameters.actor) - 1
     for i in range(last):
         x = add("Tanh", [dense(x, f"actor.{i}")], f"hidden.{i}")
@@ -105,15 +105,12 @@ def onnx_model(policy: Policy, bounds: Bounds, *, clips: bool) -> Any:
         if name in used
     ]
     kinds = {True: TensorProto.UINT8, False: TensorProto.FLOAT}
-    given += [(MEMORY, [cell.size], False)] if cell is not None else []
-    results = {"action": len(bounds[0])} | ({AFTER: cell.size} if cell is not None else {})
-    graph = helper.make_graph(
-        nodes,
-        "policy",
-        [helper.make_tensor_value_info(name, kinds[picture], ["batch", *shape]) for name, shape, picture in given],
-        [helper.make_tensor_value_info(name, TensorProto.FLOAT, ["batch", size]) for name, size in results.items()],
-        arrays,
-    )
+
+    def described(rows: Any) -> list[Any]:
+        return [helper.make_tensor_value_info(name, kinds[picture], ["batch", *shape]) for name, shape, picture in rows]
+
+    results = [("action", [len(bounds[0])], False), *((AFTER, size, False) for _, size, _ in more)]
+    graph = helper.make_graph(nodes, "policy", described([*given, *more]), described(results), arrays)
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], producer_name="reachlab")
     model.ir_version = IR
     checker.check_model(model, full_check=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import functools
-import hashlib
 from collections.abc import Callable
 from dataclasses import replace
 from types import SimpleNamespace
@@ -33,7 +32,7 @@ from reachlab.tasks.observations import OBSERVATIONS
 from reachlab.tasks.scenes.balls import clearances
 from reachlab.tasks.schema import SIZE, Observed
 from reachlab.tasks.targets import solved_for
-from reachlab.traced import kept
+from reachlab.traced import digest, kept
 
 TOUCHING = 0.005
 """Distance within which an arm that touches something touches a body [m]: it has moved on since."""
@@ -82,7 +81,7 @@ class Env:
             scene=setup.task.scene(setup),
         )
         self.setup = replace(setup, lag=self.simulator.lag)
-        self._drawn = _digest(self.setup.prepared)
+        self._drawn = digest(self.setup.prepared)
         self.schema = OBSERVATIONS[config.rules.observation].schema(self.setup)
         self.action_bounds = ACTIONS[config.rules.action].bounds(self.setup)
         self.pictured = bool(self.schema.pictures)
@@ -96,19 +95,18 @@ class Env:
             shaped_within(self.setup) if config.physics.shaping else None,
             config.learner.memory,
         )
-        # The functions around the simulator's steps: traced with them, or compiled one by one, where an engine takes
-        # most of the time.
+        # Traced with the simulator's steps or, where an engine takes most of the time, compiled one by one.
         parts = (f.sample_episode, f.chained_start, f.begin, f.command, f.judge, f.merge, f.continued)
         self._parts = SimpleNamespace(**{one.__name__: one if simulated else self._part(one) for one in parts})
-        sample_some = in_parts(f.sample_episode, self._part) if solved_for(setup) and not simulated else None
-        self._sample_some = sample_some
+        in_some = solved_for(setup) and not simulated
+        self._sample_some = in_parts(f.sample_episode, self._part) if in_some else None
         # With pictures a simulator that can be traced is compiled here: only the pictures are drawn on the host.
         whole = jit if simulated and self.pictured else lambda function: function
         self._init, self._reset = whole(self._init_all), whole(self._reset_some)
         self._steps = functools.cache(lambda times: whole(functools.partial(self._repeat, times)))
-        chain, capsules = setup.robot.chain, lambda: setup.robot.capsules
+        robot = setup.robot
         self._clearances = jit(
-            lambda q, here: clearances(capsules(), capsules_at(chain, capsules(), q), here), brief=True
+            lambda q, here: clearances(robot.capsules, capsules_at(robot.chain, robot.capsules, q), here), brief=True
         )
         self._goal_seen = jit(functools.partial(goal_seen, setup.rules), brief=True)
         self._observe, self._view_samples = jit(f.observe, brief=True), jit(f.view_samples, brief=True)
@@ -220,12 +218,14 @@ class Env:
         if not self.pictured:
             return None
         pictures = np.zeros((self.num_envs, SIZE, SIZE), np.uint8)
-        shown = np.ones(self.num_envs, bool) if mask is None else mask
-        if self.setup.rules.hides_goal:
-            shown = shown & np.asarray(self._goal_seen(state.key, state.clock))
-        chosen = np.flatnonzero(shown)
+        chosen = np.flatnonzero(self.goal_seen(state.key, state.clock) & (True if mask is None else mask))
         pictures[chosen] = self.render_situations(replace(state.arm, engine=None), state.goal, state.key, chosen)
         return pictures
+
+    def goal_seen(self, keys: Array, clock: BatchArray | None) -> np.ndarray:
+        """Whether the goal is seen at steps `clock [B]` of the episodes with `keys [B]`, in which it may be hidden."""
+        hides = self.setup.rules.hides_goal
+        return np.asarray(self._goal_seen(keys, clock)) if hides else np.ones(len(keys), bool)
 
     def render_situations(self, arm: SimState, goal: Goal, keys: Array, rows: np.ndarray) -> np.ndarray:
         """Pictures `[m, SIZE, SIZE]` uint8 of those `rows [m]` of arms and goals in episodes with `keys [B]`."""
@@ -298,7 +298,3 @@ class Env:
     def close(self) -> None:
         """Close the simulator."""
         self.simulator.close()
-
-
-def _digest(prepared: Any) -> str:
-    return hashlib.sha256(b"".join(np.asarray(x).tobytes() for x in jax.tree.leaves(prepared))).hexdigest()

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 
-from reachlab.control.bodies import Bodies
-from reachlab.envs.random_streams import delay_keys, goal_keys, sight_keys
+from reachlab.control.bodies import Bodies, turned
+from reachlab.envs.random_streams import PLACE_STREAM, delay_keys, goal_keys, sight_keys
 from reachlab.sims.simulator import SimState
 
 JITTER = 0.01
@@ -24,6 +24,9 @@ LATEST, UNSEEN = 3, 0.1
 
 KEPT = 8
 """Steps for which bodies are kept: so many sights in a row are hardly ever lost."""
+
+OBJECT_ERROR = (0.005, 0.005, 0.005, 0.087)
+"""Largest errors of a measured object, where objects vary: in x, y, z [m] and yaw [rad], 5 mm and 5 degrees."""
 
 
 @jax.tree_util.register_dataclass
@@ -51,8 +54,9 @@ def sense(before: Sensed, arm: SimState, keys: Array, clock: Array, period: floa
 
 
 def goal_seen(rules: Any, keys: Array, clock: Array) -> Array:
-    """Whether the goal is seen at the steps `clock [B]` of the episodes with `keys [B]`."""
-    lost = jax.vmap(jax.random.uniform)(goal_keys(keys, clock)) < rules.goal_lost
+    """Whether the goal is seen at the steps `clock [...]` of the episodes with `keys [...]`."""
+    sampled = jax.vmap(jax.random.uniform)(goal_keys(keys.ravel(), clock.ravel()))
+    lost = sampled.reshape(clock.shape) < rules.goal_lost
     return ~lost if rules.goal_steps is None else ~lost & (clock < rules.goal_steps)
 
 
@@ -85,3 +89,10 @@ class Sight:
     def known(self) -> Bodies:
         """Bodies `[B, K]` as far as they are known."""
         return jax.tree.map(lambda x: jax.vmap(lambda rows, age: rows[age])(x, self.age), self.past)
+
+
+def misplaced(key: Array, bodies: Bodies) -> Bodies:
+    """Bodies `[K]` as a camera might measure them: `OBJECT_ERROR` off in place and yaw, the same for all an episode."""
+    sampled = jax.random.uniform(jax.random.fold_in(key, PLACE_STREAM), (len(bodies.kind), 4), minval=-1.0)
+    off = sampled * jnp.array(OBJECT_ERROR)
+    return replace(bodies, position=bodies.position + off[:, :3], quaternion=turned(bodies.quaternion, off[:, 3]))

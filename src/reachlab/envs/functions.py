@@ -9,15 +9,13 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from reachlab.control.bodies import Bodies, turned
 from reachlab.control.motion_limits import Motion, MotionLimits
 from reachlab.control.situation import Goal, Situation
-from reachlab.envs.delays import Sensed, Sight, goal_seen, sense
+from reachlab.envs.delays import Sensed, Sight, goal_seen, misplaced, sense
 from reachlab.envs.random_streams import (
     CHAIN_STREAM,
     OBJECT_STREAM,
     PARTS,
-    PLACE_STREAM,
     SCENE_STREAM,
     VIEW_STREAM,
     noise_keys,
@@ -34,10 +32,6 @@ from reachlab.tasks.task import Errors, Keys, Progress, TaskSetup
 
 POSITION_NOISE, SPEED_NOISE = 0.0005, 0.01
 """Standard deviations of the joint measurements where dynamics vary [rad, rad/s]."""
-
-
-OBJECT_ERROR = (0.005, 0.005, 0.005, 0.087)
-"""Largest errors of a measured object, where objects vary: in x, y, z [m] and yaw [rad], 5 mm and 5 degrees."""
 
 
 @jax.tree_util.register_dataclass
@@ -109,14 +103,6 @@ class Transition:
 def named_errors(setup: TaskSetup, errors: Errors) -> dict[str, BatchArray]:
     """Errors as infos name them: `distance` [m] and, where an orientation is asked for, `angle` [rad]."""
     return {"distance": errors.distance} | ({"angle": errors.angle} if setup.rules.asks_orientation else {})
-
-
-def misplaced(key: Array, bodies: Bodies) -> Bodies:
-    """Bodies `[K]` as a camera might measure them: `OBJECT_ERROR` off in place and yaw, the same for all an episode."""
-    off = jax.random.uniform(jax.random.fold_in(key, PLACE_STREAM), (len(bodies.kind), 4), minval=-1.0) * jnp.array(
-        OBJECT_ERROR
-    )
-    return replace(bodies, position=bodies.position + off[:, :3], quaternion=turned(bodies.quaternion, off[:, 3]))
 
 
 Stepped = tuple[EnvState, Transition]

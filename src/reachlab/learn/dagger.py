@@ -17,8 +17,9 @@ import optax
 from jax import Array
 
 from reachlab.agents.encoder import Keypoints
-from reachlab.agents.policy import Inputs, Parameters, Policy, distribution, features
+from reachlab.agents.policy import Inputs, Memory, Parameters, Policy, distribution, encoded
 from reachlab.envs.core import Env
+from reachlab.envs.delays import goal_seen
 from reachlab.envs.functions import EnvState, Transition
 from reachlab.envs.random_streams import LEARNER_STREAM, TRAINING_STREAM, episode_keys, stream_key
 from reachlab.jax_setup import jit
@@ -35,6 +36,9 @@ from reachlab.sims import SIMULATORS
 from reachlab.tasks import actions
 from reachlab.tasks.actions import ACTIONS
 from reachlab.tasks.observations import OBSERVATIONS
+
+SEQUENCE = 16
+"""Samples in a row from which a student that remembers learns at once."""
 
 
 @jax.tree_util.register_dataclass
@@ -99,7 +103,9 @@ def _initial_state(env: Env, config: RunConfig, seed: int | Array, teacher: Poli
         knowing.close()
     state = env.init(episode_keys(seed, TRAINING_STREAM, 0, config.loop.num_envs))
     learner = make_learner(_optimiser(config), policy)
-    return DistilState(learner, state, key, make_buffer(state, env.schema.vector_size, config.dagger.capacity), teacher)
+    dated = state.memory is not None or config.rules.hides_goal
+    buffer = make_buffer(state, env.schema.vector_size, config.dagger.capacity, dated=dated)
+    return DistilState(learner, state, key, buffer, teacher)
 
 
 def _optimiser(config: DistilRunConfig) -> optax.GradientTransformation:
@@ -112,6 +118,7 @@ class _Lessons:
     def __init__(self, env: Env, config: DistilRunConfig) -> None:
         self._env, self._config = env, config
         rules = override(config, observation=config.teacher_observation, action=config.teacher_action).rules
+        rules = replace(rules, goal_steps=None, goal_lost=0.0) if rules.hides_goal else rules
         self._known = replace(env.functions, setup=replace(env.setup, rules=rules), randomise=())
         self._pictures = Pictures(env, config.dagger.capacity)
         self._decide, self._add, self._learn = jit(self._decision), jit(add), jit(self._update)
@@ -135,11 +142,13 @@ class _Lessons:
         guided = int(buffer.count) < self._config.dagger.guided * loop.rollout_steps * loop.num_envs
         for now in jax.random.split(key, loop.rollout_steps):
             picture = self._env.render_observation(episodes)
-            label, action, vector, policy = self._decide(state.teacher, policy, episodes, picture, now, guided)
+            given = state.teacher, policy, episodes, picture, now, guided
+            label, action, vector, policy, memory = self._decide(*given)
             buffer = self._add(buffer, episodes, vector, label)
             self._pictures.add(cast("np.ndarray", picture))
             # The action is repeated: nobody learns from pictures that hardly differ.
-            episodes = self._begun_anew(*self._env.step(episodes, action, loop.action_repeat), tally)
+            stepped = self._env.step(replace(episodes, memory=memory), action, loop.action_repeat)
+            episodes = self._begun_anew(*stepped, tally)
         learner = replace(state.learner, policy=policy)
         return replace(state, learner=learner, env=episodes, buffer=buffer), Counter() if guided else tally
 
@@ -155,20 +164,22 @@ class _Lessons:
 
     def _decision(
         self, teacher: Policy, policy: Policy, state: EnvState, picture: Array, key: Array, guided: bool
-    ) -> tuple[Array, Array, Array, Policy]:
+    ) -> tuple[Array, Array, Array, Policy, Memory]:
         """The teacher's action `[B, a]`, the one that is taken, what is seen beside the picture, and the student.
 
-        The student has these observations known. The teacher knows how things are, not how they are measured.
+        The student has these observations known; and what it remembers then. The teacher knows how things are, not how
+        they are measured.
         """
         observation = self._env.observe(state, picture)
-        label, own = self._label(teacher, replace(state, sensed=None, sight=None)), policy.act(observation)
+        label = self._label(teacher, replace(state, sensed=None, sight=None))
+        own, memory = policy.decide(observation, state.memory)
         vector = self._env.schema.split(observation)[1]
         vector = jnp.zeros((len(label), 0)) if vector is None else vector
         noise = self._config.dagger.noise * policy.half * jax.random.normal(key, label.shape)
         if ACTIONS[self._config.rules.action].points:
             noise *= guided  # who sees things where they are not strays enough
         action = jnp.clip(jnp.where(guided, label, own) + noise, *self._env.action_bounds)
-        return label, action, vector, policy.observed(observation)
+        return label, action, vector, policy.observed(observation), memory
 
     def _label(self, teacher: Policy, known: EnvState) -> Array:
         """What the student's action should be `[B, a]`: the teacher's, as one of its own, or where things are."""
@@ -185,12 +196,23 @@ class _Lessons:
         """Learner after the gradient steps of an iteration, and the means of their losses."""
         settings = self._config.dagger
         known = min(int(buffer.count), settings.capacity)
-        batches = np.asarray(jax.random.randint(key, (settings.updates, settings.batch), 0, known))
+        if buffer.memory is None:
+            batches = np.asarray(jax.random.randint(key, (settings.updates, settings.batch), 0, known))
+        else:
+            batches = self._sequences(key, int(buffer.count), known)
         watched = []
         for rows in batches:
             learner, losses = self._learn(learner, buffer, rows, self._pictures[rows])
             watched.append(losses)
         return learner, {name: jnp.mean(jnp.array([losses[name] for losses in watched])) for name in watched[0]}
+
+    def _sequences(self, key: Array, count: int, known: int) -> np.ndarray:
+        """Rows `[updates, L, b]` of the buffer: sequences of samples of one environment each, of random ones."""
+        settings, num_envs = self._config.dagger, self._config.loop.num_envs
+        length = min(SEQUENCE, known // num_envs)
+        size = (settings.updates, 1, max(settings.batch // length, 1))
+        first = jax.random.randint(key, size, count - known, count - (length - 1) * num_envs)
+        return (np.asarray(first) + num_envs * np.arange(length)[:, None]) % settings.capacity
 
     def _update(
         self, learner: Learner, buffer: DaggerBuffer, rows: Array, pictures: Array
@@ -200,16 +222,23 @@ class _Lessons:
             lambda x: x[rows], (buffer.arm, buffer.goal, buffer.vector, buffer.label)
         )
         inputs = Inputs(pictures, policy.normaliser(vector) if vector.shape[-1] else None)
+        clock = None if buffer.clock is None else buffer.clock[rows]
+        shown = None if clock is None else goal_seen(self._env.setup.rules, buffer.key[rows], clock)
+        if buffer.memory is not None and clock is not None:
+            inputs = inputs._replace(memory=buffer.memory[rows[:1]], begins=clock == 0)
         wanted = (label - policy.centre) / policy.half
-        points = jnp.concatenate([goal.position[:, None], arm.tool_position[:, None], arm.bodies.position], axis=1)
-        places = _in_workspace(self._env.setup.robot, points).reshape(len(points), -1)
+        points = jnp.stack([goal.position, arm.tool_position, *jnp.moveaxis(arm.bodies.position, -2, 0)], axis=-2)
+        places = _in_workspace(self._env.setup.robot, points).reshape(*rows.shape, -1)
 
         def loss(parameters: Parameters) -> tuple[Array, dict[str, Array]]:
             action = jnp.square(distribution(parameters, inputs).mean - wanted).mean()
             if isinstance(parameters.encoder, Keypoints):
-                place = parameters.encoder.loss(pictures, label)
+                place = parameters.encoder.loss(
+                    pictures.reshape(-1, *pictures.shape[-2:]), label.reshape(rows.size, -1)
+                )
             else:
-                place = jnp.square(features(parameters, inputs)[..., : places.shape[-1]] - places).mean()
+                off = jnp.square(encoded(parameters, inputs)[..., : places.shape[-1]] - places)
+                place = off.mean() if shown is None else (off * shown[..., None]).mean()
             errors = {"action_error": action, "place_error": place}
             return action + self._config.dagger.place_weight * place, errors
 

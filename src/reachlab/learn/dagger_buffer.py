@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from reachlab.agents.policy import Memory
 from reachlab.control.situation import Goal
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState
@@ -32,6 +33,8 @@ class DaggerBuffer:
         vector: what was observed beside the picture `[N, k]`.
         label: the teacher's action `[N, a]`.
         count: samples so far `[]`.
+        clock: its step in its episode `[N]`; None where a picture is learnt from whenever it was drawn.
+        memory: what the student remembered before it `[N, M]`; None of one without memory.
     """
 
     arm: SimState
@@ -40,10 +43,15 @@ class DaggerBuffer:
     vector: Array
     label: Array
     count: Array
+    clock: Array | None = None
+    memory: Memory = None
 
 
-def make_buffer(state: EnvState, vector_size: int, capacity: int) -> DaggerBuffer:
-    """Empty buffer of `capacity` samples of such a state, and of so many numbers beside the picture."""
+def make_buffer(state: EnvState, vector_size: int, capacity: int, *, dated: bool) -> DaggerBuffer:
+    """Empty buffer of `capacity` samples of such a state, and of so many numbers beside the picture.
+
+    With the clock where they are `dated`.
+    """
 
     def empty(like: Array) -> Array:
         if jnp.issubdtype(like.dtype, jax.dtypes.prng_key):
@@ -52,14 +60,16 @@ def make_buffer(state: EnvState, vector_size: int, capacity: int) -> DaggerBuffe
 
     vector = jnp.zeros((1, vector_size))
     parts = _shown(state), state.goal, state.key, vector, state.last_action
-    return DaggerBuffer(*jax.tree.map(empty, parts), count=jnp.zeros((), jnp.int32))
+    clock, memory = jax.tree.map(empty, (state.clock if dated else None, state.memory))
+    return DaggerBuffer(*jax.tree.map(empty, parts), count=jnp.zeros((), jnp.int32), clock=clock, memory=memory)
 
 
 def add(buffer: DaggerBuffer, state: EnvState, vector: Array, label: Array) -> DaggerBuffer:
     """Buffer with the situations of a state, the vectors `[B, k]` observed in them and labels `[B, a]` added."""
     num_envs, capacity = label.shape[0], buffer.label.shape[0]
     rows = (buffer.count + jnp.arange(num_envs)) % capacity
-    new = DaggerBuffer(_shown(state), state.goal, state.key, vector, label, buffer.count)
+    clock = None if buffer.clock is None else state.clock
+    new = DaggerBuffer(_shown(state), state.goal, state.key, vector, label, buffer.count, clock, state.memory)
     return jax.tree.map(lambda old, one: old.at[rows].set(one) if old.ndim else old + num_envs, buffer, new)
 
 
@@ -87,8 +97,10 @@ class Pictures:
             return
         for first in range(0, min(count, len(self._pictures)), DRAWN_AT_ONCE):
             rows = slice(first, min(first + DRAWN_AT_ONCE, count, len(self._pictures)))
-            arm, goal, key = jax.tree.map(operator.itemgetter(rows), (buffer.arm, buffer.goal, buffer.key))
-            self._pictures[rows] = self._env.render_situations(arm, goal, key, np.arange(rows.stop - rows.start))
+            parts = buffer.arm, buffer.goal, buffer.key, buffer.clock
+            arm, goal, key, clock = jax.tree.map(operator.itemgetter(rows), parts)
+            seen = np.flatnonzero(self._env.goal_seen(key, clock))
+            self._pictures[rows][seen] = self._env.render_situations(arm, goal, key, seen)
         self._count = count
 
     def __getitem__(self, rows: np.ndarray) -> np.ndarray:
