@@ -43,7 +43,8 @@ class Cue(Tutorial):
 
     observation: str = "side"
     action: str = "turn"
-    reward: str = "goal_distance"
+    reward: str = "closeness"
+    closeness_scale: Positive = 0.05
     at_goal: str = "continue"
     end_outside: bool = False
     success_distance: Positive = 0.05

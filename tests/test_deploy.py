@@ -53,6 +53,7 @@ CASES: dict[str, tuple[str, dict[str, Any]]] = {
     "track": ("track", {"robot": "ur5e"}),
     "clutter": ("clutter", {"robot": "xarm7"}),
     "picture": ("tutorial", {"observation": "image+tool"}),
+    "memory": ("precise", {"memory": 16, "robot": "ur5e"}),
 }
 """Tasks, observations, actions and arms that between them hold every term, action and kind of goal."""
 

@@ -41,6 +41,7 @@ RUNS: dict[str, dict[str, Any]] = {
     "kinematic": {},
     "pybullet": {"sim": "pybullet", "num_envs": 2, "rollout_steps": 128, "max_steps": 100},
     "track": {"task": "track", "sim": "mujoco", "settle_steps": 10},
+    "memory": {"memory": 8, "goal_lost": 0.3, "observation": "state"},
     "clutter": {"task": "clutter", "sim": "mujoco", "obstacles": (1, 3)},
 }
 """What `precise` and `pose` save `clutter` saves too."""

@@ -12,9 +12,9 @@ from jax import Array
 
 from reachlab.agents.layers import orthonormal
 
-KEEP = 1.0
-"""Bias of the gate that keeps what is remembered, at the start: much is kept until something better is learnt
-(Jozefowicz et al., "An empirical exploration of recurrent network architectures", 2015)."""
+LONGEST = 200
+"""Steps over which the numbers are kept at the start: from one to so many (Tallec and Ollivier, "Can recurrent neural
+networks warp time?", ICLR 2018)."""
 
 
 class Gate(NamedTuple):
@@ -47,12 +47,12 @@ class Cell:
     @classmethod
     def make(cls, key: Array, inputs: int, size: int) -> Cell:
         """Untrained unit."""
-        for_given, for_kept = jax.random.split(key)
+        for_given, for_kept, for_keep = jax.random.split(key, 3)
         given = jax.random.normal(for_given, (3, inputs, size)) / math.sqrt(inputs)
         kept = orthonormal([jax.random.normal(one, (size, size)) for one in jax.random.split(for_kept, 3)])
-        biases = (jnp.full(size, bias) for bias in (0.0, KEEP, 0.0))
-        reset, keep, new = map(Gate, given, kept, biases)
-        return cls(reset, keep, new, jnp.zeros(size))
+        none, long = jnp.zeros(size), jnp.log(jax.random.uniform(for_keep, (size,), minval=1.0, maxval=LONGEST - 1.0))
+        reset, keep, new = map(Gate, given, kept, (none, long, none))
+        return cls(reset, keep, new, none)
 
     @property
     def size(self) -> int:

@@ -95,6 +95,7 @@ def _goal(setup: TaskSetup) -> dict[str, Any]:
         "moves": rules.moves,
         "fastest": terms.FASTEST * rules.goal_speed[1] if rules.moves else 0.0,
         "joints": "joints" in rules.gives,
+        "hidden": rules.hides_goal,
         "success_distance": rules.success_distance,
         "asks": setup.task.asks(rules, setup.period),
     }

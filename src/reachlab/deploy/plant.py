@@ -27,11 +27,11 @@ RESTS = 1e-6
 
 @dataclass(frozen=True)
 class Measurement:
-    """What the controller is told in a control period: joints and speeds `[n]`, and what it is asked for."""
+    """What the controller is told in a control period: joints and speeds `[n]`, and its goal, if that is seen."""
 
     q: np.ndarray
     qd: np.ndarray
-    goal: list[float]
+    goal: list[float] | None
     velocity: list[float] | None
     obstacles: list[dict[str, Any]]
     objects: list[dict[str, Any]]
@@ -138,7 +138,8 @@ class Plant:
             around = [{name: part[i].tolist() for name, part in rows.items()} for i in present]
         fixed = len(around) - setup.task.scene(setup).objects
         qd = self._beside(state.arm.qd, np.zeros(state.arm.opening.shape))
-        return Measurement(self.q, qd, asked, velocity, around[:fixed], around[fixed:])
+        seen = self._env.goal_seen(state.key, state.clock)[0]
+        return Measurement(self.q, qd, asked if seen else None, velocity, around[:fixed], around[fixed:])
 
     @staticmethod
     def _beside(joints: Any, opening: Any) -> np.ndarray:

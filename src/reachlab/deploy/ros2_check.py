@@ -111,7 +111,7 @@ class RosLink:
 
     def send(self, measurement: Measurement) -> None:
         """Publish a measurement, and the goal where it is new."""
-        if measurement.goal != self._asked:
+        if measurement.goal and measurement.goal != self._asked:
             self._asked = measurement.goal
             self._goals.publish(self._pose(measurement.goal))
         for one in measurement.objects:

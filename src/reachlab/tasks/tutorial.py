@@ -98,8 +98,15 @@ class Tutorial(TaskSettings):
 
     def contradiction(self) -> str | None:
         """What of these settings cannot be together."""
+        from reachlab.tasks.actions import ACTIONS
+
         if self.hides_goal and (self.asks_orientation or "joints" in self.gives):
             return "goal_steps and goal_lost are of targets that are points alone, as in task precise: leave them out."
+        if self.hides_goal and (alone := ACTIONS[self.action].whole):
+            return (
+                f"action {self.action!r} corrects a controller, which stays where it is while the target is not seen:"
+                f" choose {alone}."
+            )
         if self.targets == "any" and not self.asks_orientation:
             return "targets 'any' are poses: choose task 'pose', or targets 'box' or 'table'."
         if self.targets != "box" or self.target_low is None or self.target_high is None:

@@ -19,6 +19,9 @@ NEARBY = 0.1
 Goal = dict[str, Any]
 """Numbers by name: `position [3]` m and, as needed, `quaternion [4]` wxyz, `velocity [3]` m/s and `joints [n]`."""
 
+UNSEEN: Goal = {"position": None, "velocity": [0.0, 0.0, 0.0]}
+"""A goal that was seen before, of a policy that was trained with such: it is observed where the tool is."""
+
 
 class Aim:
     """What the tool is asked to do.
@@ -27,12 +30,13 @@ class Aim:
         goal: the goal; None where there is none, or its joints are still looked for.
         box: lower and upper corner `[2, 3]` of the goals that were trained [m].
         poses: goals are poses.
+        hides: a goal may not be seen at times.
     """
 
     def __init__(self, facts: dict[str, Any], n: int, step: dict[str, Callable[..., Any]]) -> None:
         """Of a policy's facts about its goals, for an arm of `n` joints, whose functions are those of its step."""
         self._facts, self.poses, self._n, self._step = facts, bool(facts["orientation"]), n, step
-        self.box = np.array([facts["low"], facts["high"]], float)
+        self.box, self.hides = np.array([facts["low"], facts["high"]], float), bool(facts.get("hidden", False))
         self.clear()
 
     def clear(self) -> None:
@@ -54,7 +58,8 @@ class Aim:
             near: joints `[n]` next to which others are looked for.
         """
         if goal is None:
-            self.goal = self._given = None
+            hidden = self.goal is not None and self.hides
+            self.goal, self._given = UNSEEN if hidden else None, None
             return ""
         joints = joints if self._facts["joints"] else None
         if wrong := self._wrong(goal, velocity, joints):
@@ -101,7 +106,7 @@ class Aim:
     def _seen_velocity(self, place: np.ndarray, time: float) -> np.ndarray:
         """Velocity `[3]` m/s of a goal that is now at `[3]` m; nothing of one that has jumped."""
         last, passed = self.goal, time - self._time
-        if last is None or passed <= 0:
+        if last is None or last is UNSEEN or passed <= 0:
             return np.zeros(3)
         velocity = (place - last["position"]) / passed
         return velocity if np.sqrt(velocity @ velocity) <= self._facts["fastest"] else np.zeros(3)

@@ -76,10 +76,10 @@ class Controller:
         self._objects = facts.get("objects", []), facts.get("object_size")
         self._moving = bool(facts.get("object_velocity", False))
         step = load_step(folder)
-        self._decide = step["decide"]
+        self._decide, self._tool = step["decide"], step["tool"]
         self._aim = Aim(facts["goal"], len(self.joints), step)
         self.asks_orientation, self.goal_box = self._aim.poses, self._aim.box
-        self.home_quaternion = np.array(step["tool"](self.home.tolist())[1])
+        self.home_quaternion = np.array(self._tool(self.home.tolist())[1])
         self._watch = Watch(facts, widest)
         self.limits = MotionLimits(**limits, period=self.period)
         self._log = Log()
@@ -142,7 +142,8 @@ class Controller:
             q: measured joints `[n]` [rad or m]; None where no measurement has come.
             qd: their speeds `[n]` [rad/s or m/s].
             goal: position of the tool `[3]` m or, for a policy that was trained on poses, position and quaternion
-                wxyz `[7]`, in the frame of the arm's base; None holds the arm.
+                wxyz `[7]`, in the frame of the arm's base; None holds the arm, but where the policy was trained with
+                targets that are not seen at times: then it is one, once a target was given.
             time: of this step [s], by any clock that does not run back.
             velocity: of the goal `[3]` [m/s]; by default from its last positions.
             obstacles: for a policy that was trained among them, a list of dicts with `position`, and for boxes and
@@ -170,7 +171,8 @@ class Controller:
             except Exception as error:  # whatever it is, an arm in motion is brought to rest
                 refused = f"{type(error).__name__}: {error}"
         was, now = self.braking and not at_rest, bool(refused or brake)
-        self.problem = refused or problem or (self.problem if was else "") or (NO_GOAL if goal is None else "")
+        aimless = goal is None and self._aim.goal is None
+        self.problem = refused or problem or (self.problem if was else "") or (NO_GOAL if aimless else "")
         self.braking = now or was
         self.motion = self.limits.advance(self.motion, wanted, self.braking)
         command = self.motion.position
@@ -206,7 +208,11 @@ class Controller:
         given = {"q": self._watch.q.tolist(), "qd": self._watch.qd.tolist(), "command": rest.tolist()}
         given.update({"last_action": self._action, "memory": self._memory})
         given.update({f"goal_{name}": part for name, part in goal.items()})
+        if goal["position"] is None:
+            given["goal_position"], _ = self._tool(given["q"])
         if "picture" in inputs:
+            if picture is None and self._aim.hides:
+                picture = np.zeros(inputs["picture"], np.uint8)
             if picture is None or list(np.shape(picture)) != inputs["picture"]:
                 return rest, f"the policy needs a picture of {inputs['picture']} pixels"
             given["picture"] = picture

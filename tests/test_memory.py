@@ -1,0 +1,254 @@
+"""Policies that remember: what they compute, that nothing is remembered across episodes, and what they can learn."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from reachlab.agents.acting import make_act
+from reachlab.agents.memory import Cell
+from reachlab.agents.policy import Inputs, Policy, features, gaussian
+from reachlab.cli.main import main
+from reachlab.deploy.check import load_controller
+from reachlab.deploy.export import write_files
+from reachlab.deploy.onnx_network import OnnxNetwork
+from reachlab.envs.consistency import check
+from reachlab.envs.core import Env
+from reachlab.envs.presets import configure
+from reachlab.envs.random_streams import REPORT_STREAM, env_keys, episode_keys
+from reachlab.jax_setup import jit
+from reachlab.learn import ppo
+from reachlab.learn.learner import make_initial_policy
+from reachlab.learn.ppo_method import initial_state
+from reachlab.learn.rollout import collect
+from reachlab.settings.config import RunConfig
+from reachlab.settings.extensions import import_extension
+from reachlab.settings.validation import InputError
+from reachlab.watch.page.shown import why_streamed
+
+SIZE, B, T = 8, 8, 40
+"""Numbers that are remembered, environments, and steps in each."""
+
+SHORT: dict[str, Any] = {"num_envs": B, "rollout_steps": T, "hidden": (16,), "memory": SIZE, "max_steps": 15}
+"""Episodes of which several end in a rollout."""
+
+
+def untrained(config: RunConfig, env: Env, seed: int = 0) -> Policy:
+    """A policy whose actions depend on what it observes and remembers."""
+    policy = env.compile_part(lambda key: make_initial_policy(config, env, key))(jax.random.key(seed))
+    random = np.random.default_rng(seed)
+    noise = jax.tree.map(lambda x: (x + 0.2 * random.normal(size=x.shape)).astype(x.dtype), policy.parameters)
+    return replace(policy, parameters=noise)
+
+
+# --- the unit ---------------------------------------------------------------------------------------
+
+
+def test_a_sequence_is_its_steps_and_begins_anew_where_it_should() -> None:
+    cell = Cell.make(jax.random.key(0), 3, SIZE)
+    x = np.asarray(jax.random.normal(jax.random.key(1), (T, B, 3)))
+    begins = np.asarray(jax.random.uniform(jax.random.key(2), (T, B)) < 0.1)
+    memory = first = np.asarray(jax.random.normal(jax.random.key(3), (B, SIZE)))
+    together = np.asarray(jit(cell.over)(first, x, begins))
+    one = jit(cell.__call__)
+    for t in range(T):
+        memory = np.asarray(one(np.where(begins[t][:, None], 0, memory), x[t]))
+        assert memory == pytest.approx(together[t], abs=1e-5)
+
+
+def test_its_gates_are_those_of_torch() -> None:
+    torch = pytest.importorskip("torch")
+    cell = Cell.make(jax.random.key(0), 3, SIZE)
+    gates = [cell.reset, cell.keep, cell.new]
+    other = torch.nn.GRUCell(3, SIZE)
+    with torch.no_grad():
+        for name, part in (("weight_ih", "given"), ("weight_hh", "kept")):
+            rows = np.concatenate([np.asarray(getattr(gate, part)).T for gate in gates])
+            getattr(other, name).copy_(torch.tensor(rows))
+        other.bias_ih.copy_(torch.tensor(np.concatenate([gate.bias for gate in gates])))
+        zero = np.zeros(2 * SIZE, np.float32)
+        other.bias_hh.copy_(torch.tensor(np.concatenate([zero, np.asarray(cell.kept_bias)])))
+        x, memory = (np.random.default_rng(i).normal(size=(B, n)).astype(np.float32) for i, n in ((0, 3), (1, SIZE)))
+        expected = other(torch.tensor(x), torch.tensor(memory)).numpy()
+    assert np.asarray(cell(memory, x)) == pytest.approx(expected, abs=1e-6)
+
+
+# --- learning ---------------------------------------------------------------------------------------
+
+
+def test_an_update_computes_what_the_rollout_did() -> None:
+    config = configure("tutorial", **SHORT)
+    env = Env(config, B)
+    state = env.compile_part(lambda seed: initial_state(env, config, seed))(np.uint32(0))
+    policy = untrained(config, env)
+    gather = env.compile_whole(lambda state, key: collect(env, policy, state, key, config.loop))
+    before = replace(state.env, memory=jnp.ones((B, SIZE)))
+    after, rollout = gather(before, jax.random.key(1))
+    batch = jit(lambda rollout: ppo._samples(policy, rollout, config.ppo))(rollout)
+    assert np.asarray(rollout.done).sum() > B
+    assert np.asarray(batch.inputs.begins).any()
+    head = gaussian(policy.parameters, features(policy.parameters, batch.inputs))
+    assert np.asarray(head.log_prob(batch.output)) == pytest.approx(np.asarray(rollout.log_prob), abs=2e-4)
+    begun = np.asarray(rollout.clock) == 1
+    assert not np.asarray(rollout.memory)[begun][B:].any()  # the first B of them went on from what was given
+    assert np.asarray(rollout.memory)[~begun].any(axis=-1).all()
+    assert np.asarray(after.memory).shape == (B, SIZE)
+
+
+def test_without_memory_nothing_is_there() -> None:
+    config = configure("tutorial", num_envs=B, hidden=(16,))
+    env = Env(config, B)
+    policy = untrained(config, env)
+    assert policy.parameters.memory is None
+    assert policy.initial(B) is None
+    assert env.compile_whole(env.init)(env_keys(0, B)).memory is None
+
+
+def test_a_policy_that_remembers_is_not_asked_without_its_memory() -> None:
+    config = configure("tutorial", **SHORT)
+    env = Env(config, B)
+    policy = untrained(config, env)
+    seen = np.zeros((B, env.schema.vector_size), np.float32)
+    with pytest.raises(InputError, match="give its memory to `decide`"):
+        policy.act(seen)
+    with pytest.raises(InputError, match="has to be given its memory"):
+        features(policy.parameters, Inputs(None, jnp.asarray(seen)))
+    action, memory = policy.decide(seen, policy.initial(B))
+    again, _ = policy.decide(seen, memory)
+    assert np.abs(np.asarray(action) - np.asarray(again)).max() > 1e-3
+
+
+@pytest.fixture
+def cue() -> Iterator[None]:
+    sys.path.insert(0, "examples")
+    import_extension("examples/cue.py")
+    yield
+    sys.path.remove("examples")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("size", "least", "most"), [(16, 0.99, 1.0), (0, 0.4, 0.6)])
+def test_a_cue_is_remembered_for_50_steps(tmp_path: Path, size: int, least: float, most: float) -> None:
+    words = ["--import", "examples/cue.py", "--task", "cue", "--memory", str(size), "--out", str(tmp_path / "run")]
+    assert main(["train", *words, "--total-steps", "700000", "--report-episodes", "400"]) == 0
+    from reachlab.runs.files import read_json
+
+    assert least <= read_json(tmp_path / "run" / "report.json")["success_rate"] <= most
+
+
+# --- targets that are not seen ----------------------------------------------------------------------
+
+
+def test_a_target_is_seen_for_its_steps_and_lost_in_its_share() -> None:
+    config = configure("precise", goal_steps=20, goal_lost=0.25, action="joint_delta", robot="so101", num_envs=64)
+    env = Env(config, 64)
+    state = env.init(env_keys(0, 64))
+    shown, zero = [], np.zeros(state.last_action.shape, np.float32)
+    for _ in range(40):
+        now = env.situation(state)
+        there = (np.asarray(now.goal.position) == np.asarray(state.goal.position)).all(axis=1)
+        hidden = (np.asarray(now.goal.position) == np.asarray(now.tool_position)).all(axis=1)
+        assert (there ^ hidden).all()
+        assert there.tolist() == env.goal_seen(state.key, state.clock).tolist()
+        shown.append(there)
+        state, _ = env.step(state, zero)
+    low, high = env.schema.bounds
+    seen = np.asarray(env.observe(state))
+    assert ((seen >= low) & (seen <= high)).all()
+    assert np.mean(shown[:20]) == pytest.approx(0.75, abs=0.05)
+    assert not np.any(shown[20:])
+    env.close()
+
+
+def test_a_picture_that_does_not_come_is_black() -> None:
+    env = Env(configure("tutorial", observation="image", goal_lost=0.5), 8)
+    state = env.init(env_keys(0, 8))
+    seen = env.goal_seen(state.key, state.clock)
+    pictures = env.observe_now(state)
+    assert 0 < seen.sum() < 8
+    assert np.asarray(pictures).any(axis=(1, 2)).tolist() == seen.tolist()
+    env.close()
+
+
+def test_where_targets_are_always_seen_or_must_be_that_is_said() -> None:
+    with pytest.raises(InputError, match="are of targets that are points alone"):
+        check(configure("pose", goal_lost=0.5))
+    with pytest.raises(InputError, match="stays where it is while the target is not seen: choose joint_delta"):
+        check(configure("precise", goal_lost=0.5))
+    assert "always sees the target" in why_streamed(configure("precise", goal_steps=5, action="joint_delta"), "trained")
+    assert not why_streamed(configure("precise", memory=SIZE), "trained")
+
+
+# --- out of the environment -------------------------------------------------------------------------
+
+
+def test_the_controller_remembers_as_the_environment_does(tmp_path: Path) -> None:
+    """Over episodes of 1,000 steps in all, with targets that are lost at times, and again after a reset."""
+    hidden = {"goal_lost": 0.3, "goal_steps": 400, "shaping": True, "randomise": (), "action": "joint_delta"}
+    config = configure("precise", robot="ur5e", memory=16, max_steps=500, hidden=(16,), num_envs=1, **hidden)
+    env = Env(config, 1)
+    policy, act, key = untrained(config, env), make_act(env, "trained"), jax.random.key(0)
+    write_files(tmp_path, env, policy, {"run": {}, "held_out": [], "versions": {}})
+    controller, worst, lost = load_controller(tmp_path).Controller(tmp_path), 0.0, 0
+    assert controller.limits.n == 6
+    begun = (env.init(episode_keys(1, REPORT_STREAM, number, 1)) for number in range(9))
+    for begin in [one for one in begun if env.goal_seen(one.key, one.clock)[0]][:2]:
+        state = begin
+        controller.reset(np.asarray(state.arm.q, float)[0])
+        for step in range(500):
+            q, qd, goal = (np.asarray(part, float)[0] for part in (state.arm.q, state.arm.qd, state.goal.position))
+            seen = env.goal_seen(state.key, state.clock)[0]
+            command = controller.step(q, qd, goal if seen else None, step * controller.period)
+            lost += not seen
+            state, _, key = act(policy, state, key)
+            assert controller.problem == ""
+            worst = max(worst, np.abs(command - np.asarray(state.command)[0]).max())
+    assert lost > 300
+    assert worst < 5e-5  # training computes in single precision, and errors of 500 steps add up
+    env.close()
+
+
+def test_a_graph_remembers_and_is_told_where_episodes_begin(tmp_path: Path) -> None:
+    config = configure("tutorial", **SHORT)
+    env = Env(config, B)
+    policy = untrained(config, env)
+    write_files(tmp_path, env, policy, {"run": {}, "held_out": [], "versions": {}})
+    graph = OnnxNetwork(tmp_path)
+    graph.check(env.schema)
+    by_graph, own = env.compile_whole(make_act(env, "trained")), make_act(env, graph.act)
+    ours = theirs = env.compile_whole(env.init)(env_keys(0, B))
+    key = jax.random.key(0)
+    for _ in range(T):
+        ours, transition, _ = by_graph(policy, ours, key)
+        theirs, _, _ = own(None, theirs, key)
+        assert np.asarray(theirs.command) == pytest.approx(np.asarray(ours.command), abs=1e-4)
+        done = np.asarray(transition.done)
+        ours, theirs = (env.compile_whole(env.reset)(state, done) for state in (ours, theirs))
+
+
+@pytest.mark.slow
+def test_a_recurrent_model_of_stable_baselines3_is_told_where_episodes_begin(tmp_path: Path) -> None:
+    from sb3_contrib import RecurrentPPO
+
+    from reachlab.agents.sb3_policy import load_model
+    from reachlab.sb3 import make_vec_env
+
+    vector = make_vec_env("reachlab/Reach-v0", n_envs=B, seed=0, max_steps=15, observation="target+tool")
+    model = RecurrentPPO("MlpLstmPolicy", vector, n_steps=16, batch_size=64, seed=0, device="cpu")
+    model.learn(256)
+    model.save(tmp_path / "model")
+    loaded = load_model(tmp_path / "model.zip")
+    seen, kept = np.asarray(vector.reset()), None
+    begins = np.ones(B, bool)
+    for _ in range(T):
+        expected, kept = model.predict(seen, kept, begins, deterministic=True)
+        assert loaded.act(seen, begins) == pytest.approx(expected, abs=1e-6)
+        seen, _, begins, _ = vector.step(expected)
