@@ -29,6 +29,9 @@ from reachlab.settings.validation import InputError
 DEFAULT_SPEED = 1.5
 """Joint speed limit where none is known [rad/s or m/s]; slow for an industrial arm."""
 
+FLANGE = "flange"
+"""Kind of the tool frame at which a gripper is mounted."""
+
 OWN = "own"
 """The gripper in the file; for most arms of the catalogue it is one that is mounted."""
 
@@ -80,7 +83,7 @@ def load_robot(
     file = find_model_file(name, packages)
     known = ROBOTS.get(name)
     if known and not tool:
-        tool = known.tools.get(kind or "") or next(iter(known.tools.values()))
+        tool = known.tools.get(FLANGE if gripper else kind or "") or next(iter(known.tools.values()))
     if gripper == OWN and known:
         gripper = known.gripper
     return _load(file, name if known else str(Path(name).absolute()), tool, base, gripper, grips)

@@ -69,6 +69,9 @@ class Tutorial(TaskSettings):
     """Lower corner of the box of targets [m]; by default the robot's own."""
     target_high: Point | None = None
     """Upper corner of the box of targets [m]; by default the robot's own."""
+    gripper: str | None = None
+    """Gripper at the flange, with the tool point between its closed fingers: parallel, or own, which is that of a file
+    that has one and else parallel; by default none."""
     goal_steps: Annotated[int, Range(1, 10**5)] | None = None
     """Steps at the start of an episode after which the target is not seen any more; by default it always is."""
     goal_lost: Fraction = 0.0
@@ -115,6 +118,11 @@ class Tutorial(TaskSettings):
             if low > high:
                 return f"target_low is above target_high in {axis}, {low:g} against {high:g} m: exchange them."
         return None
+
+    @property
+    def mounts(self) -> str:
+        """Gripper that is mounted."""
+        return self.gripper or ""
 
     @property
     def hides_goal(self) -> bool:
