@@ -119,6 +119,8 @@ def update(learner: Learner, rollout: Rollout, key: Array, config: RunConfig) ->
     steps = learner.steps + config.loop.iteration_steps
     parameters = replace(parameters, log_std=_log_std(parameters.log_std, steps, config))
     watched = {name: x.mean() for name, x in watched.items()} | {"std": jnp.exp(parameters.log_std).mean()}
+    # The share of what returns differ by that the critic knew before they came: advantages are what it did not know.
+    watched["explained_variance"] = 1 - samples.advantage.var() / (samples.returns.var() + 1e-8)
     return Learner(replace(policy.observed(flat), parameters=parameters), state, steps), watched
 
 
@@ -142,8 +144,10 @@ def _shuffle(key: Array, steps: int, num_envs: int) -> Array:
     return (jnp.arange(steps)[:, None] * num_envs + env).T.reshape(-1)
 
 
-def _values(policy: Policy, inputs: Inputs) -> Array:
+def _values(policy: Policy, inputs: Inputs, config: PPOConfig) -> Array:
     """Values `[T, B]`; of pictures step by step, as their patches would take the memory of a whole rollout."""
+    if not config.value_weight:
+        return jnp.zeros(jax.tree.leaves(inputs)[0].shape[:2])
     if inputs.picture is None:
         return value(policy.parameters, inputs)
     return jax.lax.map(lambda row: value(policy.parameters, row), inputs)
@@ -152,9 +156,9 @@ def _values(policy: Policy, inputs: Inputs) -> Array:
 def _samples(policy: Policy, rollout: Rollout, config: PPOConfig) -> Batch:
     parameters, memory = policy.parameters, rollout.memory
     inputs = policy.inputs(rollout.observation, memory)
-    v_t = _values(policy, inputs)
+    v_t = _values(policy, inputs, config)
     after = None if memory is None else remembered(parameters, features(parameters, inputs))
-    v_tp1 = _values(policy, policy.inputs(rollout.next_observation, after))
+    v_tp1 = _values(policy, policy.inputs(rollout.next_observation, after), config)
     advantage = gae(rollout.reward, v_t, v_tp1, rollout.terminated, rollout.done, config.gamma, config.gae_lambda)
     samples = Batch(inputs, rollout.output, rollout.log_prob, advantage, advantage + v_t)
     if memory is None:
