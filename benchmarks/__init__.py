@@ -17,6 +17,10 @@ SUITES: dict[str, Lazy] = {
         "Steps a second of Stable-Baselines3's PPO on a batch, and on its own vector of environments.",
         "benchmarks.learners:learners",
     ),
+    "critic": Lazy(
+        "What a critic explains, and training without one, by the tutorial's first two observations: five minutes.",
+        "benchmarks.critic:critic",
+    ),
     "precise": Lazy(
         "Precision under full dynamics beside inverse kinematics, on nominal and on perturbed arms.",
         "benchmarks.precise:precise",

@@ -47,16 +47,18 @@ def _skipping() -> Iterator[Any]:
 
 @pytest.fixture
 def entered(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """The example of an own task, `examples/rail.py`, is imported, and its entries go again."""
+    """The examples of own tasks, `rail.py` and `cue.py`, are imported, and their entries go again."""
     from reachlab.control import CONTROLLERS
     from reachlab.tasks import TASKS
+    from reachlab.tasks.actions import ACTIONS
     from reachlab.tasks.observations import OBSERVATIONS
 
-    tables: tuple[dict[str, Any], ...] = (TASKS, CONTROLLERS, OBSERVATIONS)
+    tables: tuple[dict[str, Any], ...] = (TASKS, CONTROLLERS, OBSERVATIONS, ACTIONS)
     before = [set(table) for table in tables]
     monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "examples"))
-    monkeypatch.delitem(sys.modules, "rail", raising=False)
-    importlib.import_module("rail")
+    for name in ("rail", "cue"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+        importlib.import_module(name)
     yield
     for table, names in zip(tables, before, strict=True):
         for name in set(table) - names:

@@ -15,8 +15,8 @@ pytestmark = pytest.mark.slow
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 NOTEBOOK = EXAMPLES / "first.ipynb"
-APART = ("rejax_ppo.py", "rail.py")
-"""The first runs in an environment of its own, see `make gymnax`; the second is a module to import."""
+APART = ("rejax_ppo.py", "rail.py", "cue.py")
+"""The first runs in an environment of its own, see `make gymnax`; the others are modules to import."""
 
 
 @pytest.mark.parametrize(

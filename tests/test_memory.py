@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,7 +14,6 @@ import pytest
 from reachlab.agents.acting import make_act
 from reachlab.agents.memory import Cell
 from reachlab.agents.policy import Inputs, Policy, features, gaussian
-from reachlab.cli.main import main
 from reachlab.deploy.check import load_controller
 from reachlab.deploy.export import write_files
 from reachlab.deploy.onnx_network import OnnxNetwork
@@ -29,8 +26,8 @@ from reachlab.learn import ppo
 from reachlab.learn.learner import make_initial_policy
 from reachlab.learn.ppo_method import initial_state
 from reachlab.learn.rollout import collect
+from reachlab.learn.train import train
 from reachlab.settings.config import RunConfig
-from reachlab.settings.extensions import import_extension
 from reachlab.settings.validation import InputError
 from reachlab.watch.page.shown import why_streamed
 
@@ -126,22 +123,12 @@ def test_a_policy_that_remembers_is_not_asked_without_its_memory() -> None:
     assert np.abs(np.asarray(action) - np.asarray(again)).max() > 1e-3
 
 
-@pytest.fixture
-def cue() -> Iterator[None]:
-    sys.path.insert(0, "examples")
-    import_extension("examples/cue.py")
-    yield
-    sys.path.remove("examples")
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(("size", "least", "most"), [(16, 0.99, 1.0), (0, 0.4, 0.6)])
-def test_a_cue_is_remembered_for_50_steps(tmp_path: Path, size: int, least: float, most: float) -> None:
-    words = ["--import", "examples/cue.py", "--task", "cue", "--memory", str(size), "--out", str(tmp_path / "run")]
-    assert main(["train", *words, "--total-steps", "700000", "--report-episodes", "400"]) == 0
-    from reachlab.runs.files import read_json
-
-    assert least <= read_json(tmp_path / "run" / "report.json")["success_rate"] <= most
+def test_a_cue_is_remembered_for_50_steps(tmp_path: Path, size: int, least: float, most: float, entered: None) -> None:
+    del entered
+    config = configure("cue", memory=size, total_steps=700_000, report_episodes=400)
+    assert least <= train(config, tmp_path / "run").report.success_rate <= most
 
 
 # --- targets that are not seen ----------------------------------------------------------------------

@@ -8,12 +8,15 @@ import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import jax
+import matplotlib as mpl
 import numpy as np
+from matplotlib.figure import Figure
 from PIL import Image
 
+from benchmarks.critic import train
 from reachlab import load_robot
 from reachlab.agents.acting import make_act
 from reachlab.envs.core import Env
@@ -22,6 +25,8 @@ from reachlab.envs.random_streams import REPORT_STREAM, episode_keys
 from reachlab.render.offscreen import portrait
 from reachlab.robots.catalogue import ROBOTS
 from reachlab.tasks.scenes.kinds import KINDS
+from reachlab.watch.results import band, pooled, read_rows
+from reachlab.watch.style import LINES, PALETTE, STYLE
 
 IMAGES = Path(__file__).parents[1] / "images"
 
@@ -129,6 +134,29 @@ def _sweep(folder: Path) -> None:
     shutil.copy(folder / "sweep" / "parallel.png", IMAGES / "sweep.png")
 
 
+def _critic(folder: Path) -> None:
+    """With and without a critic, by the tutorial's first two observations; five minutes."""
+    runs: dict[tuple[str, bool], list[Any]] = {}
+    for observation, critic, _, run in train(folder):
+        runs.setdefault((observation, critic), []).append(read_rows(run))
+    with mpl.rc_context(cast("Any", STYLE)):
+        figure = Figure(figsize=(9.0, 3.0), layout="constrained")
+        success, explained = figure.subplots(1, 2)
+        for (observation, critic), curves in runs.items():
+            colour, line = PALETTE[observation != "target"], LINES[not critic]
+            shown = band([pooled(rows) for rows in curves], "steps", "success_rate", 1.0)
+            name = f"{observation}, {'with' if critic else 'without'} a critic"
+            success.plot(shown.x / 1e6, 100 * shown.mean, line, color=colour, label=name)
+            if critic:
+                shown = band(curves, "steps", "explained_variance", 1.0)
+                explained.plot(shown.x / 1e6, 100 * shown.mean, line, color=colour, label=observation)
+        for axes, title in ((success, "Success in training [%]"), (explained, "Variance that the critic explains [%]")):
+            axes.set(title=title, xlabel="million steps")
+            axes.set_ylim(-5, 103)
+            axes.legend()
+        figure.savefig(IMAGES / "critic.png", dpi=130)
+
+
 def _run(folder: Path, words: str) -> None:
     subprocess.run([sys.executable, "-m", "reachlab", *words.split()], cwd=folder, check=True)  # noqa: S603
 
@@ -138,6 +166,7 @@ PICTURES: dict[str, Callable[[Path], None]] = {
     "scenes": _scenes,
     "video": _video,
     "push": _push,
+    "critic": _critic,
     "lift": _lift,
     "objects": _objects,
     "plots": _plots,

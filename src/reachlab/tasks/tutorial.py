@@ -70,10 +70,10 @@ class Tutorial(TaskSettings):
     target_high: Point | None = None
     """Upper corner of the box of targets [m]; by default the robot's own."""
     gripper: str | None = None
-    """Gripper at the flange, with the tool point between its closed fingers: parallel, or own, which is that of a file
-    that has one and else parallel; by default none."""
+    """Gripper at the flange, with the tool point between its fingers: own or parallel. Own is that of a file that has
+    one, else it is parallel; by default there is none, and fingers stay closed."""
     goal_steps: Annotated[int, Range(1, 10**5)] | None = None
-    """Steps at the start of an episode after which the target is not seen any more; by default it always is."""
+    """Steps at the start of an episode in which the target is seen; by default it always is."""
     goal_lost: Fraction = 0.0
     """Share of the steps in which the target is not seen. It is observed where the tool is then, and a picture is
     black."""

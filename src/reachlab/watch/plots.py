@@ -24,6 +24,9 @@ DOTS_PER_INCH = 150
 MOST_COLUMNS, LINE = 4, 0.2
 """Names beside each other in a legend, and the height of a line of it [inches]."""
 
+HANDLE, LETTER = 0.5, 0.062
+"""Widths of what stands before a name in a legend, and of a letter of it, at most [inches]."""
+
 ENDINGS = (".png", ".svg")
 """Pictures that can be written."""
 
@@ -51,11 +54,13 @@ def plot(runs: str | Path | Sequence[str | Path], out: str | Path) -> list[str]:
     firsts = [(group.label, evaluations[0]) for group, evaluations in found if evaluations]
     lines, maps = error_lines(found), maps_of(firsts, len(groups))
     with mpl.rc_context(cast("Any", STYLE)):
-        heights = [ROW] + [ROW + LINE * (len(lines) // MOST_COLUMNS)] * bool(lines)
+        columns = _columns([group.label for group in groups])
+        heights = [ROW + LINE * ((len(groups) - 1) // columns)]
+        heights += [ROW + LINE * (len(lines) // MOST_COLUMNS)] * bool(lines)
         figure = Figure(figsize=(WIDTH, sum(heights)), layout="constrained")
         # Rows of their own, so that maps of equal scale do not narrow the panels above them.
         upper, *lower = figure.subfigures(len(heights), 1, squeeze=False, height_ratios=heights)[:, 0]
-        draw_learning(upper, groups, MOST_COLUMNS)
+        draw_learning(upper, groups, columns)
         for row in lower:
             errors, *places = row.subplots(1, 1 + len(maps), squeeze=False)[0]
             draw_errors(errors, lines, limits.pop() if len(limits) == 1 else None)
@@ -66,6 +71,12 @@ def plot(runs: str | Path | Sequence[str | Path], out: str | Path) -> list[str]:
         except (OSError, ValueError) as error:
             raise InputError(f"the picture cannot be written to '{out}': {error}.") from None
     return _left_out(found, len(maps))
+
+
+def _columns(labels: Sequence[str]) -> int:
+    """How many names of a legend there is room for beside each other."""
+    widest = HANDLE + LETTER * max(map(len, labels))
+    return max(1, min(MOST_COLUMNS, int(WIDTH / widest)))
 
 
 def _left_out(found: Sequence[Evaluated], maps: int) -> list[str]:
