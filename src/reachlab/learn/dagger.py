@@ -17,7 +17,7 @@ import optax
 from jax import Array
 
 from reachlab.agents.encoder import Keypoints
-from reachlab.agents.policy import Inputs, Memory, Parameters, Policy, distribution, encoded
+from reachlab.agents.policy import Inputs, Memory, Parameters, Policy, encoded, features, gaussian, remembered
 from reachlab.envs.core import Env
 from reachlab.envs.delays import goal_seen
 from reachlab.envs.functions import EnvState, Transition
@@ -231,7 +231,8 @@ class _Lessons:
         places = _in_workspace(self._env.setup.robot, points).reshape(*rows.shape, -1)
 
         def loss(parameters: Parameters) -> tuple[Array, dict[str, Array]]:
-            action = jnp.square(distribution(parameters, inputs).mean - wanted).mean()
+            known = features(parameters, inputs)
+            action = jnp.square(gaussian(parameters, known).mean - wanted).mean()
             if isinstance(parameters.encoder, Keypoints):
                 place = parameters.encoder.loss(
                     pictures.reshape(-1, *pictures.shape[-2:]), label.reshape(rows.size, -1)
@@ -239,6 +240,9 @@ class _Lessons:
             else:
                 off = jnp.square(encoded(parameters, inputs)[..., : places.shape[-1]] - places)
                 place = off.mean() if shown is None else (off * shown[..., None]).mean()
+            if (memory := remembered(parameters, known)) is not None:  # where things are is worth remembering
+                size = min(memory.shape[-1], places.shape[-1])
+                place += jnp.square(memory[..., :size] - places[..., :size]).mean()
             errors = {"action_error": action, "place_error": place}
             return action + self._config.dagger.place_weight * place, errors
 
