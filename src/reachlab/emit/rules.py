@@ -52,7 +52,9 @@ def _pad(tracer: Tracer, equation: Any, array: np.ndarray, filled: np.ndarray) -
     parts = equation.params["padding_config"]
     if min(min(part) for part in parts) < 0:
         raise InputError(f"{tracer.place(equation)} pads by less than nothing, which cannot be printed: slice there.")
-    sizes = [low + max((n - 1) * (gap + 1) + 1, 0) + high for n, (low, high, gap) in zip(array.shape, parts, strict=True)]
+    sizes = [
+        low + max((n - 1) * (gap + 1) + 1, 0) + high for n, (low, high, gap) in zip(array.shape, parts, strict=True)
+    ]
     padded = np.full(sizes, filled[()], object)
     padded[tuple(slice(low, size - high, gap + 1) for size, (low, high, gap) in zip(sizes, parts, strict=True))] = array
     return padded

@@ -50,8 +50,8 @@ class Clutter(Precise):
     closeness_scale: Positive = 0.02
     effort_weight: NonNegative = 0.001
     scene: tuple[str, ...] = ("balls",)
-    """What stands beside the arm: balls, random balls, capsules and boxes; or bin, posts, shelf, table and wall, one or
-    some, in which no way is straight; or a JSON file of bodies."""
+    """What is beside the arm: balls, random balls, capsules and boxes; moving, balls and capsules that cross its way;
+    or bin, posts, shelf, table and wall, one or some, in which no way is straight; or a JSON file of bodies."""
     obstacles: tuple[Few, Few] = (0, 4)
     """Fewest and most obstacles of an episode of scene balls."""
     body_speed: Annotated[float, Range(0.1, 0.5)] = 0.3
@@ -103,6 +103,8 @@ class Clutter(Precise):
                 choose("scene", name, ["balls", "moving", *KINDS])
         if self.scene != ("balls",) and self.obstacles != Clutter.obstacles:
             return f"obstacles are those of scene balls, not of {' '.join(self.scene)}: leave them out."
+        if self.scene != ("moving",) and self.body_speed != Clutter.body_speed:
+            return f"body_speed is that of scene moving, not of {' '.join(self.scene)}: leave it out."
         if self.targets != "box":
             return "the goal of task 'clutter' is a point in a box: set targets to 'box'."
         return super().contradiction()
@@ -122,8 +124,12 @@ def _asks(rules: Clutter, period: float) -> str:
     from reachlab.tasks import reach
 
     fewest, most = rules.obstacles
-    beside = f"{fewest} to {most} obstacles" if rules.scene == ("balls",) else f"scenes of {', '.join(rules.scene)}"
-    return f"{reach.asks(rules, period)}; there are {beside}, and nothing may be touched"
+    known = {
+        ("balls",): f"there are {fewest} to {most} obstacles",
+        ("moving",): f"balls and capsules cross the arm's way at {rules.body_speed:g} m/s",
+    }
+    beside = known.get(rules.scene, f"there are scenes of {', '.join(rules.scene)}")
+    return f"{reach.asks(rules, period)}; {beside}, and nothing may be touched"
 
 
 def _succeeds(rules: Clutter, period: float) -> str:
