@@ -18,7 +18,7 @@ from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState
 from reachlab.envs.presets import configure
 from reachlab.envs.random_streams import env_keys
-from reachlab.envs.setup import make_setup
+from reachlab.envs.setup import configure_env
 from reachlab.robots.shapes.clearance import capsules_at
 from reachlab.settings.validation import InputError
 from reachlab.tasks.clutter import AROUND_FURNITURE
@@ -132,9 +132,9 @@ def test_what_cannot_be_is_refused_in_a_sentence(env: Env) -> None:
     with pytest.raises(InputError, match="a planner plans among bodies that stay"):
         Following(env)
     with pytest.raises(InputError, match="name balls or moving alone"):
-        make_setup(configure("clutter", scene=("moving", "wall")))
+        configure_env("clutter", scene=("moving", "wall"))
     with pytest.raises(InputError, match="body_speed is that of scene moving"):
-        make_setup(configure("clutter", body_speed=0.2))
+        configure_env("clutter", body_speed=0.2)
     with pytest.raises(InputError, match=r"body_speed must be at least 0.1 and at most 0.5, got 0.6"):
         configure("clutter", scene=("moving",), body_speed=0.6)
     with pytest.raises(InputError, match="judges no contacts: use --sim mujoco"):

@@ -130,7 +130,7 @@ class Following:
             raise InputError(f"a planner needs {WORDS['joints']}.")
         if env.setup.task.scene(env.setup).moved:
             raise InputError(
-                "a planner plans among bodies that stay, and those of scene 'moving' do not: choose agent ik or trained."
+                "a planner plans among bodies that stay, and those of this scene move: choose agent ik or trained."
             )
         self.plans = Plans(env.setup)
         self._env, self._episodes = env, [b""] * env.num_envs

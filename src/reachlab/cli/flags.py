@@ -112,7 +112,7 @@ STUDENT = ("observation", "seed", "randomise", "total_steps", "report_episodes",
 
 EVALUATED = (
     *("targets", "target_turn", "target_low", "target_high", "target_height", "goal_paths", "goal_speed", "goal_jump"),
-    *("scene", "obstacles", "goal_velocity", "settle_steps", "start_noise", "max_steps"),
+    *("scene", "obstacles", "body_speed", "goal_velocity", "settle_steps", "start_noise", "max_steps"),
 )
 """Settings of a task that an evaluation may change: what is asked for, and for how long."""
 

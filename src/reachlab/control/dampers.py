@@ -68,7 +68,7 @@ def obeyed(step: Array, rows: Array, least: Array) -> Array:
 
 
 def approach(robot: Robot, q: Array, around: Nearest) -> Array:
-    """By how much displacements of the joints move each moving capsule away from what is nearest, `[C, n, B]` [m/rad]."""
+    """By how much displacements of the joints move each moving capsule away from what is nearest, `[C, n, B]`."""
     chain, links = robot.chain, np.array([link for link in robot.capsules.links if link])
     frames = frames_at(chain, components(q))
     normal, point = Vec(*around.normal), Vec(*around.point)

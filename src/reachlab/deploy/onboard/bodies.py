@@ -38,7 +38,7 @@ FASTEST = 1.0
 
 
 class Followed:
-    """Where obstacles have been, from which follows how fast they are; they are told apart by their place in the list."""
+    """Where obstacles were, and how fast they are by that; each is known by its place in the list."""
 
     def __init__(self) -> None:
         """None has been seen."""

@@ -1,4 +1,4 @@
-"""Scenes of balls and capsules that cross the arm's way at an even speed, drawn so that the arm can give way to them."""
+"""Scenes of balls and capsules that cross the arm's way at an even speed, so that it can give way to them."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ LEVEL = 0.5
 """Bodies rise or fall so many times as steeply as in a random direction."""
 
 CLEAR = 0.06
-"""Least distance from the arm as long as nothing may be near, and of an evasive posture from all paths [m], likewise."""
+"""Least distance from the arm at start and end, and of an evasive posture from all paths [m], likewise."""
 
 AHEAD = 0.5
 """Time that a body takes at least to the arm as it starts [s]."""
