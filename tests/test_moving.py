@@ -21,6 +21,7 @@ from reachlab.envs.random_streams import env_keys
 from reachlab.envs.setup import configure_env
 from reachlab.robots.shapes.clearance import capsules_at
 from reachlab.settings.validation import InputError
+from reachlab.sims.mujoco import MujocoSimulator
 from reachlab.tasks.clutter import AROUND_FURNITURE
 from reachlab.tasks.scenes.balls import clearances
 from reachlab.tasks.scenes.moving import AHEAD, CLEAR, MOST
@@ -40,10 +41,10 @@ def begun(env: Env) -> EnvState:
     return env.init(env_keys(0, COUNT))
 
 
-def far(env: Env, joints: np.ndarray, state: EnvState, time: float) -> np.ndarray:
+def far(env: Env, joints: jax.Array, state: EnvState, time: float) -> np.ndarray:
     """Distances `[B, K]` m of arms at joints `[B, n]` from where bodies are after a time [s]."""
     robot, bodies = env.setup.robot, after(state.arm.bodies, time)
-    at = jax.jit(lambda q: capsules_at(robot.chain, robot.capsules, q))(jnp.asarray(joints))
+    at = jax.jit(lambda q: capsules_at(robot.chain, robot.capsules, q))(joints)
     rows = [jax.tree.map(lambda x, i=i: x[i], bodies) for i in range(COUNT)]
     each = [jax.tree.map(lambda x, i=i: x[:, i : i + 1], at) for i in range(COUNT)]
     found = jax.jit(lambda one, row: clearances(robot.capsules, one, row))
@@ -73,16 +74,17 @@ def test_they_meet_an_arm_that_stays_at_the_goal_or_goes_there_and_leave_it_time
 
 def test_the_engine_has_them_where_they_are(env: Env, begun: EnvState) -> None:
     state, still = begun, np.zeros((COUNT, len(env.action_bounds[0])), np.float32)
-    command = np.asarray(begun.arm.q)
+    command = begun.arm.q
     for _ in range(5):
         state, _ = env.step(state, still, instead=command)
     now, wanted = (jax.tree.map(np.asarray, one) for one in (state.arm.bodies, after(begun.arm.bodies, 0.1)))
     np.testing.assert_allclose(now.position, wanted.position, atol=1e-5)
     np.testing.assert_array_equal(now.velocity, begun.arm.bodies.velocity)
     env.step(state, still, instead=command)
-    geoms = env.simulator.layout.fixed  # type: ignore[attr-defined]
+    assert isinstance(env.simulator, MujocoSimulator)
+    geoms = env.simulator.layout.fixed
     for row in (0, COUNT - 1):
-        np.testing.assert_array_equal(env.simulator.model(row).geom_pos[geoms], now.position[row])  # type: ignore[attr-defined]
+        np.testing.assert_array_equal(env.simulator.model(row).geom_pos[geoms], now.position[row])
 
 
 def held(env: Env, state: EnvState, *, known: bool) -> tuple[float, float]:
@@ -121,10 +123,13 @@ def test_a_body_that_comes_along_moves_the_arm_out_of_its_way_or_on(env: Env, be
     velocity = np.zeros((COUNT, MOST, 6), np.float32)
     step = np.zeros((COUNT, robot.chain.n), np.float32)
     law = jax.jit(lambda bodies: evaded(setup, now._replace(bodies=bodies), jnp.asarray(step)))
-    size, kind = np.tile(np.float32([0.05, 0, 0]), (COUNT, MOST, 1)), np.full((COUNT, MOST), int(Shape.BALL), np.int32)
+    size, kind = (
+        np.tile(np.array([0.05, 0, 0], np.float32), (COUNT, MOST, 1)),
+        np.full((COUNT, MOST), int(Shape.BALL), np.int32),
+    )
     still = replace(bodies, position=jnp.asarray(position), velocity=jnp.asarray(velocity), size=size, kind=kind)
     assert np.abs(law(still)).max(axis=1).mean() < 0.01
-    comes = replace(still, velocity=jnp.asarray(velocity - np.float32([SPEED, 0, 0, 0, 0, 0])))
+    comes = replace(still, velocity=jnp.asarray(velocity - np.array([SPEED, 0, 0, 0, 0, 0], np.float32)))
     assert (np.abs(law(comes)).max(axis=1) > 0.005).mean() > 0.9
 
 

@@ -64,7 +64,7 @@ class _Scene(NamedTuple):
 def sample_scene(setup: TaskSetup, key: Array, start: Array, goal: Goal) -> Bodies:
     """Bodies for an episode from joints `start [n]` to a goal's, each of which meets an arm that does not give way."""
     robot, nothing = setup.robot, absent(MOST, radius=RADIUS[0])
-    times = np.arange(0.0, setup.rules.max_steps * setup.period, INSTANT, np.float32)
+    times = np.arange(0.0, float(setup.rules.max_steps * setup.period), INSTANT, dtype=np.float32)
     share = np.minimum(times / ARRIVAL, 1.0)[:, None]
     way = capsules_at(robot.chain, robot.capsules, start + share * (goal.joints - start))
 
