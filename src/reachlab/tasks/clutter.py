@@ -124,7 +124,7 @@ def _asks(rules: Clutter, period: float) -> str:
     from reachlab.tasks import reach
 
     fewest, most = rules.obstacles
-    known = {
+    known: dict[tuple[str, ...], str] = {
         ("balls",): f"there are {fewest} to {most} obstacles",
         ("moving",): f"balls and capsules cross the arm's way at {rules.body_speed:g} m/s",
     }
