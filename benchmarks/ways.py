@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -30,13 +30,19 @@ ROBOTS = tuple(os.environ.get("ROBOTS", "panda ur5e").split())
 """Arms that find ways."""
 
 SCENES = tuple(os.environ.get("SCENES", " ".join([*KINDS, "balls"])).split())
-"""Kinds of scene in which they do."""
+"""Kinds of scene in which they do; `moving` is another, in which nothing plans."""
+
+SPEED = float(os.environ.get("SPEED", "0.3"))
+"""How fast the bodies of scene moving are [m/s]."""
 
 EPISODES, FEWER = 2000, 500
 """Held-out episodes of those that plan, and of the others."""
 
 UNDAMPED = "ik, no avoidance"
 """Name of the agent that avoids nothing."""
+
+UNAWARE = "ik, velocities unknown"
+"""Name of the agent that takes all bodies to be at rest."""
 
 AGENTS_TRIED = tuple(os.environ.get("AGENTS", f"{UNDAMPED};ik;trained;planner;hybrid").split(";"))
 """Agents that find them; the policy is the one that comes with reachlab, trained among balls."""
@@ -55,6 +61,26 @@ def undamped(env: Env) -> Act:
         action = actions.ACTIONS[setup.rules.action].towards(setup, now, now)
         return action, actions.command(setup, now, actions.bounded(setup, action))
 
+    return _acting(env, decided)
+
+
+def unaware(env: Env) -> Act:
+    """The step of an agent that knows where bodies are, and not how they move."""
+
+    @jit
+    def decided(state: EnvState) -> tuple[Array, Array]:
+        now = env.situation(state)
+        still = replace(now.bodies, velocity=jnp.zeros_like(now.bodies.velocity))
+        now = now._replace(bodies=still)
+        action = actions.ACTIONS[env.setup.rules.action].towards(env.setup, now, now)
+        return action, actions.command(env.setup, now, actions.bounded(env.setup, action))
+
+    return _acting(env, decided)
+
+
+def _acting(env: Env, decided: Callable[[EnvState], tuple[Array, Array]]) -> Act:
+    """The step of an agent whose action and command `[B, n]` follow from the state."""
+
     def act(policy: Any, state: EnvState, key: Array, mask: Any = None, instead: Any = None) -> Any:
         del policy, mask
         action, command = decided(state)
@@ -67,19 +93,22 @@ def undamped(env: Env) -> Act:
 def ways() -> Iterator[Row]:
     """The rows of suite `ways`: measurement/robot scene agent."""
     AGENTS[UNDAMPED] = AgentEntry("ik without dampers", "benchmarks.ways:undamped", remembers=True)
+    AGENTS[UNAWARE] = AgentEntry("ik that takes bodies to be at rest", "benchmarks.ways:unaware", remembers=True)
     try:
         for robot in ROBOTS:
             policy = load(f"{robot}/clutter").policy
             for scene in SCENES:
-                if scene != "balls":
+                moves = scene == "moving"
+                if scene != "balls" and not moves:
                     yield _drawing_time(robot, scene)
-                config = configure("clutter", robot=robot, scene=(scene,), randomise=(), max_steps=250)
+                speed = {"body_speed": SPEED} if moves else {}
+                config = configure("clutter", robot=robot, scene=(scene,), randomise=(), max_steps=250, **speed)
                 env = Env(config, FEWER)
                 for agent in AGENTS_TRIED:
                     yield from _rows(env, f"{robot} {scene} {agent}", agent, policy)
                 env.close()
     finally:
-        del AGENTS[UNDAMPED]
+        del AGENTS[UNDAMPED], AGENTS[UNAWARE]
 
 
 def _drawing_time(robot: str, scene: str) -> Row:
@@ -92,7 +121,8 @@ def _drawing_time(robot: str, scene: str) -> Row:
 
 
 def _rows(env: Env, name: str, agent: str, policy: Policy) -> Iterator[Row]:
-    episodes = EPISODES if agent in ("planner", "hybrid") else FEWER
+    moves = env.setup.task.scene(env.setup).moved > 0
+    episodes = EPISODES if moves or agent in ("planner", "hybrid") else FEWER
     report = evaluate(env, agent, policy, seed=FRESH_SEED, episodes=episodes)
     yield row(f"held without contact/{name}", report.success_rate, "rate", episodes=episodes, ends=report.ends)
     yield row(f"episodes with contact/{name}", report.contact or 0.0, "rate", episodes=episodes)

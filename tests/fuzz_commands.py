@@ -78,7 +78,7 @@ NAMES: dict[str, Sequence[str]] = {
     "reward": [*REWARDS, "spars"],
     "targets": [*TARGETS, "floor"],
     "goal_paths": [*GOAL_PATHS, "zigzag"],
-    "scene": ["balls", "balls", "shelv", "gone.json", "arm.xml"],  # furniture takes minutes to draw
+    "scene": ["balls", "moving", "shelv", "gone.json", "arm.xml"],  # furniture takes minutes to draw
     "agent": [*AGENTS, "tained"],
     "randomise": [*RANDOMISED, "colours"],
     "cameras": [*CAMERAS, "frnt"],

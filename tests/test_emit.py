@@ -78,12 +78,19 @@ def products(a: Any, b: Any) -> Any:
     return jnp.concatenate([layer, small.ravel()])
 
 
+def gradients(a: Any, b: Any) -> Any:
+    def value(a: Any) -> Any:
+        return jnp.stack([a[0] * a[1:3], a[::2][:2], jnp.sin(a[:2])]).min(axis=0).sum()
+
+    return jnp.pad(jax.grad(value)(a), (1, 2)) + jax.lax.pad(b, 0.5, ((2, 1, 0),))
+
+
 def random_of_a_key(a: Any, b: Any) -> Any:
     return a * jax.random.uniform(jax.random.key(3), a.shape) + b
 
 
 FUNCTIONS: dict[str, Callable[[Any, Any], Any]] = {
-    one.__name__: one for one in (powers, angles, choices, wholes, places, loops, products, random_of_a_key)
+    one.__name__: one for one in (powers, angles, choices, wholes, places, loops, products, gradients, random_of_a_key)
 }
 
 

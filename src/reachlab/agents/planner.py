@@ -126,10 +126,14 @@ class Following:
         """Nothing is planned yet.
 
         Raises:
-            InputError: OMPL is not installed, or the task does not know joints at its goals.
+            InputError: OMPL is not installed, the task does not know joints at its goals, or bodies move.
         """
         if "joints" not in env.setup.rules.gives:
             raise InputError(f"a planner needs {WORDS['joints']}.")
+        if env.setup.task.scene(env.setup).moved:
+            raise InputError(
+                "a planner plans among bodies that stay, and those of this scene move: choose agent ik or trained."
+            )
         self.plans = Plans(env.setup)
         self._env, self._episodes = env, [b""] * env.num_envs
         self._begun, self._planned = np.zeros(env.num_envs, int), np.zeros(env.num_envs)

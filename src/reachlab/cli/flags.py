@@ -118,7 +118,8 @@ STUDENT += ("memory", "goal_lost")
 
 EVALUATED = (
     *("targets", "target_turn", "target_low", "target_high", "target_height", "goal_paths", "goal_speed", "goal_jump"),
-    *("goal_steps", "goal_lost", "scene", "obstacles", "goal_velocity", "settle_steps", "start_noise", "max_steps"),
+    *("goal_steps", "goal_lost", "scene", "obstacles", "body_speed", "goal_velocity"),
+    *("settle_steps", "start_noise", "max_steps"),
 )
 """Settings of a task that an evaluation may change: what is asked for, and for how long."""
 

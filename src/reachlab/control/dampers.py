@@ -40,8 +40,15 @@ def damped(drive: Drive, now: Situation, step: Array) -> Array:
     """
     robot, commanded = drive.robot, now.command[..., : drive.robot.chain.n]
     around = surroundings(robot, commanded, now.bodies)
-    rows = _approach(robot, commanded, around)
-    least = -RATE * jnp.maximum(around.distance - STOP * robot.scale, -STOP)
+    rows = approach(robot, commanded, around)
+    return obeyed(step, rows, -RATE * jnp.maximum(around.distance - STOP * robot.scale, -STOP))
+
+
+def obeyed(step: Array, rows: Array, least: Array) -> Array:
+    """Joint displacement `[B, n]`, changed so that its products with `rows [L, n, B]` are at least `least [L, B]`.
+
+    Of limits that contradict each other the last ones are obeyed.
+    """
     squares = jnp.square(rows).sum(axis=1) + TINY
 
     def obey(step: Array, limit: tuple[Array, Array, Array]) -> tuple[Array, None]:
@@ -60,7 +67,7 @@ def damped(drive: Drive, now: Situation, step: Array) -> Array:
     return jax.lax.while_loop(broken, sweep, (jnp.zeros((), jnp.int32), step.T))[1].T
 
 
-def _approach(robot: Robot, q: Array, around: Nearest) -> Array:
+def approach(robot: Robot, q: Array, around: Nearest) -> Array:
     """By how much displacements of the joints move each moving capsule away from what is nearest, `[C, n, B]`."""
     chain, links = robot.chain, np.array([link for link in robot.capsules.links if link])
     frames = frames_at(chain, components(q))

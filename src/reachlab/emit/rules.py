@@ -47,6 +47,19 @@ def _slice(tracer: Tracer, equation: Any, array: np.ndarray) -> np.ndarray:
     return array[tuple(slice(*one) for one in zip(starts, ends, steps or [1] * array.ndim, strict=True))]
 
 
+def _pad(tracer: Tracer, equation: Any, array: np.ndarray, filled: np.ndarray) -> np.ndarray:
+    """An array with others around and between its numbers, as what is sliced out of it is given back."""
+    parts = equation.params["padding_config"]
+    if min(min(part) for part in parts) < 0:
+        raise InputError(f"{tracer.place(equation)} pads by less than nothing, which cannot be printed: slice there.")
+    sizes = [
+        low + max((n - 1) * (gap + 1) + 1, 0) + high for n, (low, high, gap) in zip(array.shape, parts, strict=True)
+    ]
+    padded = np.full(sizes, filled[()], object)
+    padded[tuple(slice(low, size - high, gap + 1) for size, (low, high, gap) in zip(sizes, parts, strict=True))] = array
+    return padded
+
+
 def _split(tracer: Tracer, equation: Any, array: np.ndarray) -> Values:
     del tracer
     return np.split(array, np.cumsum(equation.params["sizes"])[:-1], equation.params["axis"])
@@ -246,6 +259,8 @@ RULES: dict[str, Rule] = {
     "rev": lambda _, equation, array: np.flip(array, equation.params["dimensions"]),
     "concatenate": lambda _, equation, *arrays: np.concatenate(arrays, equation.params["dimension"]),
     "stack": lambda _, equation, *arrays: np.stack(arrays, equation.params.get("axis", 0)),
+    "pad": _pad,
+    "unstack": lambda _, equation, array: _rows(array, equation.params["axis"]),
     "split": _split,
     "slice": _slice,
     "iota": lambda _, equation: np.indices(equation.params["shape"])[equation.params["dimension"]].astype(object),

@@ -97,8 +97,8 @@ class LearnerConfig(Checked):
     hidden: Annotated[tuple[Annotated[int, Range(1, 4096)], ...], Length(16)] = (64, 64)
     """Widths of the hidden layers of actor and critic."""
     memory: Annotated[int, Range(0, 4096)] = 0
-    """Numbers that the policy remembers from step to step; 0: it acts by what it observes now. They are those of a gated
-    recurrent unit before the hidden layers."""
+    """Numbers that the policy remembers from step to step; 0: it acts by what it observes now. A gated recurrent unit
+    before the hidden layers has them."""
     learning_rate: Positive = 1e-3
     """Learning rate of Adam at the start."""
     final_learning_rate: NonNegative = 1e-4

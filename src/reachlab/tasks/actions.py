@@ -12,6 +12,7 @@ from jax import Array
 from reachlab.control import CONTROLLERS
 from reachlab.control.bodies import Bodies
 from reachlab.control.dampers import damped
+from reachlab.control.evading import evaded
 from reachlab.control.situation import Goal, Situation
 from reachlab.robots.kinematics.inverse import ik_displace
 from reachlab.tasks.camera import in_picture, on_table
@@ -91,8 +92,9 @@ def _move_joints(setup: TaskSetup, now: Situation, action: Array) -> Array:
     """Joint command displaced by the action, as far as the task's dampers allow."""
     limits, step = setup.robot.commands, action * joint_scale(setup)
     if setup.task.control.dampers:
+        give_way = evaded if setup.task.scene(setup).moved else damped
         # Limits that contradict each other, as where a body is moved into the arm, may ask for anything.
-        step = jnp.clip(damped(setup, now, step), -joint_scale(setup), joint_scale(setup))
+        step = jnp.clip(give_way(setup, now, step), -joint_scale(setup), joint_scale(setup))
     return jnp.clip(now.command + step, jnp.array(limits.lower), jnp.array(limits.upper))
 
 

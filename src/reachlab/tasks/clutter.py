@@ -50,10 +50,12 @@ class Clutter(Precise):
     closeness_scale: Positive = 0.02
     effort_weight: NonNegative = 0.001
     scene: tuple[str, ...] = ("balls",)
-    """What stands beside the arm: balls, random balls, capsules and boxes; or bin, posts, shelf, table and wall, one or
-    some, in which no way is straight; or a JSON file of bodies."""
+    """What is beside the arm: balls, random balls, capsules and boxes; moving, balls and capsules that cross its way;
+    or bin, posts, shelf, table and wall, one or some, in which no way is straight; or a JSON file of bodies."""
     obstacles: tuple[Few, Few] = (0, 4)
     """Fewest and most obstacles of an episode of scene balls."""
+    body_speed: Annotated[float, Range(0.1, 0.5)] = 0.3
+    """How fast the bodies of scene moving are [m/s]."""
     end_on_contact: bool = True
     """Touching anything ends the episode, in failure."""
 
@@ -61,8 +63,8 @@ class Clutter(Precise):
     def task(cls) -> Task:
         """The flange is held at a point among obstacles."""
         from reachlab.tasks.placing import place_free_point
-        from reachlab.tasks.scenes import balls, sampling
-        from reachlab.tasks.task import Control, Scene
+        from reachlab.tasks.scenes import sampling
+        from reachlab.tasks.task import Control
 
         return replace(
             super().task(),
@@ -71,8 +73,9 @@ class Clutter(Precise):
             goal_box=sampling.goal_box,
             sample_goal=sampling.sample_goal,
             place=place_free_point,
-            scene=lambda setup: Scene(fixed=sampling.room(setup), contacts=True),
-            sample_bodies=balls.sample_scene,
+            scene=sampling.scene,
+            sample_bodies=sampling.sample_bodies,
+            move=sampling.move,
             prepare=sampling.prepare,
             sample=sampling.sample,
             needs=frozenset({"contacts"}),
@@ -93,13 +96,15 @@ class Clutter(Precise):
         fewest, most = self.obstacles
         if fewest > most:
             return f"obstacles has a fewest number above the most, {fewest} against {most}: exchange them."
-        if not self.scene or "balls" in self.scene[1:] + self.scene[:-1]:
-            return f"scene {' '.join(self.scene)!r} cannot be: name balls alone, or others, one or some."
+        if not self.scene or {"balls", "moving"} & {*self.scene[1:], *self.scene[:-1]}:
+            return f"scene {' '.join(self.scene)!r} cannot be: name balls or moving alone, or others, one or some."
         for name in self.scene:
             if not name.endswith(".json"):
-                choose("scene", name, ["balls", *KINDS])
+                choose("scene", name, ["balls", "moving", *KINDS])
         if self.scene != ("balls",) and self.obstacles != Clutter.obstacles:
             return f"obstacles are those of scene balls, not of {' '.join(self.scene)}: leave them out."
+        if self.scene != ("moving",) and self.body_speed != Clutter.body_speed:
+            return f"body_speed is that of scene moving, not of {' '.join(self.scene)}: leave it out."
         if self.targets != "box":
             return "the goal of task 'clutter' is a point in a box: set targets to 'box'."
         return super().contradiction()
@@ -119,8 +124,12 @@ def _asks(rules: Clutter, period: float) -> str:
     from reachlab.tasks import reach
 
     fewest, most = rules.obstacles
-    beside = f"{fewest} to {most} obstacles" if rules.scene == ("balls",) else f"scenes of {', '.join(rules.scene)}"
-    return f"{reach.asks(rules, period)}; there are {beside}, and nothing may be touched"
+    known: dict[tuple[str, ...], str] = {
+        ("balls",): f"there are {fewest} to {most} obstacles",
+        ("moving",): f"balls and capsules cross the arm's way at {rules.body_speed:g} m/s",
+    }
+    beside = known.get(rules.scene, f"there are scenes of {', '.join(rules.scene)}")
+    return f"{reach.asks(rules, period)}; {beside}, and nothing may be touched"
 
 
 def _succeeds(rules: Clutter, period: float) -> str:

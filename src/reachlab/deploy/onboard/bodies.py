@@ -33,6 +33,38 @@ FAR = (0.0, 0.0, -10.0)
 """Where bodies are that are not there [m]."""
 
 
+FASTEST = 1.0
+"""Speed from which on an obstacle counts as another than the one that was in its place of the list [m/s]."""
+
+
+class Followed:
+    """Where obstacles were, and how fast they are by that; each is known by its place in the list."""
+
+    def __init__(self) -> None:
+        """None has been seen."""
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget where they were."""
+        self._last: dict[int, tuple[np.ndarray, float, np.ndarray]] = {}
+
+    def fill(self, around: dict[str, list[float]], obstacles: Any, seconds: float) -> None:
+        """Put velocities into the numbers of `placed` of those obstacles that are given without one.
+
+        They are those between the last two places that differ, or nothing where these are more than `OLD` apart.
+        """
+        last, self._last = self._last, {}
+        for number, one in enumerate(obstacles):
+            place, time = one["position"], float(one.get("time", seconds))
+            before, then, known = last.get(number, (place, time, np.zeros(3)))
+            if (place != before).any() or time - then > OLD:
+                known = (place - before) / (time - then) if 0.0 < time - then <= OLD else np.zeros(3)
+                known, before, then = known * (np.sqrt(known @ known) <= FASTEST), place, time
+            self._last[number] = before, then, known
+            if "velocity" not in one:
+                around["velocity"][6 * number : 6 * number + 3] = known.tolist()
+
+
 def placed(
     obstacles: Any,
     room: int,

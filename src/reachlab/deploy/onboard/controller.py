@@ -17,7 +17,7 @@ import numpy as np
 
 from reachlab.control.motion_limits import MotionLimits
 from reachlab.deploy.onboard.aiming import Aim
-from reachlab.deploy.onboard.bodies import placed
+from reachlab.deploy.onboard.bodies import Followed, placed
 from reachlab.deploy.onboard.folder import FORMAT, LIMITS, read_folder
 from reachlab.deploy.onboard.log import Log, read_log
 from reachlab.deploy.onboard.reading import in_words, read_bodies, read_numbers, read_seconds
@@ -75,6 +75,7 @@ class Controller:
         self._lower, self._upper, self._inputs = limits["lower"], limits["upper"], facts["inputs"]
         self._objects = facts.get("objects", []), facts.get("object_size")
         self._moving = bool(facts.get("object_velocity", False))
+        self._followed = Followed() if facts.get("obstacle_velocity", False) else None
         step = load_step(folder)
         self._decide, self._tool = step["decide"], step["tool"]
         self._aim = Aim(facts["goal"], len(self.joints), step)
@@ -114,6 +115,8 @@ class Controller:
         self.motion = self.limits.at_rest(np.clip(q, self._lower, self._upper))
         self._watch.reset(q)
         self._aim.clear()
+        if self._followed:
+            self._followed.clear()
         self._action, self.problem = [0.0] * self._inputs["last_action"][0], ""
         self._memory = [0.0] * self._inputs.get("memory", [0])[0]
         self._stopped, self.braking, self._is_new = "", False, False
@@ -147,7 +150,8 @@ class Controller:
             time: of this step [s], by any clock that does not run back.
             velocity: of the goal `[3]` [m/s]; by default from its last positions.
             obstacles: for a policy that was trained among them, a list of dicts with `position`, and for boxes and
-                capsules `quaternion`, `half` and `radius`, which sweeps them.
+                capsules `quaternion`, `half` and `radius`, which sweeps them. Where they move, their `velocity` `[3]`
+                [m/s] too, by default from their last positions: each keeps its place in the list.
             objects: for a policy that moves some, the same of these, by default as large as in training, with their
                 `velocity` `[3]` [m/s] where the policy goes by it, as where it strikes them, and `time` [s] where they
                 were measured earlier: without them, or with old ones, the arm brakes.
@@ -222,6 +226,8 @@ class Controller:
                 around = placed(
                     obstacles, inputs["bodies_kind"][0], objects, *self._objects, moving=self._moving, seconds=seconds
                 )
+                if self._followed:
+                    self._followed.fill(around, obstacles, seconds)
             except ValueError as error:
                 return rest, str(error)
             given.update({f"bodies_{name}": numbers for name, numbers in around.items()})

@@ -9,23 +9,44 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from reachlab.control.bodies import Bodies
+from reachlab.control.evading import after
 from reachlab.control.situation import Goal
 from reachlab.robots.kinematics.forward import forward_kinematics
-from reachlab.tasks.scenes import balls, bank
+from reachlab.tasks.scenes import balls, bank, moving
 from reachlab.tasks.scenes.kinds import BOX, KINDS, kind_of
 from reachlab.tasks.targets import box_corners
-from reachlab.tasks.task import Bounds, Keys, Sampled, TaskSetup, sample_apart
+from reachlab.tasks.task import Bounds, Keys, Sampled, Scene, TaskSetup, sample_apart
 
 
 def drawn_anew(scene: tuple[str, ...]) -> bool:
     """Whether a scene is drawn as its episode begins."""
-    return scene == (balls.NAME,)
+    return scene in ((balls.NAME,), (moving.NAME,))
 
 
 def room(setup: TaskSetup) -> int:
     """Bodies for which scenes have room."""
     scene = setup.rules.scene
     return balls.places(setup) if drawn_anew(scene) else max(kind_of(name, setup.robot).bodies for name in scene)
+
+
+def scene(setup: TaskSetup) -> Scene:
+    """What may be beside the arm."""
+    if setup.rules.scene == (moving.NAME,):
+        return Scene(moved=moving.MOST, contacts=True)
+    return Scene(fixed=room(setup), contacts=True)
+
+
+def sample_bodies(setup: TaskSetup, key: Array, start: Array, goal: Goal) -> Bodies:
+    """What is beside the arm in an episode whose scene is drawn as it begins."""
+    draw = moving.sample_scene if setup.rules.scene == (moving.NAME,) else balls.sample_scene
+    return draw(setup, key, start, goal)
+
+
+def move(setup: TaskSetup, goal: Goal, bodies: Bodies, clock: Array) -> tuple[Goal, Bodies]:
+    """The goal as it is, and bodies a control period later."""
+    del clock
+    return goal, after(bodies, setup.period) if scene(setup).moved else bodies
 
 
 def goal_box(setup: TaskSetup) -> Bounds:

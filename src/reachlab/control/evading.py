@@ -1,0 +1,106 @@
+"""Evading: velocity dampers that go by how bodies move, and by where they will be."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from reachlab.control.bodies import Bodies, Nearest, beside
+from reachlab.control.dampers import RATE, STOP, approach, obeyed
+from reachlab.control.situation import Drive, Situation
+from reachlab.robots.robot import Robot
+from reachlab.robots.shapes.clearance import Segments, capsules_at, moving, pair_distances
+
+AHEAD = (0.2, 0.4, 0.6)
+"""Times at which is looked where bodies will be [s]: the one at which each would be nearest is the one that counts."""
+
+PASS = 0.04
+"""Distance at which a body is let pass [m], in proportion to the arm's workspace."""
+
+OWN, OWN_RATE = 0.02, 0.15
+"""Distance at which links come no nearer to each other [m], likewise, half of that at home at most; and the share of
+their way to it that they may go in a step."""
+
+
+def after(bodies: Bodies, time: float) -> Bodies:
+    """Bodies `[..., K]` a time later [s], if none changes its velocity; they do not turn."""
+    return replace(bodies, position=bodies.position + time * bodies.velocity[..., :3])
+
+
+def evaded(drive: Drive, now: Situation, step: Array) -> Array:
+    """Joint displacement `[B, n]` that gives way to bodies `[B, K]` that move.
+
+    Each capsule has two limits a body. It may come nearer to where the body is by as much as `damped` allows, of what
+    the body's own velocity leaves (Faverjon and Tournassoud, 1987). And by the time at which the body will be nearest
+    it has to be out of its way, to the side to which that is shorter: a body that comes straight at an arm would
+    otherwise push it along. The limits of the table and of the arm's own links come last, and hold where others
+    contradict them. The arm will be where it is commanded after its servos' lag: bodies are looked at then.
+    """
+    robot, lag = drive.robot, max(drive.lag)
+    commanded = now.command[..., : robot.chain.n]
+    at = capsules_at(robot.chain, robot.capsules, commanded)
+    soon, when = _nearest_pass(robot, at, now.bodies, lag)
+    here = _beside(robot, at, after(now.bodies, lag))
+    table, least_above = _above_table(robot, at)
+    comes = sum(speed[:, None] * way for speed, way in zip(_speeds(now.bodies), here.normal, strict=True))
+    stop = STOP * robot.scale
+    passed = -drive.period / when * (soon.distance - PASS * robot.scale)
+    kept = -RATE * jnp.maximum(here.distance - stop, -3 * stop) + drive.period * comes
+    near = [jax.tree.map(lambda x, k=k: x[k], each) for each in (soon, here) for k in range(len(here.distance))]
+    rows = [approach(robot, commanded, one) for one in (*near, table)]
+    least = [*passed, *kept, least_above]
+    if robot.capsules.pairs:
+        apart, gradient = _apart(robot, commanded)
+        rows, least = [*rows, gradient.T[None]], [*least, -OWN_RATE * apart[None]]
+    return obeyed(step, jnp.concatenate(rows), jnp.concatenate(least))
+
+
+def _speeds(bodies: Bodies) -> list[Array]:
+    """Linear velocities of bodies `[B, K]`, three `[K, B]` [m/s]."""
+    return [bodies.velocity[..., i].T for i in range(3)]
+
+
+def _beside(robot: Robot, at: Segments, bodies: Bodies) -> Nearest:
+    """From bodies `[B, K]` to the capsules that joints move, `[K, C, B]`."""
+    start, end, radius = moving(robot.capsules, at)
+    found = beside(start, end, jax.tree.map(lambda x: jnp.moveaxis(x, 1, 0)[:, None], bodies))
+    return found._replace(distance=found.distance - radius)
+
+
+def _nearest_pass(robot: Robot, at: Segments, bodies: Bodies, lag: float) -> tuple[Nearest, Array]:
+    """The same at the time from `AHEAD` at which they are nearest, and that time `[K, C, B]` [s]."""
+    each = [_beside(robot, at, after(bodies, lag + time)) for time in AHEAD]
+    found, when = each[0], jnp.full_like(each[0].distance, AHEAD[0])
+    for one, time in zip(each[1:], AHEAD[1:], strict=True):
+        nearer = one.distance < found.distance
+        found = jax.tree.map(lambda a, b, nearer=nearer: jnp.where(nearer, a, b), one, found)
+        when = jnp.where(nearer, time, when)
+    return found, when
+
+
+def _above_table(robot: Robot, at: Segments) -> tuple[Nearest, Array]:
+    """From the table to the same capsules, `[C, B]`, and the least displacement of each away from it [m]."""
+    start, end, radius = moving(robot.capsules, at)
+    point = tuple(jnp.where(start[2] < end[2], a, b) for a, b in zip(start, end, strict=True))
+    zero, floors = jnp.zeros_like(point[2]), np.array(robot.capsules.floors, np.float32)[:, None]
+    away, stop = point[2] - floors - radius, STOP * robot.scale
+    return Nearest(away, (zero, zero, zero + 1.0), point), -RATE * jnp.maximum(away - stop, -stop)
+
+
+def _apart(robot: Robot, q: Array) -> tuple[Array, Array]:
+    """How far links are from the least distance between them `[B]` m, and how it grows with joints `q [B, n]`."""
+    capsules, chain = robot.capsules, robot.chain
+    with jax.ensure_compile_time_eval():
+        home = jnp.array(robot.home, jnp.float32)[None]
+        usual = np.asarray(pair_distances(capsules, capsules_at(chain, capsules, home), capsules.pairs))
+    least = np.minimum(OWN * robot.scale, usual / 2)
+
+    def left(q: Array) -> Array:
+        return (pair_distances(capsules, capsules_at(chain, capsules, q), capsules.pairs) - least).min(axis=0)
+
+    apart, pull = jax.vjp(left, q)
+    return apart, pull(jnp.ones_like(apart))[0]
