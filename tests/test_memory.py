@@ -75,7 +75,7 @@ def test_its_gates_are_those_of_torch() -> None:
         other.bias_hh.copy_(torch.tensor(np.concatenate([zero, np.asarray(cell.kept_bias)])))
         x, memory = (np.random.default_rng(i).normal(size=(B, n)).astype(np.float32) for i, n in ((0, 3), (1, SIZE)))
         expected = other(torch.tensor(x), torch.tensor(memory)).numpy()
-    assert np.asarray(cell(memory, x)) == pytest.approx(expected, abs=1e-6)
+    assert np.asarray(cell(jnp.asarray(memory), jnp.asarray(x))) == pytest.approx(expected, abs=1e-6)
 
 
 # --- learning ---------------------------------------------------------------------------------------
@@ -236,6 +236,6 @@ def test_a_recurrent_model_of_stable_baselines3_is_told_where_episodes_begin(tmp
     seen, kept = np.asarray(vector.reset()), None
     begins = np.ones(B, bool)
     for _ in range(T):
-        expected, kept = model.predict(seen, kept, begins, deterministic=True)
+        expected, kept = model.predict(np.asarray(seen), kept, begins, deterministic=True)
         assert loaded.act(seen, begins) == pytest.approx(expected, abs=1e-6)
         seen, _, begins, _ = vector.step(expected)

@@ -413,7 +413,7 @@ def test_a_name_that_does_not_exist_is_refused_with_the_nearest(setting: str, va
 @pytest.mark.parametrize("task", ["tutorial", "precise", "pose"])
 def test_an_arm_reaches_with_the_point_between_its_fingers(task: str) -> None:
     setups = [make_setup(configure(task, robot="panda", gripper=gripper)) for gripper in (None, "parallel", "own")]
-    home = np.array([setups[0].robot.home], np.float32)
+    home = jnp.array([setups[0].robot.home])
     bare, parallel, own = (forward_kinematics(setup.robot.chain, home).position[0] for setup in setups)
     assert np.asarray(bare - parallel) == pytest.approx([0.0, 0.0, 0.105], abs=1e-4)  # it points down
     assert np.asarray(own) == pytest.approx(np.asarray(parallel), abs=1e-9)
@@ -425,6 +425,6 @@ def test_an_arm_reaches_with_the_point_between_its_fingers(task: str) -> None:
 def test_the_wrist_of_the_tutorial_is_no_place_for_a_gripper() -> None:
     setup = make_setup(configure("tutorial", gripper="own"))
     flange = make_setup(configure("precise"))
-    home = np.array([setup.robot.home], np.float32)
+    home = jnp.array([setup.robot.home])
     with_gripper, bare = (forward_kinematics(one.robot.chain, home).position[0] for one in (setup, flange))
     assert np.asarray(bare - with_gripper)[2] == pytest.approx(0.105, abs=1e-3)

@@ -63,7 +63,7 @@ class Bench:
         self.commands.append(self.robot.bus.sent)
 
     def follow(self, exported: Path, **more: Any) -> str:
-        goal = self.plant.measure().goal[:3]
+        goal = (self.plant.measure().goal or [])[:3]
         return follow(self.robot, exported, goal, 2.0, clock=lambda: self.time, **{"sleep": self.sleep, **more})
 
 

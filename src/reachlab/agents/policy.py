@@ -186,11 +186,19 @@ class Policy:
 
 
 def encoded(parameters: Parameters, inputs: Inputs) -> Array:
-    """The vector, and what the encoder makes of the picture `[..., f]`."""
+    """The vector, and what the encoder makes of the picture `[..., f]`.
+
+    A policy that remembers knows whether the picture came: of a black one all is 0, or else it would drive the gates of
+    the memory to where they are not taught any more.
+    """
     picture, vector = inputs.picture, inputs.vector
     if picture is None or parameters.encoder is None:
         return cast("Array", vector)  # an observation has a picture or a vector
     points = parameters.encoder(picture)
+    if parameters.memory is not None:
+        pixels = picture.reshape(*picture.shape[:-2], -1).astype(points.dtype)
+        came = jnp.minimum(pixels @ jnp.ones((pixels.shape[-1], 1)), 1.0)
+        points = jnp.concatenate([came * points, came], axis=-1)
     return points if vector is None else jnp.concatenate([points, vector], axis=-1)
 
 
@@ -251,6 +259,7 @@ def make_policy(
     if schema.pictures:
         encoder = Keypoints.make(for_encoder, points) if points else Squares.make(for_encoder, SIZE)
     inputs = k + (encoder.features if encoder else 0)
+    inputs += 1 if encoder and memory else 0
     cell = Cell.make(jax.random.fold_in(key, 3), inputs, memory) if memory else None
     inputs += memory
     parameters = Parameters(

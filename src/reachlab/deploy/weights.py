@@ -82,6 +82,8 @@ def onnx_model(policy: Policy, bounds: Bounds, *, clips: bool) -> Any:
     vectors = [name for name, _, picture in given if not picture]
     encoder = jax.tree.map(np.asarray, policy.parameters.encoder)
     parts = [_encoded(encoder, name, add, constants) for name, _, picture in given if picture]
+    if parts and policy.parameters.memory:
+        parts = _known_to_have_come(parts[0], next(name for name, _, picture in given if picture), add, constants)
     if vectors:
         vector = vectors[0] if len(vectors) == 1 else add("Concat", vectors, "vector", axis=1)
         scaled = add("Div", [add("Sub", [vector, "normaliser.mean"], "shifted"), "normaliser.scale"], "scaled")
@@ -115,6 +117,14 @@ def onnx_model(policy: Policy, bounds: Bounds, *, clips: bool) -> Any:
     model.ir_version = IR
     checker.check_model(model, full_check=True)
     return model
+
+
+def _known_to_have_come(points: str, name: str, add: Any, constants: dict[str, Any]) -> list[str]:
+    """Features of a picture, zero of a black one, and whether it came."""
+    constants |= {"most": np.float32(1), "shape.one": np.array([-1, 1], np.int64)}
+    whitest = add("ReduceMax", [add("Cast", [name], "picture.pixels", to=1)], "whitest", axes=[1, 2], keepdims=0)
+    came = add("Reshape", [add("Min", [whitest, "most"], "came.flat"), "shape.one"], "came")
+    return [add("Mul", [points, came], "features.came"), came]
 
 
 def _remembered(x: str, add: Any) -> str:

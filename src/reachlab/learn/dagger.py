@@ -23,7 +23,7 @@ from reachlab.envs.delays import goal_seen
 from reachlab.envs.functions import EnvState, Transition
 from reachlab.envs.random_streams import LEARNER_STREAM, TRAINING_STREAM, episode_keys, stream_key
 from reachlab.jax_setup import jit
-from reachlab.learn.dagger_buffer import DaggerBuffer, Pictures, add, make_buffer
+from reachlab.learn.dagger_buffer import DaggerBuffer, Pictures, add, make_buffer, sequences
 from reachlab.learn.learner import Learner, make_initial_policy, make_learner, make_optimiser
 from reachlab.learn.load import load_policy
 from reachlab.learn.method import Finite, Method, Watched, all_finite
@@ -36,9 +36,6 @@ from reachlab.sims import SIMULATORS
 from reachlab.tasks import actions
 from reachlab.tasks.actions import ACTIONS
 from reachlab.tasks.observations import OBSERVATIONS
-
-SEQUENCE = 16
-"""Samples in a row from which a student that remembers learns at once."""
 
 
 @jax.tree_util.register_dataclass
@@ -97,7 +94,7 @@ def _initial_state(env: Env, config: RunConfig, seed: int | Array, teacher: Poli
     key, for_policy = jax.random.split(stream_key(seed, LEARNER_STREAM))
     policy = jit(lambda key: make_initial_policy(config, env, key))(for_policy)
     if teacher is None:
-        known = {"observation": config.teacher_observation, "action": config.teacher_action, "randomise": ()}
+        known = {"observation": config.teacher_observation, "action": config.teacher_action, "memory": 0}
         knowing = Env(override(config, **known), 1)
         teacher = make_initial_policy(knowing.config, knowing, for_policy)
         knowing.close()
@@ -199,20 +196,12 @@ class _Lessons:
         if buffer.memory is None:
             batches = np.asarray(jax.random.randint(key, (settings.updates, settings.batch), 0, known))
         else:
-            batches = self._sequences(key, int(buffer.count), known)
+            batches = sequences(key, int(buffer.count), known, self._config.loop.num_envs, settings)
         watched = []
         for rows in batches:
             learner, losses = self._learn(learner, buffer, rows, self._pictures[rows])
             watched.append(losses)
         return learner, {name: jnp.mean(jnp.array([losses[name] for losses in watched])) for name in watched[0]}
-
-    def _sequences(self, key: Array, count: int, known: int) -> np.ndarray:
-        """Rows `[updates, L, b]` of the buffer: sequences of samples of one environment each, of random ones."""
-        settings, num_envs = self._config.dagger, self._config.loop.num_envs
-        length = min(SEQUENCE, known // num_envs)
-        size = (settings.updates, 1, max(settings.batch // length, 1))
-        first = jax.random.randint(key, size, count - known, count - (length - 1) * num_envs)
-        return (np.asarray(first) + num_envs * np.arange(length)[:, None]) % settings.capacity
 
     def _update(
         self, learner: Learner, buffer: DaggerBuffer, rows: Array, pictures: Array

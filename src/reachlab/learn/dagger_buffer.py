@@ -14,11 +14,15 @@ from reachlab.agents.policy import Memory
 from reachlab.control.situation import Goal
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState
+from reachlab.settings.config import DaggerConfig
 from reachlab.sims.simulator import SimState
 from reachlab.tasks.schema import SIZE
 
 DRAWN_AT_ONCE = 1024
 """Pictures drawn in one call."""
+
+SEQUENCE = 16
+"""Samples in a row from which a student that remembers learns at once."""
 
 
 @jax.tree_util.register_dataclass
@@ -75,6 +79,14 @@ def add(buffer: DaggerBuffer, state: EnvState, vector: Array, label: Array) -> D
 
 def _shown(state: EnvState) -> SimState:
     return replace(state.arm, engine=None)
+
+
+def sequences(key: Array, count: int, known: int, num_envs: int, settings: DaggerConfig) -> np.ndarray:
+    """Rows `[updates, L, b]` of a buffer: sequences of samples of one environment each, of random ones."""
+    length = min(SEQUENCE, known // num_envs)
+    size = (settings.updates, 1, max(settings.batch // length, 1))
+    first = jax.random.randint(key, size, count - known, count - (length - 1) * num_envs)
+    return (np.asarray(first) + num_envs * np.arange(length)[:, None]) % settings.capacity
 
 
 class Pictures:
