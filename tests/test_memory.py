@@ -239,3 +239,9 @@ def test_a_recurrent_model_of_stable_baselines3_is_told_where_episodes_begin(tmp
         expected, kept = model.predict(np.asarray(seen), kept, begins, deterministic=True)
         assert loaded.act(seen, begins) == pytest.approx(expected, abs=1e-6)
         seen, _, begins, _ = vector.step(expected)
+
+
+def test_a_memory_that_would_be_another_in_training_is_refused() -> None:
+    with pytest.raises(InputError, match="one step in 8 in training, and every step when it acts"):
+        check(configure("tutorial", reward="sparse", memory=SIZE))
+    check(configure("tutorial", reward="sparse", memory=SIZE, action_repeat=1))

@@ -81,6 +81,7 @@ def _contradictions(config: RunConfig, changed: set[str]) -> Iterator[str]:
         yield (
             f"num_envs {loop.num_envs} cannot be divided among {config.ppo.minibatches} minibatches: choose a divisor."
         )
+    yield from _remembered_otherwise(config)
     for name in config.randomise:
         choose("randomise", name, RANDOMISED)
     if "object" not in rules.gives and (of_objects := {"objects", "sight"}.intersection(config.randomise)):
@@ -94,6 +95,17 @@ def _contradictions(config: RunConfig, changed: set[str]) -> Iterator[str]:
         yield (
             f"an action cannot be held for action_repeat {loop.action_repeat} in an episode of max_steps"
             f" {rules.max_steps}: choose a lower --action-repeat or more --max-steps."
+        )
+
+
+def _remembered_otherwise(config: RunConfig) -> Iterator[str]:
+    """A sentence where a policy would remember other steps in training than when it acts."""
+    repeat = config.loop.action_repeat
+    if config.learner.memory and repeat > 1:
+        fewer = f" --updates {max(48 // repeat, 1)} --guided {8 * repeat}" if config.method == "dagger" else ""
+        yield (
+            f"with action_repeat {repeat} a policy would remember one step in {repeat} in training, and every step when"
+            f" it acts: choose --action-repeat 1{fewer}."
         )
 
 
