@@ -91,6 +91,16 @@ def test_a_distillation_stopped_ends_with_the_weights_of_one_never_stopped(
     assert rows(out) == rows(whole)
 
 
+def test_a_student_that_remembers_resumes_too_with_pictures_that_did_not_come(teacher: Path, tmp_path: Path) -> None:
+    config = lessons(teacher, memory=8, goal_lost=0.5, action_repeat=1, total_steps=6 * 32)
+    with pytest.raises(Interrupted):
+        distil(config, tmp_path / "parts", at(5, ask(signal.SIGINT)))
+    distil(config, tmp_path / "parts", resume=True)
+    distil(config, tmp_path / "whole")
+    assert weights(tmp_path / "parts") == weights(tmp_path / "whole")
+    assert rows(tmp_path / "parts") == rows(tmp_path / "whole")
+
+
 def test_the_run_directory_is_as_that_of_a_training(whole: Path) -> None:
     run = RunDirectory(whole)
     report = json.loads(run.report_file.read_text())
