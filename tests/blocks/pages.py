@@ -24,7 +24,7 @@ LEFT_OUT = {
     "reachlab bench": "measures for minutes; tests/test_docs.py checks its suite and its flags",
     "python -m benchmarks": "measures for minutes or hours; tests/test_docs.py checks its suite",
     "make demo": "installs anew; `make test` installs in the same way, and its two commands are run here",
-    "--gui": "opens a window; tests/test_sims.py",
+    "pybullet --gui": "opens a window; tests/test_sims.py",
 }
 """Words of commands that are run nowhere here, and why."""
 
