@@ -107,8 +107,8 @@ class Falling:
 
     schema = OBSERVATIONS["target+tool"].schema(make_setup(configure()))
 
-    def act(self, observation: jax.Array) -> jax.Array:
-        return jnp.broadcast_to(jnp.array([0.0, 0.0, -0.6]), (*observation.shape[:-1], 3))
+    def decide(self, observation: jax.Array, memory: None) -> tuple[jax.Array, None]:
+        return jnp.broadcast_to(jnp.array([0.0, 0.0, -0.6]), (*observation.shape[:-1], 3)), memory
 
 
 jax.tree_util.register_pytree_node(Falling, lambda _: ((), None), lambda *_: Falling())

@@ -155,8 +155,8 @@ def test_a_file_that_says_something_else_is_refused(tmp_path: Path, content: str
     ("settings", "sentence"),
     [
         ({"scene": ("shelv",)}, r"scene 'shelv' is not one of: .* Did you mean 'shelf'\?"),
-        ({"scene": ("balls", "shelf")}, "name balls alone, or others"),
-        ({"scene": ()}, "name balls alone, or others"),
+        ({"scene": ("balls", "shelf")}, "name balls or moving alone, or others"),
+        ({"scene": ()}, "name balls or moving alone, or others"),
         ({"scene": ("shelf",), "obstacles": (1, 2)}, "obstacles are those of scene balls, not of shelf"),
     ],
 )

@@ -34,7 +34,7 @@ SETTINGS = {"seed": 3, "validation_episodes": 500, "stop_streak": 2, "checkpoint
 
 ROW = """
 steps wall_s steps_per_second episodes success_rate early_rate episode_length final_distance reward policy_loss
-value_loss entropy kl clip_fraction gradient_norm std
+explained_variance value_loss entropy kl clip_fraction gradient_norm std
 """
 
 IN_A_FRESH_PROCESS = """
