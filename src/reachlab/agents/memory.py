@@ -13,8 +13,8 @@ from jax import Array
 from reachlab.agents.layers import orthonormal
 
 LONGEST = 200
-"""Steps over which the numbers are kept at the start: from one to so many, evenly on a logarithmic scale (after Tallec
-and Ollivier, "Can recurrent neural networks warp time?", ICLR 2018)."""
+"""Steps over which the numbers are kept at the start: from one to so many (Tallec and Ollivier, "Can recurrent neural
+networks warp time?", ICLR 2018)."""
 
 
 class Gate(NamedTuple):
@@ -50,7 +50,7 @@ class Cell:
         for_given, for_kept, for_keep = jax.random.split(key, 3)
         given = jax.random.normal(for_given, (3, inputs, size)) / math.sqrt(inputs)
         kept = orthonormal([jax.random.normal(one, (size, size)) for one in jax.random.split(for_kept, 3)])
-        none, long = jnp.zeros(size), jax.random.uniform(for_keep, (size,), maxval=math.log(LONGEST))
+        none, long = jnp.zeros(size), jnp.log(jax.random.uniform(for_keep, (size,), minval=1.0, maxval=LONGEST - 1.0))
         reset, keep, new = map(Gate, given, kept, (none, long, none))
         return cls(reset, keep, new, none)
 
