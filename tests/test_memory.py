@@ -14,6 +14,8 @@ import pytest
 from reachlab.agents.acting import make_act
 from reachlab.agents.memory import Cell
 from reachlab.agents.policy import Inputs, Policy, features, gaussian
+from reachlab.cli import train_command
+from reachlab.cli.flags import Distil
 from reachlab.deploy.check import load_controller
 from reachlab.deploy.export import write_files
 from reachlab.deploy.onnx_network import OnnxNetwork
@@ -245,3 +247,10 @@ def test_a_memory_that_would_be_another_in_training_is_refused() -> None:
     with pytest.raises(InputError, match="one step in 8 in training, and every step when it acts"):
         check(configure("tutorial", reward="sparse", memory=SIZE))
     check(configure("tutorial", reward="sparse", memory=SIZE, action_repeat=1))
+
+
+def test_a_student_of_a_task_whose_goal_is_always_seen_is_not_asked_about_it() -> None:
+    config = train_command._distillation(Distil(teacher=Path("panda/push")))
+    assert not config.rules.hides_goal
+    hidden = train_command._distillation(Distil(teacher=Path("panda/precise"), goal_lost=0.5))
+    assert hidden.rules.hides_goal

@@ -104,8 +104,8 @@ class Distil(Training):
     """While training, steps from one picture to the next; the action is the same in between."""
     memory: Annotated[int, Range(0, 4096)] = 0
     """Numbers that the student remembers from step to step; 0: it acts by what it observes now."""
-    goal_lost: Fraction = 0.0
-    """Share of the steps in which its picture is black."""
+    goal_lost: Annotated[Fraction | None, tyro.conf.arg(metavar="FLOAT", help_behavior_hint="")] = None
+    """Share of the steps in which its picture is black; by default the teacher's, none."""
     deterministic: bool = False
     """Compute on one thread: the same weights on any number of cores."""
     settings: DaggerConfig = field(default_factory=DaggerConfig)

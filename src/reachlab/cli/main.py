@@ -170,7 +170,7 @@ def _parse(verb: str, flags: type, words: list[str]) -> Any:
         default = flags(run=_defaults(_chosen(words)))
     elif flags is Distil and isinstance(config := _resumed(_chosen(words)), DistilRunConfig):
         settings = flatten(to_json(config))
-        default = Distil(**{name: settings[name] for name in STUDENT}, settings=config.dagger)
+        default = Distil(**{name: settings[name] for name in STUDENT if name in settings}, settings=config.dagger)
     marks = [tyro.conf.OmitArgPrefixes]
     description, box = f"{flags.__doc__}{MORE.get(flags, '')}", io.StringIO()
     if flags in (Train, Sweep) and {"-h", "--help"} & set(words):

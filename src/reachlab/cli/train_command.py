@@ -34,7 +34,8 @@ def _distillation(arguments: Distil) -> RunConfig:
     from reachlab.runs.directory import RunDirectory
     from reachlab.runs.shipped import find_run
 
-    changes = {name: vars(arguments)[name] for name in STUDENT} | vars(arguments.settings)
+    given = {name: vars(arguments)[name] for name in STUDENT}
+    changes = {name: value for name, value in given.items() if value is not None} | vars(arguments.settings)
     if arguments.resume:
         config = RunDirectory(arguments.resume).read_config(check_robot=False)
         changes |= {"sim": arguments.sim} if arguments.sim else {}
