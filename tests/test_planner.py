@@ -11,11 +11,12 @@ import pytest
 
 from reachlab.agents.acting import make_act
 from reachlab.agents.hybrid import Hybrid, make_ahead
-from reachlab.agents.planner import Following, Plans
+from reachlab.agents.planner import Following, plans_for
 from reachlab.agents.policy import Policy
 from reachlab.control.bodies import Bodies
 from reachlab.control.planning import planner
 from reachlab.control.planning.planner import ACCELERATION, SPEED
+from reachlab.control.planning.plans import Plans
 from reachlab.control.planning.timing import Trajectory, timed
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState
@@ -46,7 +47,7 @@ def env(request: pytest.FixtureRequest, few_scenes: None) -> Env:  # noqa: ARG00
 
 @pytest.fixture(scope="module")
 def plans(env: Env) -> Plans:
-    return Plans(env.setup)
+    return plans_for(env)
 
 
 @pytest.fixture(scope="module")
@@ -97,7 +98,9 @@ def test_a_motion_leads_from_start_to_goal_and_mujoco_finds_no_contact_on_it(env
 
 
 def test_planning_again_gives_the_same_motion(env: Env, plans: Plans, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(planner, "LIMITS", (60.0,) * len(planner.LIMITS))  # nor does it depend on how fast a machine is
+    monkeypatch.setattr(
+        planner, "SECONDS", (60.0,) * len(planner.SECONDS)
+    )  # nor does it depend on how fast a machine is
     one, other = (planned(plans, episodes(env)[1]) for _ in range(2))
     np.testing.assert_array_equal(one.q, other.q)
 
@@ -122,9 +125,9 @@ def test_joints_are_no_faster_than_they_may_be(env: Env, plans: Plans) -> None:
 
 
 def test_a_path_of_one_point_is_stood_on() -> None:
-    motion = timed(np.array([[0.1, 0.2], [0.1, 0.2]]), np.ones(2), np.ones(2), 0.02)
-    assert motion is not None
-    np.testing.assert_array_equal(motion.q, [[0.1, 0.2]])
+    found = timed(np.array([[0.1, 0.2], [0.1, 0.2]]), np.ones(2), np.ones(2), 0.02)
+    assert found is not None
+    np.testing.assert_array_equal(found[0], [[0.1, 0.2]])
 
 
 def test_the_agent_holds_its_goals(env: Env) -> None:

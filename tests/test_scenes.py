@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from reachlab.control.bodies import Bodies
-from reachlab.control.contact_model import collision_checker, geoms_of
+from reachlab.control.contact_model import arm_of
 from reachlab.control.planning.collision import CollisionChecker
 from reachlab.envs.core import Env
 from reachlab.envs.presets import configure
@@ -41,10 +41,10 @@ def scenes(robot: str, *names: str) -> tuple[Env, bank.Bank]:
 
 def checkers(env: Env, drawn: bank.Bank, kind: int = 0) -> Any:
     """Start, goal and a checker of each scene."""
-    checker = collision_checker(env.setup.robot, drawn.bodies.kind.shape[-1])
+    checker = CollisionChecker(arm_of(env.setup.robot), drawn.bodies.kind.shape[-1])
     for row in range(len(drawn.start)):
         bodies: Bodies = jax.tree.map(lambda x, row=row: x[row, kind], drawn.bodies)
-        checker.place(geoms_of(bodies)._asdict())
+        checker.place(bodies)
         yield drawn.start[row, kind], drawn.joints[row, kind], checker
 
 

@@ -12,19 +12,14 @@ import numpy as np
 from jax import Array
 
 from reachlab.agents.acting import decide, trained
-from reachlab.agents.planner import TINY, Following
+from reachlab.agents.planner import Following
 from reachlab.agents.policy import Policy
+from reachlab.control.contact_model import TINY
+from reachlab.control.planning.following import PATIENCE, PROGRESS, longest_way
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState
 from reachlab.jax_setup import jit
 from reachlab.sims.simulator import Moved
-
-PATIENCE, PROGRESS = 0.2, 0.002
-"""The planner takes over where the tool has not come so much nearer [m] in so long a time [s]."""
-
-DETOUR, REST = 1.75, 0.3
-"""The policy's way is taken where it lasts up to so many times as long as the joints would take straight to the goal at
-full speed, as planned ways do in the median, and so long to come to rest there [s]."""
 
 Ahead = Callable[[Policy | None, EnvState], tuple[Array, Array]]
 """Joints `[T, B, n]` of arms under a policy, and whether their episodes have ended in success by then `[T, B]`."""
@@ -82,9 +77,8 @@ class Hybrid(Following):
         """In which of the environments `rows [B]` the policy will get through, and soon."""
         joints, success = map(np.asarray, self._ahead(policy, state))
         bodies, goal = jax.tree.map(np.asarray, (state.arm.bodies, state.goal.joints))
-        straight = (np.abs(goal - joints[0]) / self._most).max(axis=1) * self._env.setup.period
-        ends = success.argmax(axis=0) + 1
-        soon = success.any(axis=0) & (ends * self._env.setup.period < REST + DETOUR * straight)
+        ends, longest = success.argmax(axis=0) + 1, longest_way(joints[0], goal, self._env.setup.robot.speed)
+        soon = success.any(axis=0) & (ends * self._env.setup.period < longest)
         return [
             soon[row] and self.plans.free(joints[: ends[row], row], jax.tree.map(lambda x, row=row: x[row], bodies))
             for row in np.flatnonzero(rows)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 from functools import partial
 
@@ -14,106 +13,29 @@ from jax import Array
 from reachlab.agents.acting import decide
 from reachlab.agents.baselines import ik
 from reachlab.agents.policy import Policy
-from reachlab.control.bodies import Bodies, absent
-from reachlab.control.branches import free_branches, make_solver
-from reachlab.control.contact_model import collision_checker, geoms_of
-from reachlab.control.planning.planner import Limits, Planner
+from reachlab.control.contact_model import arm_of
+from reachlab.control.planning.following import Follower
+from reachlab.control.planning.plans import Plans
 from reachlab.control.planning.timing import Trajectory
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState, Transition
 from reachlab.jax_setup import jit
-from reachlab.robots.kinematics.forward import forward_kinematics
 from reachlab.settings.validation import InputError, installing
 from reachlab.tasks import WORDS
-from reachlab.tasks.task import TaskSetup
-
-TILTED, TILT = 3, 0.35
-"""Poses of the tool beside the goal's own to which is planned where any orientation will do, and how far they are
-turned about each axis at random [rad]."""
-
-FOLLOWED = 0.45
-"""Largest acceleration of a motion, in full speeds in a time of the servos' lag: more would take too fast commands."""
-
-GAIN = 0.5
-"""Share of what an arm lags more than its servos do that its command is corrected by in a time of their lag."""
-
-NUDGE = 0.01
-"""Length of a first motion [rad]."""
-
-TINY = 1e-6
-"""Divides in place of a smaller time [s]."""
 
 
-class Plans:
-    """Plans for the goals of a task on an arm.
+def plans_for(env: Env) -> Plans:
+    """Plans for the goals of an environment that knows joints at them.
 
-    Attributes:
-        seconds: time that the last plan took.
+    Raises:
+        InputError: the arm has no shapes, or OMPL is not installed.
     """
-
-    def __init__(self, setup: TaskSetup) -> None:
-        """Of a task that knows joints at its goals.
-
-        Raises:
-            InputError: the arm has no shapes, or OMPL is not installed.
-        """
-        robot, limits, scene = setup.robot, setup.robot.commands, setup.task.scene(setup)
-        speed = np.array(robot.speed)
-        acceleration = np.minimum(robot.acceleration, FOLLOWED * speed / np.maximum(setup.lag, TINY))
-        try:
-            self._planner = Planner(
-                collision_checker(robot, scene.bodies),
-                Limits(limits.lower, limits.upper, speed, acceleration),
-                robot.scale,
-                setup.period,
-            )
-        except ModuleNotFoundError:
-            raise InputError(f"agent 'planner' needs OMPL: {installing('planner')}.") from None
-        self._setup, self._solve = setup, make_solver(robot)
-        self._pose = jit(lambda q: forward_kinematics(robot.chain, q), brief=True)
-        nothing, home = jax.tree.map(np.asarray, absent(scene.bodies)), np.array(robot.home)
-        self.plan(nothing, home, home + NUDGE)  # what it needs is compiled and imported before time counts
-
-    def plan(self, scene: Bodies, start: np.ndarray, goal: np.ndarray) -> Trajectory | None:
-        """A motion among bodies `[K]` from joints `start [n]` to where the tool is at joints `goal [n]`."""
-        begun, planner = time.perf_counter(), self._planner
-        planner.checker.place(geoms_of(scene)._asdict())
-        planner.margins(start, goal)
-        motion = planner.motion(start, self._goals(start, goal), goal)
-        self.seconds = time.perf_counter() - begun
-        return motion
-
-    def free(self, joints: np.ndarray, scene: Bodies) -> bool:
-        """Whether the arm is free at joints `[T, n]` among bodies `[K]`, by as much as a motion has to be."""
-        self._planner.checker.place(geoms_of(scene)._asdict())
-        self._planner.margins(joints[0], joints[-1])
-        return all(self._planner.checker.free(q) for q in joints)
-
-    def leads(self, motion: Trajectory, first: int, scene: Bodies) -> bool:
-        """Whether a motion is still free from its step `first` on, now that bodies `[K]` are elsewhere."""
-        self._planner.checker.place(geoms_of(scene)._asdict())
-        self._planner.margins(motion.q[min(first, len(motion.q) - 1)], motion.q[-1])
-        return self._planner.leads(motion, first)
-
-    def _goals(self, start: np.ndarray, goal: np.ndarray) -> np.ndarray:
-        """Free joint vectors `[g, n]` that have the goal: of its pose and, if none is asked for, of poses near it."""
-        turns, robot = self._setup.rules.asks_orientation, self._setup.robot
-        if turns and not robot.chain.poses:  # so few joints have it in no other way
-            return goal[None]
-        rng, poses = np.random.default_rng(0), self._pose(goal[None])
-        position, quaternion = np.asarray(poses.position), np.asarray(poses.quaternion)
-        count = 0 if turns else TILTED
-        turned = np.stack([_turned(quaternion[0], rng.normal(0.0, TILT, 3)) for _ in range(count)] or [quaternion[0]])
-        quaternion = np.concatenate([quaternion, turned])
-        branches = self._solve(np.repeat(position, len(quaternion), axis=0), quaternion, rng)
-        return free_branches(self._planner.checker, robot, np.concatenate([goal[None], *branches]), start)
-
-
-def _turned(quaternion: np.ndarray, turn: np.ndarray) -> np.ndarray:
-    """An orientation wxyz turned about the axes of the world by small angles `[3]` rad."""
-    (w, v), (a, b) = (quaternion[0], quaternion[1:]), (1.0, turn / 2)
-    product = np.array([a * w - b @ v, *(a * v + w * b + np.cross(b, v))])
-    return product / np.linalg.norm(product)
+    setup = env.setup
+    try:
+        arm = arm_of(setup.robot, setup.lag, setup.period, env.functions.limits)
+        return Plans(arm, setup.task.scene(setup).bodies, turns=setup.rules.asks_orientation)
+    except ModuleNotFoundError:
+        raise InputError(f"agent 'planner' needs OMPL: {installing('planner')}.") from None
 
 
 class Following:
@@ -134,14 +56,12 @@ class Following:
             raise InputError(
                 "a planner plans among bodies that stay, and those of this scene move: choose agent ik or trained."
             )
-        self.plans = Plans(env.setup)
+        self.plans = plans_for(env)
         self._env, self._episodes = env, [b""] * env.num_envs
         self._begun, self._planned = np.zeros(env.num_envs, int), np.zeros(env.num_envs)
         self._motions: list[Trajectory | None] = [None] * env.num_envs
         self._scenes, self._meanwhile = [b""] * env.num_envs, 0.0
-        lag = np.maximum(env.setup.lag, TINY)
-        self._lag, self._gain = np.array(env.setup.lag), GAIN * env.setup.period / lag
-        self._most = np.array(env.setup.robot.speed) * env.setup.period
+        self._follower = Follower(env.setup.lag, env.setup.robot.speed, env.setup.period)
         self._situation, self._act = jit(env.situation), jit(partial(decide, ik, env))
 
     def __call__(
@@ -184,12 +104,5 @@ class Following:
                 self._planned[row] = waited + (0.0 if new else self._planned[row])
             self._episodes[row], self._scenes[row] = episode, place
             if motion is not None:
-                given[row] = self._next(motion, step, q[row], given[row])
+                given[row] = self._follower.command(motion, step, q[row], given[row])
         return given
-
-    def _next(self, motion: Trajectory, step: int, q: np.ndarray, given: np.ndarray) -> np.ndarray:
-        """The command `[n]` that brings joints `q [n]` to a motion's next step: ahead of it by the servos' lag."""
-        now, then = min(step, len(motion.q) - 1), min(step + 1, len(motion.q) - 1)
-        ahead = self._lag * (motion.qd[then] - motion.qd[now])
-        moved = motion.q[then] - motion.q[now] + ahead + self._gain * (motion.q[now] - q)
-        return given + np.clip(moved, -self._most, self._most)

@@ -22,9 +22,10 @@ def export(arguments: Export) -> None:
     """Run `reachlab export`."""
     prepare()
     from reachlab.cli.console import say
+    from reachlab.cli.eval_subjects import other_goals
     from reachlab.deploy.export import SITUATIONS, TOLERANCES, export
 
-    done = export(arguments.run, arguments.out)
+    done = export(arguments.run, arguments.out, arguments.agent, **other_goals(arguments))
     if arguments.json:
         print(jsonlib.dumps({"folder": str(done.folder), "files": done.files, "differences": done.differences}))
         return

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from reachlab.cli.flags import Optional
+from reachlab.cli.flags import GoalFlags, Optional, no_goals
 from reachlab.deploy.plant_faults import Faults
 from reachlab.deploy.topics import Topics
 from reachlab.settings.validation import Checked, Count, Seed
@@ -22,6 +22,10 @@ class Export(Checked):
     """Run directory, or a policy that comes with reachlab, as `panda/precise`; see `reachlab list`."""
     out: Annotated[Path, Optional] = Path("policy")
     """Folder to make; by default policy, here."""
+    agent: Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")] = None
+    """`trained`, or `hybrid`: a planner beside the policy; by default that among obstacles that stay where they are."""
+    goals: GoalFlags = field(default_factory=no_goals)
+    """What will be asked for, where that is something else than in training."""
     json: bool = False
     """Print what was written as one JSON object on standard output."""
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from reachlab.agents import AGENTS
+from reachlab.cli.deploy_flags import Export
 from reachlab.cli.flags import Subjects
 from reachlab.envs.presets import preset
 from reachlab.settings.config import RunConfig
@@ -55,7 +56,7 @@ class Subject:
         return acts, self.saved.policy if self.saved else None, judged.checkpoint if judged else None
 
 
-def other_goals(arguments: Subjects) -> dict[str, Any]:
+def other_goals(arguments: Subjects | Export) -> dict[str, Any]:
     """Settings of the goals that the flags change."""
     return {name: value for name, value in vars(arguments.goals).items() if value is not None}
 

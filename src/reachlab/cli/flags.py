@@ -137,6 +137,15 @@ def _goal_flags() -> type:
     return make_dataclass("GoalFlags", flags, bases=(Checked,), frozen=True)
 
 
+GoalFlags = Annotated[Any, tyro.conf.arg(name="", constructor_factory=_goal_flags)]
+"""A flag for each setting of `EVALUATED`."""
+
+
+def no_goals() -> Any:
+    """None of them is given."""
+    return _goal_flags()()
+
+
 @dataclass(frozen=True)
 class Arm(Checked):
     """Flags of an arm beside its name."""
@@ -166,9 +175,7 @@ class Subjects(Arm):
     """Robot, where there is no run: a name of `reachlab list`, or the path of an MJCF or URDF file."""
     sim: Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")] = None
     """Simulator, for `eval` also `all` of them; by default the run's own or the task's."""
-    goals: Annotated[Any, tyro.conf.arg(name="", constructor_factory=_goal_flags)] = field(
-        default_factory=lambda: _goal_flags()()  # noqa: PLW0108 (tables may grow until it is called)
-    )
+    goals: GoalFlags = field(default_factory=no_goals)
     """Other goals than those of the run or the task; reports of a run on such goals are not kept in it."""
 
 

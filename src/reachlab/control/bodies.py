@@ -11,12 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from reachlab.control.planning.collision import FAR
 from reachlab.robots.kinematics.forward import components
 from reachlab.robots.kinematics.scalars import Rotation, Vec, rotation_from_quaternion
 from reachlab.robots.shapes.clearance import Capsules, Segments, moving
-
-FAR = (0.0, 0.0, -10.0)
-"""Where bodies are that are not there [m]: below everything, so that nothing has to tell them apart."""
 
 
 class Shape(IntEnum):

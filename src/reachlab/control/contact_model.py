@@ -2,27 +2,44 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import NamedTuple
+from collections.abc import Iterator, Sequence
 
 import jax
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
-from reachlab.control.bodies import FAR, Bodies, Shape
-from reachlab.control.planning.collision import CollisionChecker
+from reachlab.control.bodies import FAR, Bodies
+from reachlab.control.motion_limits import MotionLimits
+from reachlab.control.planning.arm import Arm
+from reachlab.control.planning.collision import LEAST_BOUND, Geoms, geoms_of
 from reachlab.robots.files.pictures import without_shapes
 from reachlab.robots.robot import Robot
+from reachlab.robots.shapes.clearance import Capsules
 from reachlab.settings.validation import InputError
 
 CAPSULE, BODY, TABLE = "reachlab_capsule_", "reachlab_body_", "reachlab_table"
 """Names of the geoms that are added, the first two before a number."""
 
-LEAST_BOUND = 1e-6
-"""Radius of the sphere around a ball without size [m]: of 0 MuJoCo takes it for a plane."""
+FOLLOWED = 0.45
+"""Largest acceleration of a planned motion, in full speeds in a time of the servos' lag: more would take too fast
+commands."""
+
+TINY = 1e-6
+"""Divides in place of a smaller time [s]."""
 
 _Bit, _Geom = mujoco.mjtDisableBit, mujoco.mjtGeom
+
+
+def shapes_of(robot: Robot) -> Capsules:
+    """The capsules that contain a robot's links.
+
+    Raises:
+        InputError: it has no shapes.
+    """
+    if not any(robot.capsules.links):
+        raise InputError(f"robot {robot.name!r} has no shapes in its file: what it touches cannot be told.")
+    return robot.capsules
 
 
 def add_contacts(spec: mujoco.MjSpec, robot: Robot, count: int) -> None:
@@ -37,8 +54,7 @@ def add_contacts(spec: mujoco.MjSpec, robot: Robot, count: int) -> None:
     Raises:
         InputError: the robot has no shapes.
     """
-    if not any(robot.capsules.links):
-        raise InputError(f"robot {robot.name!r} has no shapes in its file: what it touches cannot be told.")
+    shapes_of(robot)
     spec.option.disableflags &= ~int(_Bit.mjDSBL_CONTACT | _Bit.mjDSBL_CONSTRAINT)
     spec.option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
     for pair in spec.pairs:
@@ -84,47 +100,46 @@ def _pairs(robot: Robot, count: int) -> Iterator[tuple[str, str]]:
     yield from ((f"{CAPSULE}{one}", f"{CAPSULE}{other}") for one, other in capsules.pairs)
 
 
-class Geoms(NamedTuple):
-    """MuJoCo's arrays of the geoms that bodies are, `[..., K, *]`, by the names of the model's."""
-
-    geom_type: np.ndarray
-    geom_pos: np.ndarray
-    geom_quat: np.ndarray
-    geom_sameframe: np.ndarray
-    geom_size: np.ndarray
-    geom_rbound: np.ndarray
-
-
-def geoms_of(bodies: Bodies) -> Geoms:
-    """Bodies `[..., K]`, in NumPy, as MuJoCo has them."""
-    size = np.asarray(bodies.size, np.float64)
-    long = np.where(bodies.kind == Shape.BOX, np.linalg.norm(size, axis=-1), size[..., 0] + size[..., 1])
-    return Geoms(
-        geom_type=np.array(bodies.kind),
-        geom_pos=np.array(bodies.position, np.float64),
-        geom_quat=np.array(bodies.quaternion, np.float64),
-        # `Batch.set_const` notes here which of them lie as the world does, whose pose they are then given.
-        geom_sameframe=np.full(long.shape, mujoco.mjtSameFrame.mjSAMEFRAME_NONE),
-        geom_size=size,
-        geom_rbound=np.maximum(long, LEAST_BOUND),
-    )
-
-
 def body_geoms(model: mujoco.MjModel) -> list[int]:
     """Numbers in a model of the geoms that `add_contacts` added for bodies."""
     return [geom for geom in range(model.ngeom) if model.geom(geom).name.startswith(BODY)]
 
 
-def collision_checker(robot: Robot, count: int) -> CollisionChecker:
-    """A checker of an arm, the table and `count` bodies.
+def arm_of(robot: Robot, lag: Sequence[float] = (), period: float = 0.02, within: MotionLimits | None = None) -> Arm:
+    """What planning has to know of a robot whose joints follow commands, a period [s] apart, by times `[n]` [s].
+
+    Commands may be kept `within` limits.
 
     Raises:
         InputError: the robot has no shapes.
     """
-    spec = robot.spec(pictures=False)
-    add_contacts(spec, robot, count)
-    model = spec.compile()
-    return CollisionChecker(model, robot.chain.n, body_geoms(model))
+    chain, capsules, speed = robot.chain, shapes_of(robot), np.array(robot.speed)
+    late, smooth = np.array(lag or np.zeros(chain.n)), 0.0
+    acceleration = np.minimum(robot.acceleration, FOLLOWED * speed / np.maximum(late, TINY))
+    if within:
+        speed, acceleration = within.fastest, within.acceleration
+        smooth = float((2 * acceleration / within.jerk).max())
+    return Arm(
+        frames=chain.between,
+        slides=np.array(chain.slides),
+        lower=np.array(chain.lower),
+        upper=np.array(chain.upper),
+        speed=speed,
+        acceleration=acceleration,
+        smooth=smooth,
+        lag=late,
+        home=np.array(robot.home),
+        approach=np.array(chain.approach),
+        table=robot.table_top,
+        scale=robot.scale,
+        period=period,
+        links=np.array(capsules.links),
+        starts=np.array(capsules.starts),
+        ends=np.array(capsules.ends),
+        radii=np.array(capsules.radii),
+        pairs=np.array(capsules.pairs).reshape(-1, 2),
+        floors=np.isfinite(capsules.floors),
+    )
 
 
 class FixedBodies:

@@ -89,6 +89,13 @@ class MotionLimits:
             half.append(np.abs(limit / slope))
         self.by_speed, self.by_place, self.half = map(np.concatenate, (by_speed, by_place, half))
 
+    @property
+    def fastest(self) -> np.ndarray:
+        """Speeds `[n]` of steady motions [rad/s or m/s]: an arm can come to rest from them within all limits."""
+        way = np.concatenate([np.zeros((1, self.n)), self.from_speed])
+        hardest, jerk = np.abs(way).max(axis=0), np.abs(np.diff(way, axis=0)).max(axis=0) / self.period
+        return np.minimum(self.speed, np.minimum(self.acceleration / hardest, self.jerk / jerk))
+
     def at_rest(self, q: Numbers, xp: Any = np) -> Motion:
         """The motion of an arm that rests at joints `q [..., n]`."""
         still = xp.zeros_like(q)

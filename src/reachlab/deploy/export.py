@@ -16,8 +16,10 @@ import numpy as np
 
 from reachlab.agents.acting import make_act
 from reachlab.agents.policy import Policy
+from reachlab.control.contact_model import arm_of
 from reachlab.control.motion_limits import MotionLimits
-from reachlab.deploy.bundle import controller_source
+from reachlab.control.situation import shaped_within
+from reachlab.deploy.bundle import controller_source, planner_source
 from reachlab.deploy.c_library import OWN, CPolicy, compiler
 from reachlab.deploy.c_source import c_sources
 from reachlab.deploy.card import model_card
@@ -38,7 +40,7 @@ from reachlab.runs.directory import RunDirectory
 from reachlab.runs.files import read_json
 from reachlab.runs.shipped import find_run
 from reachlab.runs.versions import versions
-from reachlab.settings.validation import InputError, installing
+from reachlab.settings.validation import InputError, choose, installing
 
 SITUATIONS, TOGETHER = 1000, 50
 """Situations in which an export is compared with its policy, and how many episodes they are taken from."""
@@ -74,25 +76,28 @@ class Export:
     differences: dict[str, float]
 
 
-def export(run: RunDirectory | str | Path, out: str | Path) -> Export:
+def export(run: RunDirectory | str | Path, out: str | Path, agent: str | None = None, **goals: Any) -> Export:
     """Write the policy of a run, or one that comes with reachlab, into a folder that does not exist or is empty.
 
     Args:
         run: the run directory.
         out: the folder.
+        agent: `trained`, or `hybrid` for a planner beside the policy; by default that among bodies that stay.
+        goals: settings of what will be asked for, as of an evaluation, where that is something else than in training.
 
     Raises:
-        InputError: the folder exists and is not empty, the run cannot be read, its task computes what cannot be
-            printed, the extra 'deploy' is missing, or what was written computes anything else than the policy.
+        InputError: a setting does not exist or fit, the folder exists and is not empty, the run cannot be read, its
+            task computes what cannot be printed or planned, the extra 'deploy' is missing, or what was written computes
+            anything else than the policy.
     """
     run, out = run if isinstance(run, RunDirectory) else find_run(run), Path(out)
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError(f"'{out}' exists and is not empty: choose another --out, or remove it.")
     trained = run.read_config()
-    env = Env(in_evaluation(trained, trained.sim), TOGETHER)
+    env = Env(in_evaluation(trained, trained.sim, **goals), TOGETHER)
     try:
-        saved = load_saved(run, env)
-        more = {"run": saved.checkpoint, "held_out": _held_out(run), "versions": versions()}
+        saved, planner = load_saved(run, env), _planner(env, agent)
+        more = {"run": saved.checkpoint, "held_out": _held_out(run), "versions": versions()} | planner
         with tempfile.TemporaryDirectory() as place:
             folder = Path(place) / "policy"
             folder.mkdir()
@@ -111,6 +116,24 @@ def export(run: RunDirectory | str | Path, out: str | Path) -> Export:
     finally:
         env.close()
     return Export(out, {file.name: file.stat().st_size for file in sorted(out.iterdir())}, differences)
+
+
+def _planner(env: Env, agent: str | None) -> dict[str, Any]:
+    """What a planner has to know, by the name `planner`; nothing where there is none.
+
+    Raises:
+        InputError: no agent of that name can be exported, or it has nothing to plan.
+    """
+    setup, scene = env.setup, env.setup.task.scene(env.setup)
+    plannable = "joints" in setup.rules.gives and not scene.moved and not scene.objects and not setup.robot.gripper
+    agent = agent or ("hybrid" if plannable and scene.fixed else "trained")
+    if choose("agent of an export", agent, ("trained", "hybrid")) == "trained":
+        return {}
+    if not plannable:
+        raise InputError("agent 'hybrid' is exported for goals whose joints are known, among bodies that stay.")
+    arm = arm_of(setup.robot, setup.lag, setup.period, shaped_within(setup))._asdict()
+    plain = {name: np.asarray(part).tolist() for name, part in arm.items()}
+    return {"planner": {"arm": plain, "bodies": scene.bodies, "turns": setup.rules.asks_orientation}}
 
 
 def _held_out(run: RunDirectory) -> list[dict[str, Any]]:
@@ -139,6 +162,8 @@ def write_files(folder: Path, env: Env, policy: Policy, more: dict[str, Any]) ->
     (folder / "policy.onnx").write_bytes(model.SerializeToString())
     save_file({name: np.ascontiguousarray(array) for name, array in arrays.items()}, folder / "policy.safetensors")
     (folder / "controller.py").write_text(controller_source(), encoding="utf-8")
+    if "planner" in more:
+        (folder / "planner.py").write_text(planner_source(), encoding="utf-8")
     (folder / "step.py").write_text(to_python(step.programs, pausing={"place"}), encoding="utf-8")
     for name, text in c_sources(facts, _limits(env, facts), step).items():
         (folder / name).write_text(text, encoding="utf-8", errors="backslashreplace")

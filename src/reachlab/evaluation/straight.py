@@ -7,7 +7,8 @@ from collections.abc import Callable
 import jax
 import numpy as np
 
-from reachlab.control.contact_model import collision_checker, geoms_of
+from reachlab.control.contact_model import arm_of
+from reachlab.control.planning.collision import CollisionChecker
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState
 
@@ -20,13 +21,13 @@ def make_straight(env: Env) -> Callable[[EnvState], np.ndarray] | None:
     scene = env.setup.task.scene(env.setup)
     if not (scene.fixed and scene.contacts and "joints" in env.setup.rules.gives):
         return None
-    checker = collision_checker(env.setup.robot, scene.bodies)
+    checker = CollisionChecker(arm_of(env.setup.robot), scene.bodies)
 
     def straight(state: EnvState) -> np.ndarray:
         bodies, start, goal = jax.tree.map(np.asarray, (state.arm.bodies, state.arm.q, state.goal.joints))
         found = []
         for row in range(len(start)):
-            checker.place(geoms_of(jax.tree.map(lambda x, row=row: x[row], bodies))._asdict())
+            checker.place(jax.tree.map(lambda x, row=row: x[row], bodies))
             found.append(checker.straight(start[row], goal[row]))
         return np.array(found)
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
+
+from reachlab.control.planning.arm import Arm
 
 NEAR = 0.1
 """Distance beyond which `distances` tells none apart [m]."""
@@ -15,19 +17,91 @@ NEAR = 0.1
 RESOLUTION = 0.03
 """Distance between the points of a path that have to be free [rad]."""
 
+LEAST_BOUND = 1e-6
+"""Radius of the sphere around a ball without size [m]: of 0 MuJoCo takes it for a plane."""
+
+FAR = (0.0, 0.0, -10.0)
+"""Where bodies are that are not there [m]: below everything, so that nothing has to tell them apart."""
+
+_Geom = mujoco.mjtGeom
+
+
+class Geoms(NamedTuple):
+    """MuJoCo's arrays of the geoms that bodies are, `[..., K, *]`, by the names of the model's."""
+
+    geom_type: np.ndarray
+    geom_pos: np.ndarray
+    geom_quat: np.ndarray
+    geom_sameframe: np.ndarray
+    geom_size: np.ndarray
+    geom_rbound: np.ndarray
+
+
+def geoms_of(bodies: Any) -> Geoms:
+    """Bodies `[..., K]`, as `control.bodies` describes them and in NumPy, as MuJoCo has them."""
+    size = np.asarray(bodies.size, np.float64)
+    long = np.where(bodies.kind == int(_Geom.mjGEOM_BOX), np.linalg.norm(size, axis=-1), size[..., 0] + size[..., 1])
+    return Geoms(
+        geom_type=np.array(bodies.kind),
+        geom_pos=np.array(bodies.position, np.float64),
+        geom_quat=np.array(bodies.quaternion, np.float64),
+        # `Batch.set_const` notes here which of them lie as the world does, whose pose they are then given.
+        geom_sameframe=np.full(long.shape, mujoco.mjtSameFrame.mjSAMEFRAME_NONE),
+        geom_size=size,
+        geom_rbound=np.maximum(long, LEAST_BOUND),
+    )
+
+
+def arm_model(arm: Arm, count: int) -> mujoco.MjModel:
+    """An arm as its capsules, the table and `count` bodies: what of them may not meet collides, and nothing else.
+
+    The table is the plane of its top, without an edge.
+    """
+    spec = mujoco.MjSpec()
+    spec.compiler.degree = False
+    spec.worldbody.add_geom(name="table", type=_Geom.mjGEOM_PLANE, size=[0, 0, 1], pos=[0, 0, arm.table])
+    link, links = spec.worldbody, [spec.worldbody]
+    for frame, slides in zip(arm.frames[:-1], arm.slides, strict=True):
+        turn = np.zeros(4)
+        mujoco.mju_mat2Quat(turn, frame[:3, :3].ravel())
+        link = link.add_body(pos=frame[:3, 3], quat=turn, mass=1.0, inertia=[1.0, 1.0, 1.0], explicitinertial=True)
+        kind = mujoco.mjtJoint.mjJNT_SLIDE if slides else mujoco.mjtJoint.mjJNT_HINGE
+        link.add_joint(type=kind, axis=[0, 0, 1])
+        links.append(link)
+    capsules = zip(arm.links, arm.starts, arm.ends, arm.radii, strict=True)
+    for number, (carrier, start, end, radius) in enumerate(capsules):
+        capsule = links[carrier].add_geom(name=f"capsule {number}", size=[radius, 0, 0])
+        if (start == end).all():
+            capsule.type, capsule.pos = _Geom.mjGEOM_SPHERE, start
+        else:
+            capsule.type, capsule.fromto = _Geom.mjGEOM_CAPSULE, np.concatenate([start, end])
+    for number in range(count):
+        spec.worldbody.add_geom(name=f"body {number}", type=_Geom.mjGEOM_SPHERE, size=[LEAST_BOUND] * 3, pos=FAR)
+    for geom in spec.geoms:
+        geom.contype = geom.conaffinity = 0  # only pairs collide
+    pairs = [(f"capsule {one}", f"capsule {other}") for one, other in arm.pairs]
+    for number, floor in zip(np.flatnonzero(arm.links), arm.floors, strict=True):
+        pairs += [(f"capsule {number}", f"body {other}") for other in range(count)]
+        pairs += [(f"capsule {number}", "table")] * bool(floor)
+    for one, other in pairs:
+        spec.add_pair(geomname1=one, geomname2=other, condim=1, margin=0, gap=0)
+    return spec.compile()
+
 
 class CollisionChecker:
-    """An arm, the table and room for bodies; it needs neither JAX nor a simulator."""
+    """An arm, the table and room for bodies."""
 
-    def __init__(self, model: mujoco.MjModel, n: int, bodies: list[int]) -> None:
-        """Of a model with an arm of `n` joints and geoms for bodies, see `contact_model.collision_checker`."""
-        self._model, self._n, self._bodies, self._data = model, n, bodies, mujoco.MjData(model)
+    def __init__(self, arm: Arm, count: int) -> None:
+        """Of an arm, and with room for so many bodies."""
+        self._model = model = arm_model(arm, count)
+        self._n, self._data = arm.n, mujoco.MjData(model)
+        self._bodies = [model.geom(f"body {number}").id for number in range(count)]
         holders = model.geom_bodyid[np.stack([model.pair_geom1, model.pair_geom2])]
         self._own = holders.min(axis=0) > 0
 
-    def place(self, geoms: Mapping[str, np.ndarray]) -> None:
-        """Put the bodies where they are, of MuJoCo's arrays `[K, *]` by name, see `contact_model.Geoms`."""
-        for name, numbers in geoms.items():
+    def place(self, bodies: Any) -> None:
+        """Put bodies `[K]` where they are, see `geoms_of`."""
+        for name, numbers in geoms_of(bodies)._asdict().items():
             getattr(self._model, name)[self._bodies] = numbers
 
     def keep(self, outside: float, own: float) -> None:

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
+from reachlab.control.planning.arm import Arm
 from reachlab.control.planning.collision import CollisionChecker
 from reachlab.control.planning.search import Search
-from reachlab.control.planning.timing import Trajectory, timed
+from reachlab.control.planning.timing import Trajectory, ahead, smoothed, timed
 
 NEAREST = 4
 """Branches that are reached soonest: to them a path is looked for first."""
 
-LIMITS = 0.1, 0.3, 0.3, 0.6
+SECONDS = 0.1, 0.3, 0.3, 0.6
 """Times in which a path has to be found [s]: to those and the goal whose joints are known, to any, to that one alone,
 and to any again."""
 
@@ -41,14 +40,8 @@ STRAIGHT = 2
 HALVINGS = 3
 """Times that the parts of a path are halved until the smooth motion along it is free."""
 
-
-class Limits(NamedTuple):
-    """Limits of an arm's joints `[n]`: positions, speeds and accelerations."""
-
-    lower: Sequence[float]
-    upper: Sequence[float]
-    speed: np.ndarray
-    acceleration: np.ndarray
+SLOWER = 0.75
+"""Share of the speed that is kept each time, where an arm that follows late leaves its path the further the faster."""
 
 
 class Planner:
@@ -58,16 +51,16 @@ class Planner:
         checker: it says where the arm is free; bodies are placed by it.
     """
 
-    def __init__(self, checker: CollisionChecker, limits: Limits, scale: float, period: float) -> None:
-        """Of an arm with limits and a workspace of a scale, for control periods [s].
+    def __init__(self, checker: CollisionChecker, arm: Arm) -> None:
+        """Of an arm.
 
         Raises:
             ModuleNotFoundError: OMPL is not installed.
         """
-        self.checker, self._period = checker, period
-        self._search = Search(checker, limits.lower, limits.upper)
-        self._clear = CLEAR * scale
-        self._speed, self._acceleration = SPEED * limits.speed, ACCELERATION * limits.acceleration
+        self.checker, self._arm = checker, arm
+        self._search = Search(checker, arm.lower, arm.upper)
+        self._clear = CLEAR * arm.scale
+        self._speed, self._acceleration = SPEED * arm.speed, ACCELERATION * arm.acceleration
 
     def margins(self, start: np.ndarray, goal: np.ndarray) -> None:
         """Ask for the distances that a path keeps from joints `start [n]` to `goal [n]`, if that can be free at all."""
@@ -82,7 +75,7 @@ class Planner:
         The goals that are reached soonest come first; one of them may be `known [n]` to have a way.
         """
         first = np.vstack([goals[:NEAREST], known])
-        for attempt, (some, limit) in enumerate(zip((first, goals, known[None], goals), LIMITS, strict=True)):
+        for attempt, (some, limit) in enumerate(zip((first, goals, known[None], goals), SECONDS, strict=True)):
             paths: list[np.ndarray] = []
             while len(paths) < TRIES:
                 ends, seed = time.monotonic() + limit, TRIES * attempt + len(paths)
@@ -102,13 +95,24 @@ class Planner:
 
     def _along(self, path: np.ndarray) -> Trajectory | None:
         """The motion along a path, which it follows the closer until it is free; None if it does not come to be."""
+        pace = 1.0
         for _ in range(HALVINGS + 1):
-            motion = timed(path, self._speed, self._acceleration, self._period)
+            motion = self._timed(path, pace)
             if motion is not None and self.leads(motion):
                 return motion
             middle = (path[:-1] + path[1:]) / 2
             path = np.insert(path, np.arange(1, len(path)), middle, axis=0)
+            pace *= SLOWER if self._arm.smooth else 1.0
         return None
+
+    def _timed(self, path: np.ndarray, pace: float) -> Trajectory | None:
+        """The motion along a path at a share of the joints' speeds, as they follow it."""
+        arm = self._arm
+        found = timed(path, pace * self._speed, self._acceleration, arm.period)
+        if found is None or not arm.smooth:
+            return found and ahead(*found, arm.lag)
+        steps = max(round(arm.smooth / arm.period), 1)
+        return smoothed(found[0], steps, arm.share)
 
     def leads(self, motion: Trajectory, first: int = 0) -> bool:
         """Whether a motion is free from its step `first` on."""

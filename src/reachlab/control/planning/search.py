@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,7 @@ class Search:
         checker: it says where the arm is free.
     """
 
-    def __init__(self, checker: CollisionChecker, lower: Sequence[float], upper: Sequence[float]) -> None:
+    def __init__(self, checker: CollisionChecker, lower: np.ndarray, upper: np.ndarray) -> None:
         """Of an arm whose joints have these limits `[n]`.
 
         Raises:

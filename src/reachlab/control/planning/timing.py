@@ -17,15 +17,41 @@ SHORT = 1e-6
 """Parts of a path that are left out [rad]."""
 
 
+SETTLED = 5.0
+"""Times of its servos' lag after which an arm stands where it was sent."""
+
+
 class Trajectory(NamedTuple):
-    """Joints `q [T, n]` [rad or m] and their speeds `qd [T, n]`, a period apart, from rest to rest."""
+    """Joints `q [T, n]` and the commands `[T, n]` that bring them there, from rest to rest, a period apart."""
 
     q: np.ndarray
-    qd: np.ndarray
+    command: np.ndarray
 
 
-def timed(path: np.ndarray, speed: np.ndarray, acceleration: np.ndarray, period: float) -> Trajectory | None:
-    """The motion along a cubic spline through a path `[k, n]` within limits `[n]`; None where there is none.
+def ahead(q: np.ndarray, qd: np.ndarray, lag: np.ndarray) -> Trajectory:
+    """The motion `q [T, n]` with speeds `qd [T, n]` of joints that follow by times `[n]` [s], commanded ahead of it."""
+    return Trajectory(q, q + lag * qd)
+
+
+def smoothed(q: np.ndarray, steps: int, share: np.ndarray) -> Trajectory:
+    """Commands `q [T, n]`, each averaged over so many steps, so that their jerk is bounded; and how joints follow them.
+
+    In a step a joint takes `share [n]` of its way to the command.
+    """
+    settling = int(SETTLED / share.min())
+    held = np.concatenate([np.repeat(q[:1], steps, axis=0), q[1:], np.repeat(q[-1:], steps + settling, axis=0)])
+    sums = np.cumsum(np.concatenate([np.zeros_like(q[:1]), held]), axis=0)
+    command = (sums[steps:] - sums[:-steps]) / steps
+    followed = [command[0]]
+    for one in command[1:]:
+        followed.append(followed[-1] + share * (one - followed[-1]))
+    return Trajectory(np.array(followed), command)
+
+
+def timed(
+    path: np.ndarray, speed: np.ndarray, acceleration: np.ndarray, period: float
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Joints and speeds `[T, n]` on a cubic spline through a path `[k, n]`, within limits `[n]`; None if none are.
 
     By TOPP-RA (Pham and Pham, "A new approach to time-optimal path parameterization based on reachability analysis",
     IEEE Trans. Robotics 34(3), 2018).
@@ -42,7 +68,7 @@ def timed(path: np.ndarray, speed: np.ndarray, acceleration: np.ndarray, period:
     path = path[np.append(True, lengths > SHORT)]
     along = np.append(0.0, np.cumsum(lengths[lengths > SHORT]))
     if len(path) == 1:
-        return Trajectory(path, np.zeros_like(path))
+        return path, np.zeros_like(path)
     spline = SplineInterpolator(along, path, bc_type="natural")
     limits = [
         JointVelocityConstraint(np.stack([-speed, speed], axis=1)),
@@ -53,4 +79,4 @@ def timed(path: np.ndarray, speed: np.ndarray, acceleration: np.ndarray, period:
     if motion is None:
         return None
     times = np.minimum(np.arange(0.0, motion.duration + period, period), motion.duration)
-    return Trajectory(motion(times), motion(times, 1))
+    return motion(times), motion(times, 1)

@@ -23,6 +23,7 @@ from reachlab.deploy.onboard.log import Log, read_log
 from reachlab.deploy.onboard.reading import in_words, read_bodies, read_numbers, read_seconds
 from reachlab.deploy.onboard.step import load_step
 from reachlab.deploy.onboard.watching import JUMP, Watch
+from reachlab.deploy.onboard.ways import PlannerProcess, Told, Way
 
 ASIDE = 0.01
 """How far past its limits an arm may rest that is taken over; its commands begin at the limit [rad or m]."""
@@ -50,11 +51,13 @@ class Controller:
         home_quaternion: orientation `[4]`, wxyz, of the tool at home.
     """
 
-    def __init__(self, folder: str | Path) -> None:
+    def __init__(self, folder: str | Path, *, planner: bool = True) -> None:
         """Controller of the policy in a folder that `reachlab export` wrote.
 
         Args:
             folder: the folder, with `policy.json`, `policy.safetensors` and `step.py`, which is run.
+            planner: where one was exported too, start it, in a process that ends with this one, and let it take over
+                where the policy does not get through.
 
         Raises:
             ValueError: a file is broken or of another export, or a limit is wider than what was exported.
@@ -81,6 +84,8 @@ class Controller:
         self._aim = Aim(facts["goal"], len(self.joints), step)
         self.asks_orientation, self.goal_box = self._aim.poses, self._aim.box
         self.home_quaternion = np.array(self._tool(self.home.tolist())[1])
+        plans = planner and "planner" in facts
+        self._way = Way(facts, PlannerProcess(folder), self._tool) if plans else None
         self._watch = Watch(facts, widest)
         self.limits = MotionLimits(**limits, period=self.period)
         self._log = Log()
@@ -115,8 +120,9 @@ class Controller:
         self.motion = self.limits.at_rest(np.clip(q, self._lower, self._upper))
         self._watch.reset(q)
         self._aim.clear()
-        if self._followed:
-            self._followed.clear()
+        for kept in (self._followed, self._way):
+            if kept:
+                kept.clear()
         self._action, self.problem = [0.0] * self._inputs["last_action"][0], ""
         self._memory = [0.0] * self._inputs.get("memory", [0])[0]
         self._stopped, self.braking, self._is_new = "", False, False
@@ -163,6 +169,8 @@ class Controller:
         self._hold_where_measured(q)
         before = self.motion.position
         problem, brake = self._watch.look(q, qd, seconds, before)
+        if self._way:
+            self._way.listen()
         wanted, refused = before, self._stopped
         at_rest = bool((self.motion.stop_step >= self.limits.steps).all())
         if not refused and seconds is not None:
@@ -180,7 +188,10 @@ class Controller:
         self.braking = now or was
         self.motion = self.limits.advance(self.motion, wanted, self.braking)
         command = self.motion.position
-        self._log.add((q, qd, goal, seconds, velocity, around, things, joints, command, self.problem))
+        if self._way:
+            self._way.ask(command)
+        planned = self._way and self._way.told
+        self._log.add((q, qd, goal, seconds, velocity, around, things, joints, command, self.problem, planned))
         return command.copy()
 
     def _hold_where_measured(self, q: Any) -> None:
@@ -214,23 +225,12 @@ class Controller:
         given.update({f"goal_{name}": part for name, part in goal.items()})
         if goal["position"] is None:
             given["goal_position"], _ = self._tool(given["q"])
-        if "picture" in inputs:
-            if picture is None and self._aim.hides:
-                picture = np.zeros(inputs["picture"], np.uint8)
-            if picture is None or list(np.shape(picture)) != inputs["picture"]:
-                return rest, f"the policy needs a picture of {inputs['picture']} pixels"
-            given["picture"] = picture
-        if "bodies_kind" in inputs:
-            try:
-                obstacles, objects, seconds = bodies
-                around = placed(
-                    obstacles, inputs["bodies_kind"][0], objects, *self._objects, moving=self._moving, seconds=seconds
-                )
-                if self._followed:
-                    self._followed.fill(around, obstacles, seconds)
-            except ValueError as error:
-                return rest, str(error)
-            given.update({f"bodies_{name}": numbers for name, numbers in around.items()})
+        if refused := self._look_around(given, bodies, picture):
+            return rest, refused
+        if self._way:
+            planned, refused = self._way.command(goal, given, bodies[2])
+            if planned is not None:
+                return planned, refused
         with np.errstate(all="ignore"):  # what is not finite is refused below
             action, wanted, *memory = self._decide(**{name: given[name] for name in inputs})
         wanted = np.array(wanted)
@@ -238,6 +238,27 @@ class Controller:
             return rest, "the policy's command is not finite"
         self._action, self._memory = action, memory[0] if memory else []
         return wanted, ""
+
+    def _look_around(self, given: dict[str, Any], bodies: Any, picture: Any) -> str:
+        """Add a picture and bodies to what is given, as the policy needs them, and say what is wrong with them."""
+        inputs = self._inputs
+        if "picture" in inputs:
+            if picture is None and self._aim.hides:
+                picture = np.zeros(inputs["picture"], np.uint8)
+            if picture is None or list(np.shape(picture)) != inputs["picture"]:
+                return f"the policy needs a picture of {inputs['picture']} pixels"
+            given["picture"] = picture
+        if "bodies_kind" in inputs:
+            obstacles, objects, seconds = bodies
+            room = inputs["bodies_kind"][0]
+            try:
+                around = placed(obstacles, room, objects, *self._objects, moving=self._moving, seconds=seconds)
+                if self._followed:
+                    self._followed.fill(around, obstacles, seconds)
+            except ValueError as error:
+                return str(error)
+            given.update({f"bodies_{name}": numbers for name, numbers in around.items()})
+        return ""
 
     # --- log ----------------------------------------------------------------------------------------
 
@@ -251,10 +272,14 @@ class Controller:
     def replay(self, file: str | Path) -> float:
         """Take the control steps of a log again, and give the largest difference of a command [rad or m].
 
-        The log has to begin with a `reset`, as it does unless it has grown too long.
+        The log has to begin with a `reset`, as it does unless it has grown too long. What a planner answered is taken
+        from it: from then on this controller has none.
         """
-        worst = 0.0
+        worst, told = 0.0, Told()
+        if self._way:
+            self._way.planner = told
         for entry in read_log(Path(file)):
+            told.next = entry.pop("planned", None)
             if "reset" in entry:
                 self._make_anew() if entry["reset"] is None else self.reset(entry["reset"])
             elif "stop" in entry:

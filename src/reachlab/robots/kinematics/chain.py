@@ -63,6 +63,11 @@ class Chain:
         mujoco.mju_mat2Quat(quaternion, transform[:3, :3].ravel())
         return transform[:3, 3], quaternion
 
+    @property
+    def between(self) -> np.ndarray:
+        """The fixed transforms as matrices `[n + 1, 4, 4]`."""
+        return np.stack([_matrix(*frame) for frame in self.frames])
+
     def links_at(self, q: Sequence[float] | np.ndarray) -> np.ndarray:
         """Transforms `[..., n + 1, 4, 4]` of the links at joint vectors `[..., n]`, without JAX.
 

@@ -15,10 +15,12 @@ import jax
 import numpy as np
 import safetensors.numpy
 from numpy.random import Generator
+from scipy.spatial.transform import Rotation
 
 from reachlab.control.bodies import FAR, Bodies, Shape
-from reachlab.control.branches import free_branches, make_solver
-from reachlab.control.contact_model import collision_checker, geoms_of
+from reachlab.control.contact_model import arm_of
+from reachlab.control.planning.branches import branches, free_branches
+from reachlab.control.planning.collision import CollisionChecker
 from reachlab.control.planning.search import Search
 from reachlab.robots.robot import Robot
 from reachlab.settings.cache import cache_folder
@@ -100,8 +102,7 @@ def _kept(robot: Robot, scene: str, name: str) -> Bank:
     with contextlib.suppress(Exception):  # whatever is wrong with it, it is made anew
         arrays: dict[str, Any] = safetensors.numpy.load(file.read_bytes())
         return Bank(arrays.pop("start"), arrays.pop("joints"), Bodies(**arrays))
-    with jax.ensure_compile_time_eval():  # also where a caller is being traced
-        bank = _drawn(robot, scene)
+    bank = _drawn(robot, scene)
     with contextlib.suppress(OSError):
         file.parent.mkdir(parents=True, exist_ok=True)
         part = file.with_suffix(f".{os.getpid()}.part")
@@ -154,29 +155,27 @@ class _Finder:
     """Finds out which scenes have a start, a goal and a way between them."""
 
     def __init__(self, robot: Robot, kind: Kind) -> None:
-        self._robot, self._kind, chain = robot, kind, robot.chain
-        self._checker = collision_checker(robot, kind.bodies)
+        self._arm, self._kind = arm_of(robot), kind
+        self._checker = CollisionChecker(self._arm, kind.bodies)
         self._checker.keep(CLEAR * robot.scale, OWN)
-        self._search = Search(self._checker, chain.lower, chain.upper)
-        self._solve = make_solver(robot)
+        self._search = Search(self._checker, self._arm.lower, self._arm.upper)
 
     def joints(self, places: Sequence[Place | None], rng: Generator) -> list[np.ndarray]:
         """Joint vectors `[k, n]` that have each place; home where there is none."""
-        chain, home = self._robot.chain, np.array(self._robot.home)
         some = [Place((0.5, 0.0, 0.5), kinds.DOWN, 0.0) if place is None else place for place in places]
         position = self._kind.place([place.position for place in some])
-        quaternion = np.array([_pointing(place, np.array(chain.approach), rng) for place in some])
-        found = self._solve(position, quaternion, rng)
-        return [home[None] if place is None else one for place, one in zip(places, found, strict=True)]
+        rotation = np.array([_pointing(place, self._arm.approach, rng) for place in some])
+        found = branches(self._arm, position, rotation, rng)
+        return [self._arm.home[None] if place is None else one for place, one in zip(places, found, strict=True)]
 
     def way(self, drawn: Drawn, starts: np.ndarray, goals: np.ndarray) -> tuple[np.ndarray, np.ndarray, Bodies] | None:
         """Joints at start and goal and the bodies, if there is a way and it is not straight to any branch."""
         bodies = _bodies(drawn.bodies, self._kind.bodies, self._kind)
-        self._checker.place(geoms_of(bodies)._asdict())
+        self._checker.place(bodies)
         start = next(filter(self._checker.free, starts), None)
         if start is None:
             return None
-        goals = free_branches(self._checker, self._robot, goals, start)
+        goals = free_branches(self._checker, self._arm, goals, start)
         if not len(goals) or any(self._checker.straight(start, goal) for goal in goals):
             return None
         rounds = iter(range(ROUNDS))
@@ -201,14 +200,13 @@ def _bodies(drawn: Sequence[Body], room: int, kind: Kind) -> Bodies:
 
 
 def _pointing(place: Place, approach: np.ndarray, rng: Generator) -> np.ndarray:
-    """An orientation wxyz of the tool, turned at random about where it points, which is tilted."""
+    """An orientation `[3, 3]` of the tool, turned at random about where it points, which is tilted."""
     way = place.direction + rng.normal(0.0, place.tilt, 3)
     way /= np.linalg.norm(way)
     halfway = approach + way
     if np.linalg.norm(halfway) < OPPOSITE:
         halfway = np.cross(approach, np.roll(approach, 1))
+    halfway /= np.linalg.norm(halfway)
+    angle = rng.uniform(-np.pi, np.pi)
     # Half a turn about what lies halfway takes the one to the other.
-    x, y, z = halfway / np.linalg.norm(halfway)
-    angle = rng.uniform(-np.pi, np.pi) / 2
-    w, (a, b, c) = np.cos(angle), np.sin(angle) * way
-    return np.array([-a * x - b * y - c * z, w * x + b * z - c * y, w * y + c * x - a * z, w * z + a * y - b * x])
+    return Rotation.from_rotvec(angle * way).as_matrix() @ (2.0 * np.outer(halfway, halfway) - np.eye(3))

@@ -1,0 +1,81 @@
+"""What planning has to know of an arm, as plain numbers: a controller reads them from a file."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+SHORTEST = 1e-6
+"""Stands for a lag that is shorter [s]."""
+
+
+class Arm(NamedTuple):
+    """An arm of `n` joints with a tool, on a table, its links contained in `C` capsules.
+
+    Attributes:
+        frames: what stands still before each joint, and after the last one `[n + 1, 4, 4]` [m]; see `Chain`.
+        slides: which joints slide along the z axis of their frame; others turn about it `[n]`.
+        lower, upper: limits of the joints `[n]` [rad or m].
+        speed, acceleration: likewise, of motions that its servos follow [rad/s or m/s, and per s].
+        smooth: time over which commands are averaged, where their jerk is bounded too; else 0 [s].
+        lag: times by which the joints follow commands `[n]` [s].
+        home: joints `[n]`.
+        approach: axis of the tool's frame along which it points `[3]`.
+        table: height of the table's top [m].
+        scale: of its workspace.
+        period: of its commands [s].
+        links: which link carries each capsule `[C]`; 0 is the base, and link `k + 1` is what joint `k` moves.
+        starts, ends, radii: where they are in their links' frames `[C, 3]`, `[C, 3]`, `[C]` [m].
+        pairs: capsules that may not meet, by their numbers `[P, 2]`.
+        floors: whether each of those that move may not meet the table.
+    """
+
+    frames: np.ndarray
+    slides: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    speed: np.ndarray
+    acceleration: np.ndarray
+    smooth: float
+    lag: np.ndarray
+    home: np.ndarray
+    approach: np.ndarray
+    table: float
+    scale: float
+    period: float
+    links: np.ndarray
+    starts: np.ndarray
+    ends: np.ndarray
+    radii: np.ndarray
+    pairs: np.ndarray
+    floors: np.ndarray
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.slides)
+
+    @property
+    def share(self) -> np.ndarray:
+        """Share of its way to a command that each joint takes in a period `[n]`."""
+        return 1.0 - np.exp(-self.period / np.maximum(self.lag, SHORTEST))
+
+    @property
+    def poses(self) -> bool:
+        """Whether it has the six joints that an orientation takes; with fewer the tool's tilt alone is held."""
+        return self.n >= 6
+
+    def links_at(self, q: np.ndarray) -> np.ndarray:
+        """Transforms `[..., n + 1, 4, 4]` of what the joints move at `q [..., n]`, and of the tool."""
+        before, found = np.eye(4), []
+        for frame, slide, value in zip(self.frames, self.slides, np.moveaxis(q, -1, 0), strict=False):
+            moved = np.zeros((*value.shape, 4, 4)) + np.eye(4)
+            if slide:
+                moved[..., 2, 3] = value
+            else:
+                cos, sin = np.cos(value), np.sin(value)
+                moved[..., 0, 0], moved[..., 0, 1], moved[..., 1, 0], moved[..., 1, 1] = cos, -sin, sin, cos
+            before = before @ frame @ moved
+            found.append(before)
+        return np.stack([*found, before @ self.frames[-1]], axis=-3)

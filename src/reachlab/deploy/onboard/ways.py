@@ -1,0 +1,216 @@
+"""Who moves the arm: the policy where it gets through, else a motion that a planner in another process has found."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import threading
+import weakref
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from reachlab.control.planning.following import PATIENCE, PROGRESS, Follower
+from reachlab.control.planning.timing import Trajectory
+
+DEADLINE = 5.0
+"""Time in which a planner has to answer [s]."""
+
+STARTS = 60.0
+"""Time in which it has to have started [s]."""
+
+ENDED = "the planner has ended: it needs mujoco, ompl and toppra, and says on standard error what is wrong"
+
+LATE = 1.5
+"""Control periods from which on the arm has not been where its motion was."""
+
+
+class PlannerProcess:
+    """`planner.py` of an exported folder, in a process of its own: it is asked, and answers when it has found out."""
+
+    def __init__(self, folder: Path) -> None:
+        """Start it, and wait until it is ready, or has ended."""
+        pipe, command = subprocess.PIPE, [sys.executable, str(folder / "planner.py"), str(folder)]
+        process = subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, start_new_session=True)  # noqa: S603
+        self._process, self._answers, came = process, deque[dict[str, Any]](), threading.Event()
+        threading.Thread(target=_read, args=(process.stdout, self._answers, came), daemon=True).start()
+        self._end = weakref.finalize(self, _end, process)
+        if came.wait(STARTS) and "ready" in self._answers[0]:
+            self._answers.popleft()
+
+    def ask(self, request: dict[str, Any]) -> None:
+        """Ask it; it never waits, as long as nothing else is asked before the answer has come."""
+        try:
+            self._input.write(json.dumps(request) + "\n")
+            self._input.flush()
+        except OSError:
+            pass  # an answer says that it has ended
+
+    def answer(self) -> dict[str, Any] | None:
+        """An answer that has come, or None. That it has ended stays its answer."""
+        if not self._answers:
+            return None
+        return self._answers[0] if "ended" in self._answers[0] else self._answers.popleft()
+
+    @property
+    def _input(self) -> Any:
+        return self._process.stdin
+
+    def close(self) -> None:
+        """End it."""
+        self._end()
+
+
+def _read(lines: Any, answers: deque[dict[str, Any]], came: threading.Event) -> None:
+    for line in lines:
+        answers.append(json.loads(line))
+        came.set()
+    answers.append({"ended": True})
+    came.set()
+
+
+def _end(process: subprocess.Popen[str]) -> None:
+    process.kill()
+    process.wait()
+    for pipe in (process.stdin, process.stdout):
+        if pipe is not None:
+            pipe.close()
+
+
+class Told:
+    """Answers of a log, in place of a planner."""
+
+    def __init__(self) -> None:
+        """There is none yet."""
+        self.next: dict[str, Any] | None = None
+
+    def ask(self, request: dict[str, Any]) -> None:
+        """What was asked has its answer in the log."""
+
+    def answer(self) -> dict[str, Any] | None:
+        """The answer that came in this control step, if any did."""
+        told, self.next = self.next, None
+        return told
+
+
+class Way:
+    """Decides in each control step who moves the arm.
+
+    To a new goal the policy moves at once, for one step. The planner is told where that leads, and finds out whether
+    the policy would get through from there and soon; otherwise it plans a motion. Until it has answered the arm waits
+    there. A policy that comes no nearer is taken over from, and a motion is given up where bodies have moved into it.
+
+    Attributes:
+        planner: it is asked.
+        told: what it has answered in this control step; None where it has not.
+    """
+
+    def __init__(self, facts: dict[str, Any], planner: Any, tool: Callable[[list[float]], Any]) -> None:
+        """Of an exported policy whose tool is where `tool` says."""
+        arm, goal = facts["planner"]["arm"], facts["goal"]
+        self.planner, self._tool, self._period = planner, tool, float(arm["period"])
+        self._near, self._follower = goal["success_distance"], Follower(arm["lag"], arm["speed"], self._period)
+        self._asked = 0
+        self.clear()
+
+    def clear(self) -> None:
+        """Have nothing to do, and forget what was."""
+        self.told: dict[str, Any] | None = None
+        self._goal: Any = None
+        self._motion: Trajectory | None = None
+        self._forget(trust=True)
+        self._checked, self._outstanding, self._asked = None, None, self._asked + 1
+
+    def _forget(self, *, trust: bool) -> None:
+        """Ask in the next step what to do, and whether to trust the policy; what is still to be answered is stale."""
+        self._mode, self._trust, self._moved, self._asked = "ask", trust, False, self._asked + 1
+
+    def command(self, goal: dict[str, Any], given: dict[str, Any], seconds: float) -> tuple[np.ndarray | None, str]:
+        """The next command `[n]`, None where it is the policy's; and why there is none, if so.
+
+        Args:
+            goal: it has `joints` and a `position`.
+            given: what the policy would decide by.
+            seconds: of this control step.
+        """
+        scene = {name: given["bodies_" + name] for name in ("kind", "position", "quaternion", "size")}
+        if goal["joints"] != self._goal:
+            self._goal = goal["joints"]
+            self._forget(trust=True)
+        elif self._mode == "follow" and seconds - self._seconds > LATE * self._period:
+            self._forget(trust=False)
+        elif self._mode == "none" and scene != self._scene:
+            self._forget(trust=True)
+        self._seconds, self._scene, held = seconds, scene, np.array(given["command"])
+        self._take(self.told)
+        if self._outstanding is not None and seconds - self._since > DEADLINE:
+            return held, f"the planner has not answered for {DEADLINE:g} s"
+        return self._by_mode(goal, given, held)
+
+    def _by_mode(self, goal: dict[str, Any], given: dict[str, Any], held: np.ndarray) -> tuple[np.ndarray | None, str]:
+        q = np.array(given["q"])
+        if self._mode == "ended":
+            return held, ENDED
+        if self._mode == "none":
+            return held, "the planner finds no way to the goal"
+        if self._mode == "ask":
+            first, self._moved = self._trust and not self._moved, True
+            return (None if first else held), ""
+        if self._mode == "wait":
+            return self._start, ""
+        if self._mode == "follow" and self._motion:
+            command = self._follower.command(self._motion, self._step, q, held)
+            self._step += 1
+            return command, ""
+        distance = float(np.linalg.norm(np.subtract(self._tool(given["q"])[0], goal["position"])))
+        if distance < max(self._nearest - PROGRESS, self._near):
+            self._nearest, self._came = distance, self._seconds
+        if self._seconds - self._came <= PATIENCE:
+            return None, ""
+        self._forget(trust=False)
+        return held, ""
+
+    def listen(self) -> None:
+        """See whether the planner has answered."""
+        told = self.planner.answer()
+        if told is not None and "current" not in told:
+            told = {**told, "current": told.get("number") == self._asked}
+        self.told = told
+
+    def _take(self, told: dict[str, Any] | None) -> None:
+        """Do what the planner has answered."""
+        if told is None:
+            return
+        self._outstanding = None
+        if "ended" in told:
+            self._mode = "ended"
+        elif not told["current"]:
+            return
+        elif "leads" in told:
+            if not told["leads"]:
+                self._forget(trust=False)
+        elif "q" in told:
+            self._mode, self._step = "follow", 0
+            self._motion = Trajectory(np.array(told["q"]), np.array(told["command"]))
+        elif told.get("policy"):
+            self._mode, self._nearest, self._came = "policy", np.inf, self._seconds
+        else:
+            self._mode = "none"
+
+    def ask(self, command: np.ndarray) -> None:
+        """Ask the planner what is to be asked, when `command [n]` has been given."""
+        if self._outstanding is not None:
+            return
+        if self._mode == "ask" and self._moved:
+            self._mode, self._start = "wait", command.copy()
+            self._send({"start": command.tolist(), "goal": self._goal, "policy": self._trust})
+        elif self._mode == "follow" and self._scene != self._checked:
+            self._send({"step": self._step})
+
+    def _send(self, request: dict[str, Any]) -> None:
+        self._checked, self._since, self._outstanding = self._scene, self._seconds, self._asked
+        self.planner.ask({**request, "number": self._asked, "bodies": self._scene})
