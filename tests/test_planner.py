@@ -15,9 +15,10 @@ from reachlab.agents.planner import Following, plans_for
 from reachlab.agents.policy import Policy
 from reachlab.control.bodies import Bodies
 from reachlab.control.planning import planner
+from reachlab.control.planning.following import Trajectory
 from reachlab.control.planning.planner import ACCELERATION, SPEED
 from reachlab.control.planning.plans import Plans
-from reachlab.control.planning.timing import Trajectory, timed
+from reachlab.control.planning.timing import timed
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState
 from reachlab.envs.presets import configure

@@ -14,9 +14,8 @@ from reachlab.agents.acting import decide
 from reachlab.agents.baselines import ik
 from reachlab.agents.policy import Policy
 from reachlab.control.contact_model import arm_of
-from reachlab.control.planning.following import Follower
+from reachlab.control.planning.following import Follower, Trajectory
 from reachlab.control.planning.plans import Plans
-from reachlab.control.planning.timing import Trajectory
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState, Transition
 from reachlab.jax_setup import jit

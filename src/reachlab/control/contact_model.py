@@ -25,6 +25,11 @@ FOLLOWED = 0.45
 """Largest acceleration of a planned motion, in full speeds in a time of the servos' lag: more would take too fast
 commands."""
 
+PLANNED, HALVING, SMOOTHING = 0.9, 0.06, 3.2
+"""Of motions within limits of jerk: the share of the fastest speed that they have; how long jerk takes to reach the
+limit of acceleration where they have half of it [s]; and over how many times as long commands are averaged. With these,
+motions through random joint vectors leave what was planned by 6 mrad at most, on three arms."""
+
 TINY = 1e-6
 """Divides in place of a smaller time [s]."""
 
@@ -117,8 +122,9 @@ def arm_of(robot: Robot, lag: Sequence[float] = (), period: float = 0.02, within
     late, smooth = np.array(lag or np.zeros(chain.n)), 0.0
     acceleration = np.minimum(robot.acceleration, FOLLOWED * speed / np.maximum(late, TINY))
     if within:
-        speed, acceleration = within.fastest, within.acceleration
-        smooth = float((2 * acceleration / within.jerk).max())
+        ramp = within.acceleration / within.jerk
+        speed, acceleration = PLANNED * within.fastest, within.acceleration / (1.0 + ramp / HALVING)
+        smooth = max(SMOOTHING * float(ramp.max()), period)
     return Arm(
         frames=chain.between,
         slides=np.array(chain.slides),

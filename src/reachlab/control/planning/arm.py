@@ -6,8 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-SHORTEST = 1e-6
-"""Stands for a lag that is shorter [s]."""
+from reachlab.control.planning.following import SHORTEST
 
 
 class Arm(NamedTuple):

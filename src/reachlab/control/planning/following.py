@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
-
-from reachlab.control.planning.arm import SHORTEST
-from reachlab.control.planning.timing import Trajectory
 
 GAIN = 0.5
 """Share of what an arm lags more than its servos do that its command is corrected by in a time of their lag."""
@@ -18,6 +16,17 @@ PATIENCE, PROGRESS = 0.2, 0.002
 DETOUR, REST = 1.75, 0.3
 """A policy's way is taken where it lasts up to so many times as long as the joints would take straight to the goal at
 full speed, as planned ways do in the median, and so long to come to rest there [s]."""
+
+
+SHORTEST = 1e-6
+"""Stands for a lag that is shorter [s]."""
+
+
+class Trajectory(NamedTuple):
+    """Joints `q [T, n]` and the commands `[T, n]` that bring them there, from rest to rest, a period apart."""
+
+    q: np.ndarray
+    command: np.ndarray
 
 
 class Follower:

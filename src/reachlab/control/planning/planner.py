@@ -8,8 +8,9 @@ import numpy as np
 
 from reachlab.control.planning.arm import Arm
 from reachlab.control.planning.collision import CollisionChecker
+from reachlab.control.planning.following import Trajectory
 from reachlab.control.planning.search import Search
-from reachlab.control.planning.timing import Trajectory, ahead, smoothed, timed
+from reachlab.control.planning.timing import ahead, smoothed, timed
 
 NEAREST = 4
 """Branches that are reached soonest: to them a path is looked for first."""

@@ -11,8 +11,8 @@ import numpy as np
 from reachlab.control.planning.arm import Arm
 from reachlab.control.planning.branches import branches, free_branches
 from reachlab.control.planning.collision import CollisionChecker
+from reachlab.control.planning.following import Trajectory
 from reachlab.control.planning.planner import Planner
-from reachlab.control.planning.timing import Trajectory
 
 TILTED = (3, 0.35), (24, 2.0)
 """Where any orientation of the tool will do, poses beside the goal's own to which is planned, and how far they are

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import logging
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
+
+from reachlab.control.planning.following import Trajectory
 
 STEP = 0.03
 """Distance along a path between the points at which its speed is found [rad]."""
@@ -19,13 +21,6 @@ SHORT = 1e-6
 
 SETTLED = 5.0
 """Times of its servos' lag after which an arm stands where it was sent."""
-
-
-class Trajectory(NamedTuple):
-    """Joints `q [T, n]` and the commands `[T, n]` that bring them there, from rest to rest, a period apart."""
-
-    q: np.ndarray
-    command: np.ndarray
 
 
 def ahead(q: np.ndarray, qd: np.ndarray, lag: np.ndarray) -> Trajectory:

@@ -132,6 +132,11 @@ class Controller:
         self._stopped = "stop() was called"
         self._log.add({"stop": True})
 
+    def close(self) -> None:
+        """End what was started beside it."""
+        if self._way:
+            self._way.planner.close()
+
     def step(
         self,
         q: Any,
@@ -169,8 +174,6 @@ class Controller:
         self._hold_where_measured(q)
         before = self.motion.position
         problem, brake = self._watch.look(q, qd, seconds, before)
-        if self._way:
-            self._way.listen()
         wanted, refused = before, self._stopped
         at_rest = bool((self.motion.stop_step >= self.limits.steps).all())
         if not refused and seconds is not None:
@@ -188,9 +191,7 @@ class Controller:
         self.braking = now or was
         self.motion = self.limits.advance(self.motion, wanted, self.braking)
         command = self.motion.position
-        if self._way:
-            self._way.ask(command)
-        planned = self._way and self._way.told
+        planned = self._way.ask(command) if self._way else None
         self._log.add((q, qd, goal, seconds, velocity, around, things, joints, command, self.problem, planned))
         return command.copy()
 

@@ -15,9 +15,8 @@ import numpy as np
 
 from reachlab.control.motion_limits import MotionLimits
 from reachlab.control.planning.arm import Arm
-from reachlab.control.planning.following import longest_way
+from reachlab.control.planning.following import Trajectory, longest_way
 from reachlab.control.planning.plans import Plans
-from reachlab.control.planning.timing import Trajectory
 from reachlab.deploy.onboard.folder import LIMITS, read_folder
 from reachlab.deploy.onboard.step import load_step
 

@@ -14,8 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from reachlab.control.planning.following import PATIENCE, PROGRESS, Follower
-from reachlab.control.planning.timing import Trajectory
+from reachlab.control.planning.following import PATIENCE, PROGRESS, Follower, Trajectory
 
 DEADLINE = 5.0
 """Time in which a planner has to answer [s]."""
@@ -96,6 +95,9 @@ class Told:
         told, self.next = self.next, None
         return told
 
+    def close(self) -> None:
+        """Nothing was started."""
+
 
 class Way:
     """Decides in each control step who moves the arm.
@@ -106,7 +108,6 @@ class Way:
 
     Attributes:
         planner: it is asked.
-        told: what it has answered in this control step; None where it has not.
     """
 
     def __init__(self, facts: dict[str, Any], planner: Any, tool: Callable[[list[float]], Any]) -> None:
@@ -119,7 +120,7 @@ class Way:
 
     def clear(self) -> None:
         """Have nothing to do, and forget what was."""
-        self.told: dict[str, Any] | None = None
+        self._told: dict[str, Any] | None = None
         self._goal: Any = None
         self._motion: Trajectory | None = None
         self._forget(trust=True)
@@ -146,7 +147,7 @@ class Way:
         elif self._mode == "none" and scene != self._scene:
             self._forget(trust=True)
         self._seconds, self._scene, held = seconds, scene, np.array(given["command"])
-        self._take(self.told)
+        self._listen()
         if self._outstanding is not None and seconds - self._since > DEADLINE:
             return held, f"the planner has not answered for {DEADLINE:g} s"
         return self._by_mode(goal, given, held)
@@ -174,18 +175,14 @@ class Way:
         self._forget(trust=False)
         return held, ""
 
-    def listen(self) -> None:
-        """See whether the planner has answered."""
+    def _listen(self) -> None:
+        """Do what the planner has answered, if it has."""
         told = self.planner.answer()
-        if told is not None and "current" not in told:
-            told = {**told, "current": told.get("number") == self._asked}
-        self.told = told
-
-    def _take(self, told: dict[str, Any] | None) -> None:
-        """Do what the planner has answered."""
         if told is None:
             return
-        self._outstanding = None
+        if "current" not in told:
+            told = {**told, "current": told.get("number") == self._asked}
+        self._told, self._outstanding = told, None
         if "ended" in told:
             self._mode = "ended"
         elif not told["current"]:
@@ -201,15 +198,17 @@ class Way:
         else:
             self._mode = "none"
 
-    def ask(self, command: np.ndarray) -> None:
-        """Ask the planner what is to be asked, when `command [n]` has been given."""
+    def ask(self, command: np.ndarray) -> dict[str, Any] | None:
+        """Ask the planner what is to be asked, now that `command [n]` is given; what it has answered in this step."""
+        told, self._told = self._told, None
         if self._outstanding is not None:
-            return
+            return told
         if self._mode == "ask" and self._moved:
             self._mode, self._start = "wait", command.copy()
             self._send({"start": command.tolist(), "goal": self._goal, "policy": self._trust})
         elif self._mode == "follow" and self._scene != self._checked:
             self._send({"step": self._step})
+        return told
 
     def _send(self, request: dict[str, Any]) -> None:
         self._checked, self._since, self._outstanding = self._scene, self._seconds, self._asked
