@@ -81,6 +81,10 @@ class ObjectWorld(World):
 
     What is in motion is a row of numbers: positions and speeds `[2 m]` of the joints, the gripper's after the arm's,
     then pose and velocity `[13]` of each object, as in `Bodies`.
+
+    Attributes:
+        touch: force [N] on the hand and its moment about the world's origin [Nm] `[6]`, mean of the last control
+            period; nothing where the wrench is not measured.
     """
 
     def __init__(
@@ -101,10 +105,14 @@ class ObjectWorld(World):
         self._objects: list[int] = []
         self._cross: list[int] = []
         self._mass, self._friction = scene.mass, scene.friction
+        # The engine tells the contacts of its last step alone: where the wrench is measured, each is a call.
+        self._feels, self._calls = scene.wrench, substeps(period) if scene.wrench else 1
+        self.touch = np.zeros(6)
         bullet = self.bullet
         kinds = {Shape.BALL: bullet.GEOM_SPHERE, Shape.CYLINDER: bullet.GEOM_CYLINDER, Shape.BOX: bullet.GEOM_BOX}
         self._kind = kinds[scene.shape]
-        bullet.setPhysicsEngineParameter(numSubSteps=substeps(period), numSolverIterations=ITERATIONS)
+        bullet.setPhysicsEngineParameter(numSubSteps=substeps(period) // self._calls, numSolverIterations=ITERATIONS)
+        bullet.setTimeStep(period / self._calls)
         for body in self._furniture:
             bullet.setCollisionFilterGroupMask(body, -1, 0, 0)
         for link in range(bullet.getNumJoints(self._arm)):
@@ -195,10 +203,22 @@ class ObjectWorld(World):
         targets = command.tolist()
         keys = dict(zip(("positionGains", "velocityGains", "forces"), self._motors, strict=True))
         bullet.setJointMotorControlArray(self._arm, self._all, bullet.POSITION_CONTROL, targets, **keys)
-        for body in self._objects:
-            place = bullet.getBasePositionAndOrientation(body)[0]
-            bullet.applyExternalForce(body, -1, (0, 0, -EARTH * self._mass), place, bullet.WORLD_FRAME)
-        bullet.stepSimulation()
+        self.touch = np.zeros(6)
+        for _ in range(self._calls):
+            for body in self._objects:
+                place = bullet.getBasePositionAndOrientation(body)[0]
+                bullet.applyExternalForce(body, -1, (0, 0, -EARTH * self._mass), place, bullet.WORLD_FRAME)
+            bullet.stepSimulation()
+            if self._feels:
+                self.touch += self._contacts() / self._calls
+
+    def _contacts(self) -> np.ndarray:
+        """Force [N] of the engine's last step on the hand, and its moment about the world's origin [Nm], `[6]`."""
+        total = np.zeros(6)
+        for _, _, _, _, _, place, _, normal, _, most, one, along, other, across in self.bullet.getContactPoints(self._arm):
+            force = most * np.array(normal) + one * np.array(along) + other * np.array(across)
+            total += *force, *np.cross(place, force)
+        return total
 
 
 def substeps(period: float) -> int:
