@@ -102,8 +102,8 @@ def print_reports(reports: Sequence[dict[str, Any]], config: RunConfig) -> None:
             median, p99 = 1000 * times["median"], 1000 * times["p99"]
             say(f"{_who(report)} planned for {median:.0f} ms, in 99 % of the episodes for at most {p99:.0f} ms.")
         if force := report.get("largest_force_n"):
-            most = f"{_newtons(force['median'])} in the median, in 95 % of the episodes at most {_newtons(force['p95'])}"
-            say(f"Largest force at the wrist in an episode, {_who(report)}: {most}.")
+            median, p95 = (f"{force[name]:.3g} N" for name in ("median", "p95"))
+            say(f"{_who(report)} felt at most {median} at the wrist in the median episode, {p95} in 95 % of them.")
     if (straight := first.get("straight")) is not None:
         say(f"{_percent(straight)} of the episodes need no avoiding: the straight way of the joints is free.")
 
@@ -168,10 +168,6 @@ def _percent(share: float) -> str:
 
 def _millimetres(error: float | None) -> str:
     return "not held" if error is None else f"{error:.2g} mm" if error < 1 else f"{error:.1f} mm"
-
-
-def _newtons(force: float) -> str:
-    return f"{force:.3g} N"
 
 
 def print_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:

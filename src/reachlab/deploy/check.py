@@ -183,5 +183,7 @@ def serve(folder: Path, pipe: Connection) -> None:
             extras: dict[str, Any] = {"velocity": told.velocity, "obstacles": told.obstacles}
             if told.objects:  # of which controllers of earlier exports know nothing
                 extras["objects"] = told.objects
+            if told.wrench:
+                extras["wrench"] = told.wrench
             command = controller.step(q, qd, told.goal, now, **extras)
             pipe.send((command, controller.problem))

@@ -125,7 +125,7 @@ class MujocoSimulator(Drawn):
         return now
 
     def _wrench_at_rest(self, rows: np.ndarray, state: SimState | None) -> np.ndarray | None:
-        """The wrench at the wrist `[B, 6]`, where it is measured: of `rows [B]` now, of the others as the state says."""
+        """Wrench `[B, 6]`, where it is measured: of those of `rows [B]` now, of the others as the state says."""
         if self._sensors is None:
             return None
         self._batch.forward(rows)

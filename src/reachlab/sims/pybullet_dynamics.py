@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
+from numpy.typing import ArrayLike
 
 from reachlab.control.bodies import Shape
 from reachlab.render.observation_camera import CROSS
@@ -105,8 +106,9 @@ class ObjectWorld(World):
         self._objects: list[int] = []
         self._cross: list[int] = []
         self._mass, self._friction = scene.mass, scene.friction
-        # The engine tells the contacts of its last step alone: where the wrench is measured, each is a call.
-        self._feels, self._calls = scene.wrench, substeps(period) if scene.wrench else 1
+        # The engine tells the contacts of its last step alone, so where the wrench is measured each step is a call. It
+        # tells no friction against turning: what hand and object do to each other follows from the object's motion.
+        self._period, self._feels, self._calls = period, scene.wrench, substeps(period) if scene.wrench else 1
         self.touch = np.zeros(6)
         bullet = self.bullet
         kinds = {Shape.BALL: bullet.GEOM_SPHERE, Shape.CYLINDER: bullet.GEOM_CYLINDER, Shape.BOX: bullet.GEOM_BOX}
@@ -203,22 +205,40 @@ class ObjectWorld(World):
         targets = command.tolist()
         keys = dict(zip(("positionGains", "velocityGains", "forces"), self._motors, strict=True))
         bullet.setJointMotorControlArray(self._arm, self._all, bullet.POSITION_CONTROL, targets, **keys)
-        self.touch = np.zeros(6)
+        before, pulled = self._momentum() if self._feels else np.zeros(6), np.zeros(6)
         for _ in range(self._calls):
             for body in self._objects:
-                place = bullet.getBasePositionAndOrientation(body)[0]
-                bullet.applyExternalForce(body, -1, (0, 0, -EARTH * self._mass), place, bullet.WORLD_FRAME)
+                weight, place = (0, 0, -EARTH * self._mass), bullet.getBasePositionAndOrientation(body)[0]
+                bullet.applyExternalForce(body, -1, weight, place, bullet.WORLD_FRAME)
+                pulled += _about_origin(weight, place)
             bullet.stepSimulation()
-            if self._feels:
-                self.touch += self._contacts() / self._calls
+            pulled += self._pushed() if self._feels else 0.0
+        if self._feels:
+            self.touch = pulled / self._calls - (self._momentum() - before) / self._period
 
-    def _contacts(self) -> np.ndarray:
-        """Force [N] of the engine's last step on the hand, and its moment about the world's origin [Nm], `[6]`."""
-        total = np.zeros(6)
-        for _, _, _, _, _, place, _, normal, _, most, one, along, other, across in self.bullet.getContactPoints(self._arm):
-            force = most * np.array(normal) + one * np.array(along) + other * np.array(across)
-            total += *force, *np.cross(place, force)
+    def _pushed(self) -> np.ndarray:
+        """Force and moment `[6]` of table and walls on hand and objects, in the engine's last step."""
+        total, held = np.zeros(6), {self._arm, *self._objects}
+        for _, one, other, _, _, place, _, normal, _, most, *sliding in self.bullet.getContactPoints():
+            if side := (one in held) - (other in held):
+                along, across = (size * np.array(way) for size, way in (sliding[:2], sliding[2:]))
+                total += side * _about_origin(most * np.array(normal) + along + across, place)
         return total
+
+    def _momentum(self) -> np.ndarray:
+        """Momentum [kg m/s] and angular momentum about the world's origin [kg m²/s] of the objects, `[6]`."""
+        total, bullet = np.zeros(6), self.bullet
+        for body in self._objects:
+            (place, turn), (linear, angular) = bullet.getBasePositionAndOrientation(body), bullet.getBaseVelocity(body)
+            axes = np.array(bullet.getMatrixFromQuaternion(turn)).reshape(3, 3)
+            total += _about_origin(self._mass * np.array(linear), place)
+            total[3:] += axes @ (bullet.getDynamicsInfo(body, -1)[2] * (angular @ axes))
+        return total
+
+
+def _about_origin(force: ArrayLike, place: Sequence[float]) -> np.ndarray:
+    """A force at a place [m], or what is like one, and its moment about the world's origin, `[6]`."""
+    return np.concatenate([force, np.cross(place, force)])
 
 
 def substeps(period: float) -> int:

@@ -1,9 +1,9 @@
 """The wrench at the wrist: what a sensor of force and torque in the last joint of an arm measures.
 
-It is the force [N] and the torque [Nm] with which all that the last joint holds acts on the rest of the arm: its weight,
-its inertia, and what touches it. Both are in the frame of the last moving link as the robot's file has it, and the
-torque is about that frame's origin. So a hand at rest pulls down by its weight, and one that presses on a table pushes
-up. It is MuJoCo's `force` and `torque` sensor there with the opposite sign, which is that of what the arm exerts.
+It is the force [N] and the torque [Nm] with which all that the last joint holds acts on the rest of the arm: by its
+weight, by its inertia, and by what touches it. Both are in the frame of the last moving link as the robot's file has
+it, the torque about its origin. So a hand at rest pulls down by its weight, and one that presses on a table pushes up.
+MuJoCo's sensors `force` and `torque` there (XML reference, sensor/force) have the opposite sign.
 """
 
 from __future__ import annotations

@@ -28,8 +28,8 @@ FASTEST = 5
 """On a smooth path the goal is faster than its mean speed: at times 2.5 times as fast, and never so many times."""
 
 GRAVITY, RANGE, LEVER = 9.81, 2.0, 0.1
-"""Of the wrench: gravity [m/s²], in how many weights of the arm with its payload a force is measured at most, and which
-share of its length makes a torque of that. On a UR5e these are 400 N and 40 Nm; Robotiq's FT 300 has 300 N and 30 Nm."""
+"""Gravity [m/s²]; up to how many times the weight of the arm with its payload a force at the wrist is measured, and the
+share of the arm's length that makes a torque of it. A UR5e's are 400 N and 52 Nm; Robotiq's FT 300 has 300 and 30."""
 
 NEAR = 0.02
 """Distance at which the near form of the way to the goal is half as long as a far one [m]."""

@@ -20,7 +20,7 @@ from reachlab.deploy.onboard.aiming import Aim
 from reachlab.deploy.onboard.bodies import Followed, placed
 from reachlab.deploy.onboard.folder import FORMAT, LIMITS, read_folder
 from reachlab.deploy.onboard.log import Log, read_log
-from reachlab.deploy.onboard.reading import in_words, read_bodies, read_numbers, read_seconds
+from reachlab.deploy.onboard.reading import felt, in_words, read_bodies, read_numbers, read_seconds
 from reachlab.deploy.onboard.step import load_step
 from reachlab.deploy.onboard.watching import JUMP, Watch
 
@@ -138,6 +138,7 @@ class Controller:
         objects: Any = None,
         picture: np.ndarray | None = None,
         joints: Any = None,
+        wrench: Any = None,
     ) -> np.ndarray:
         """Next joint command `[n]` [rad or m]; call it once in a control period. It raises nothing, see `problem`.
 
@@ -157,8 +158,11 @@ class Controller:
                 were measured earlier: without them, or with old ones, the arm brakes.
             picture: the camera's, for a policy that gets one, `[84, 84]` uint8.
             joints: joints at which the tool is at the goal, where they are known; by default they are looked for.
+            wrench: for a policy that observes it, force and torque at the wrist `[6]` [N, Nm]: that with which all that
+                the last joint holds acts on the arm, so that the weight of a hand points down, in the frame of the last
+                moving link. Without it the arm brakes.
         """
-        q, qd, goal, velocity, joints = (read_numbers(one) for one in (q, qd, goal, velocity, joints))
+        q, qd, goal, velocity, joints, wrench = map(read_numbers, (q, qd, goal, velocity, joints, wrench))
         seconds, around, things = read_seconds(time), read_bodies(obstacles), read_bodies(objects)
         self._hold_where_measured(q)
         before = self.motion.position
@@ -171,7 +175,7 @@ class Controller:
                 # An arm that rests because it has to finds out in every step whether it still has to.
                 if self._aim.goal is not None and not (refused or brake or (self.braking and not at_rest)):
                     bodies = around or [], things or [], seconds
-                    wanted, refused = self._command(self._aim.goal, bodies, picture)
+                    wanted, refused = self._command(self._aim.goal, bodies, picture, wrench)
             except Exception as error:  # whatever it is, an arm in motion is brought to rest
                 refused = f"{type(error).__name__}: {error}"
         was, now = self.braking and not at_rest, bool(refused or brake)
@@ -180,7 +184,7 @@ class Controller:
         self.braking = now or was
         self.motion = self.limits.advance(self.motion, wanted, self.braking)
         command = self.motion.position
-        self._log.add((q, qd, goal, seconds, velocity, around, things, joints, command, self.problem))
+        self._log.add((q, qd, goal, seconds, velocity, around, things, joints, wrench, command, self.problem))
         return command.copy()
 
     def _hold_where_measured(self, q: Any) -> None:
@@ -203,7 +207,7 @@ class Controller:
         goal = self._aim.goal or {}
         return np.array(goal["joints"]) if "joints" in goal else None
 
-    def _command(self, goal: dict[str, Any], bodies: Any, picture: Any) -> tuple[np.ndarray, str]:
+    def _command(self, goal: dict[str, Any], bodies: Any, picture: Any, wrench: Any) -> tuple[np.ndarray, str]:
         """The command `[m]` with which the policy goes to a goal, and why there is none, if so.
 
         Bodies are obstacles, objects and the time [s].
@@ -220,17 +224,18 @@ class Controller:
             if picture is None or list(np.shape(picture)) != inputs["picture"]:
                 return rest, f"the policy needs a picture of {inputs['picture']} pixels"
             given["picture"] = picture
-        if "bodies_kind" in inputs:
-            try:
+        try:
+            given.update(felt(wrench, inputs))
+            if "bodies_kind" in inputs:
                 obstacles, objects, seconds = bodies
                 around = placed(
                     obstacles, inputs["bodies_kind"][0], objects, *self._objects, moving=self._moving, seconds=seconds
                 )
                 if self._followed:
                     self._followed.fill(around, obstacles, seconds)
-            except ValueError as error:
-                return rest, str(error)
-            given.update({f"bodies_{name}": numbers for name, numbers in around.items()})
+                given.update({f"bodies_{name}": numbers for name, numbers in around.items()})
+        except ValueError as error:
+            return rest, str(error)
         with np.errstate(all="ignore"):  # what is not finite is refused below
             action, wanted, *memory = self._decide(**{name: given[name] for name in inputs})
         wanted = np.array(wanted)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-NOTED = ("q", "qd", "goal", "time", "velocity", "obstacles", "objects", "joints", "command", "problem")
+NOTED = ("q", "qd", "goal", "time", "velocity", "obstacles", "objects", "joints", "wrench", "command", "problem")
 """What is kept of a control step."""
 
 KEPT = 100_000
