@@ -128,7 +128,10 @@ def test_both_engines_agree_at_rest_and_under_the_same_load() -> None:
         rest = np.asarray(held(env, state, 40).arm.wrench)
         for _ in range(env.config.rules.max_steps - 1):
             state, _, key = act(None, state, key)
-        felt[sim] = rest, np.asarray(state.arm.wrench)
+        # What rests on the table too is held up by both, in shares that no law of statics tells.
+        lifted = np.asarray(state.arm.bodies.position)[:, -1, 2] > env.setup.robot.table_top + 0.06
+        assert lifted.sum() > 1
+        felt[sim] = rest, np.asarray(state.arm.wrench)[lifted]
         env.close()
     for ours, theirs in zip(*felt.values(), strict=True):
         assert ours[:, :3] == pytest.approx(theirs[:, :3], abs=0.02 * 15)  # of 15 N
@@ -241,11 +244,7 @@ def test_without_the_setting_nothing_is_measured() -> None:
 @pytest.mark.parametrize(
     ("task", "sim", "sentence"),
     [
-        (
-            "push",
-            "kinematic",
-            "needs a wrench that is measured, as in simulator mujoco, or in pybullet with an object.",
-        ),
+        ("push", "kinematic", "observation 'push' needs a wrench that is measured, as in simulator mujoco, or in"),
         ("precise", "kinematic", "observation 'state' needs a wrench that is measured, as in simulator mujoco, or in"),
     ],
 )
@@ -305,12 +304,12 @@ def test_a_policy_is_not_evaluated_with_a_wrench_that_it_does_not_know(capsys: p
 def exported(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Env, Any]:
     folder = tmp_path_factory.mktemp("wrench")
     env = made("push", hidden=(16,), shaping=True)
-    policy = make_initial_policy(env.config, env)
+    policy = make_initial_policy(env.config, env, jax.random.key(0))
     write_files(folder, env, policy, {"run": {}, "held_out": [], "versions": {}})
     return folder, env, policy
 
 
-def told(env: Env, state: EnvState) -> dict[str, Any]:
+def told(state: EnvState) -> dict[str, Any]:
     given = next(rows_of(state, None, ["q", "qd", "goal_position"]))
     bodies = state.arm.bodies
     thing = {name: np.asarray(getattr(bodies, name), float)[0, -1] for name in ("position", "quaternion", "half")}
@@ -324,7 +323,7 @@ def test_the_controller_takes_what_the_environment_measures(exported: tuple[Path
     controller.reset(np.asarray(state.arm.actuated, float)[0])
     for step in range(30):
         wrench = np.asarray(state.arm.wrench, float)[0]
-        command = controller.step(time=step * controller.period, wrench=wrench, **told(env, state))
+        command = controller.step(time=step * controller.period, wrench=wrench, **told(state))
         assert controller.problem == ""
         state, _, key = act(policy, state, key)
         assert command == pytest.approx(np.asarray(state.command)[0], abs=1e-5)
@@ -345,7 +344,7 @@ def test_without_it_the_controller_brakes_and_says_why(exported: tuple[Path, Env
     controller.reset(np.asarray(state.arm.actuated, float)[0])
     wrench = np.asarray(state.arm.wrench, float)[0]
     for step, given in enumerate((wrench, MISSING[name](wrench))):
-        controller.step(time=step * controller.period, wrench=given, **told(env, state))
+        controller.step(time=step * controller.period, wrench=given, **told(state))
     assert controller.braking
     assert controller.problem.startswith("the policy needs the wrench at the wrist, 6 finite numbers [N, Nm]")
 
