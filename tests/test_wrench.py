@@ -21,7 +21,7 @@ import reachlab  # noqa: F401 (registers the environments)
 from params import tried
 from reachlab.agents.acting import make_act
 from reachlab.cli import main as cli
-from reachlab.deploy.check import load_controller
+from reachlab.deploy.check import load_controller, start_controller
 from reachlab.deploy.export import write_files
 from reachlab.emit.behaviour import rows_of
 from reachlab.envs.consistency import check
@@ -347,6 +347,12 @@ def test_without_it_the_controller_brakes_and_says_why(exported: tuple[Path, Env
         controller.step(time=step * controller.period, wrench=given, **told(state))
     assert controller.braking
     assert controller.problem.startswith("the policy needs the wrench at the wrist, 6 finite numbers [N, Nm]")
+
+
+def test_who_does_not_measure_it_does_not_drive_an_arm_by_it(exported: tuple[Path, Env, Any]) -> None:
+    with pytest.raises(InputError, match="observes the wrench at the wrist, which is not measured here: call"):
+        start_controller(exported[0])
+    assert start_controller(exported[0], feels=True).problem == ""
 
 
 def test_a_page_does_not_measure_it() -> None:
