@@ -318,6 +318,7 @@ def told(state: EnvState) -> dict[str, Any]:
 
 def test_the_controller_takes_what_the_environment_measures(exported: tuple[Path, Env, Any]) -> None:
     folder, env, policy = exported
+    assert json.loads((folder / "policy.json").read_text())["wrench"]["frame"] == "link_7"
     controller, act, key = load_controller(folder).Controller(folder), make_act(env, "trained"), jax.random.key(0)
     state = begun(env)
     controller.reset(np.asarray(state.arm.actuated, float)[0])

@@ -84,8 +84,12 @@ def joints(robot: Robot) -> list[dict[str, Any]]:
 
 
 def _wrench(robot: Robot) -> dict[str, Any]:
-    frame = robot.spec(pictures=False).joints[robot.chain.n - 1].parent.name
-    return {"frame": frame, "unit": "N; Nm", "sign": "what the last joint holds acts on the arm"}
+    spec = robot.spec(pictures=False)  # which its parts do not keep alive
+    return {
+        "frame": spec.joints[robot.chain.n - 1].parent.name,
+        "unit": "N; Nm",
+        "sign": "what the last joint holds acts on the arm",
+    }
 
 
 def _goal(setup: TaskSetup) -> dict[str, Any]:
