@@ -277,7 +277,7 @@ def _count(episodes: Episodes, state: EnvState, transition: Transition, setup: T
         squared_jerk=episodes.squared_jerk + jerk,
         motion=(state.arm.q, moved_now, change_now),
         contact=episodes.contact | state.arm.contact,
-        force=None if state.arm.force is None else jnp.maximum(episodes.force, state.arm.force),
+        force=None if episodes.force is None else jnp.maximum(episodes.force, state.arm.force),
     )
     return EnvFunctions.merge(episodes.done, episodes, new)
 

@@ -101,8 +101,8 @@ class MujocoSimulator(Drawn):
         self._become(numbers, bodies)
         wrench = self._wrench_at_rest(rows, state)
         moved = self._moved(bodies, self._touching(rows, state))
-        parts = (bodies, moved.contact, moved.opening, moved.engine, cast("Array | None", wrench))
-        return SimState(moved.q, moved.qd, *self._pose(moved.q), *parts)
+        pose, parts = self._pose(moved.q), (bodies, moved.contact, moved.opening, moved.engine)
+        return SimState(moved.q, moved.qd, pose.position, pose.quaternion, *parts, cast("Array | None", wrench))
 
     def model(self, index: int = 0) -> mujoco.MjModel:
         """Model of one of the arms, with the bodies beside it and the objects as they are."""

@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike
 
 from reachlab.control.bodies import Shape
 from reachlab.render.observation_camera import CROSS
@@ -205,16 +204,28 @@ class ObjectWorld(World):
         targets = command.tolist()
         keys = dict(zip(("positionGains", "velocityGains", "forces"), self._motors, strict=True))
         bullet.setJointMotorControlArray(self._arm, self._all, bullet.POSITION_CONTROL, targets, **keys)
-        before, pulled = self._momentum() if self._feels else np.zeros(6), np.zeros(6)
-        for _ in range(self._calls):
-            for body in self._objects:
-                weight, place = (0, 0, -EARTH * self._mass), bullet.getBasePositionAndOrientation(body)[0]
-                bullet.applyExternalForce(body, -1, weight, place, bullet.WORLD_FRAME)
-                pulled += _about_origin(weight, place)
-            bullet.stepSimulation()
-            pulled += self._pushed() if self._feels else 0.0
         if self._feels:
-            self.touch = pulled / self._calls - (self._momentum() - before) / self._period
+            self.touch = self._felt_steps()
+        else:
+            self._pull()
+            bullet.stepSimulation()
+
+    def _pull(self) -> None:
+        """Pull objects down by their weight, in what is stepped next."""
+        for body in self._objects:
+            place = self.bullet.getBasePositionAndOrientation(body)[0]
+            self.bullet.applyExternalForce(body, -1, (0, 0, -EARTH * self._mass), place, self.bullet.WORLD_FRAME)
+
+    def _felt_steps(self) -> np.ndarray:
+        """Mean of what acts on the hand, see `touch`, over the steps of a control period, which are taken."""
+        total, bullet = self._momentum() / self._period, self.bullet
+        for _ in range(self._calls):
+            places = [bullet.getBasePositionAndOrientation(body)[0] for body in self._objects]
+            self._pull()
+            bullet.stepSimulation()
+            acting = [self._pushed(), *(_about_origin((0, 0, -EARTH * self._mass), place) for place in places)]
+            total += np.sum(acting, axis=0) / self._calls
+        return total - self._momentum() / self._period
 
     def _pushed(self) -> np.ndarray:
         """Force and moment `[6]` of table and walls on hand and objects, in the engine's last step."""
@@ -236,7 +247,7 @@ class ObjectWorld(World):
         return total
 
 
-def _about_origin(force: ArrayLike, place: Sequence[float]) -> np.ndarray:
+def _about_origin(force: Sequence[float] | np.ndarray, place: Sequence[float]) -> np.ndarray:
     """A force at a place [m], or what is like one, and its moment about the world's origin, `[6]`."""
     return np.concatenate([force, np.cross(place, force)])
 
