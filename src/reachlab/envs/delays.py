@@ -29,7 +29,7 @@ OBJECT_ERROR = (0.005, 0.005, 0.005, 0.087)
 """Largest errors of a measured object, where objects vary: in x, y, z [m] and yaw [rad], 5 mm and 5 degrees."""
 
 WRENCH_NOISE = (0.1, 0.1, 0.1, 0.005, 0.005, 0.003)
-"""Standard deviations of a measured wrench, where dynamics vary [N, Nm]: those of Robotiq's sensor FT 300."""
+"""Standard deviations of a measured wrench, where dynamics vary [N, Nm]: about those of Robotiq's sensor FT 300."""
 
 
 @jax.tree_util.register_dataclass
