@@ -36,7 +36,7 @@ def make_ahead(env: Env) -> Ahead:
             action, memory = trained(env, policy, state, state.key, None)
             action, command, motion = functions.command(state, action, None)
             way = share * (command[:, :n] - arm.q)
-            moved = Moved(arm.q + way, way / setup.period, arm.bodies, arm.contact, arm.opening)
+            moved = Moved(arm.q + way, way / setup.period, arm.bodies, arm.contact, arm.opening, wrench=arm.wrench)
             state, transition = functions.judge(replace(state, memory=memory), moved, command, action, motion)
             return state, (moved.q, transition.terms["success"])
 

@@ -101,6 +101,9 @@ def print_reports(reports: Sequence[dict[str, Any]], config: RunConfig) -> None:
         if times := report.get("planning_s"):
             median, p99 = 1000 * times["median"], 1000 * times["p99"]
             say(f"{_who(report)} planned for {median:.0f} ms, in 99 % of the episodes for at most {p99:.0f} ms.")
+        if force := report.get("largest_force_n"):
+            median, p95 = (f"{force[name]:.3g} N" for name in ("median", "p95"))
+            say(f"{_who(report)} felt at most {median} at the wrist in the median episode, {p95} in 95 % of them.")
     if (straight := first.get("straight")) is not None:
         say(f"{_percent(straight)} of the episodes need no avoiding: the straight way of the joints is free.")
 

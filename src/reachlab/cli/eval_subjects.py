@@ -160,7 +160,7 @@ def _settings(
     """Settings of the run or the model, or without one those of the task and the robot that the flags name.
 
     Raises:
-        InputError: no such run, one that is missing or not needed, or a robot that is not named right.
+        InputError: no such run, one that is missing or not needed, or a robot or a wrench that is not its own.
     """
     arm = {name: value for name in ("robot", "tool", "base", "package") if (value := vars(arguments)[name])}
     named = ({"task": arguments.task} if arguments.task else {}) | arm
@@ -168,6 +168,8 @@ def _settings(
     if (run and named) or (known and named not in ({}, {"task": known.task})):
         given = " and ".join(f"--{name}" for name in named)
         raise InputError(f"a run has its own task and robot: leave {given} out, or the run.")
+    if (run or known) and arguments.goals.wrench is not None:
+        raise InputError("a policy observes the wrench or not as it was trained: leave --wrench out.")
     if run:
         return run.read_config()
     if known:

@@ -119,9 +119,9 @@ STUDENT += ("memory", "goal_lost")
 EVALUATED = (
     *("targets", "target_turn", "target_low", "target_high", "target_height", "goal_paths", "goal_speed", "goal_jump"),
     *("goal_steps", "goal_lost", "scene", "obstacles", "body_speed", "goal_velocity"),
-    *("settle_steps", "start_noise", "max_steps"),
+    *("settle_steps", "start_noise", "max_steps", "wrench"),
 )
-"""Settings of a task that an evaluation may change: what is asked for, and for how long."""
+"""Settings of a task that an evaluation may change: what is asked for, for how long, and what is measured."""
 
 
 def _goal_flags() -> type:

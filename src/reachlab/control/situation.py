@@ -14,6 +14,9 @@ from reachlab.control.motion_limits import MotionLimits
 from reachlab.robots.kinematics.forward import Pose, norm
 from reachlab.robots.robot import Robot
 
+WRENCH = 6
+"""Numbers of a wrench: a force [N] and a torque [Nm]."""
+
 
 @dataclass(frozen=True)
 class Drive:
@@ -92,6 +95,7 @@ class Situation(NamedTuple):
         achieved: where the tool truly is.
         opening: of the gripper, as measured `[B, 1]` [m]; `[B, 0]` where none is driven.
         picture: the camera's `[B, SIZE, SIZE]` uint8, where the observation holds one.
+        wrench: force and torque at the wrist, as measured `[B, 6]` [N, Nm]; None where they are not.
     """
 
     q: Array
@@ -106,3 +110,4 @@ class Situation(NamedTuple):
     achieved: Pose
     opening: Array
     picture: Array | None = None
+    wrench: Array | None = None

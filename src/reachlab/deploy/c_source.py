@@ -97,18 +97,20 @@ def _placed(place: Program | None) -> str:
 
 
 def _example(names: Sequence[str]) -> list[str]:
-    """How the example fills in a goal."""
+    """How the example fills in a goal and what is felt."""
+    felt = ['brake |= numbers(line, "wrench", input.wrench, 6) != 6;'] * ("wrench" in names)
     if "goal_joints" in names:
         turned = ", goal + 3" * ("goal_quaternion" in names)
         return [
             "static reachlab_real before[7];",
             "if (memcmp(before, goal, sizeof goal)) reachlab_place(state.position, goal" + turned + ", &input);",
             "memcpy(before, goal, sizeof goal);",
+            *felt,
         ]
     lines = ["memcpy(input.goal_position, goal, sizeof input.goal_position);"]
     if "goal_velocity" in names:
         lines.append('numbers(line, "velocity", input.goal_velocity, 3);')
-    return lines
+    return lines + felt
 
 
 def _filled(name: str, text: dict[str, str]) -> str:

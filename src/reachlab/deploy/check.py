@@ -44,13 +44,18 @@ def load_controller(folder: Path) -> ModuleType:
     return module
 
 
-def start_controller(folder: Path) -> Any:
-    """The controller of an export, by the folder's own `controller.py`.
+def start_controller(folder: Path, *, feels: bool = False) -> Any:
+    """The controller of an export, by the folder's own `controller.py`, for one who may measure the wrench.
 
     Raises:
-        InputError: see `read_folder`.
+        InputError: see `read_folder`, or the policy observes a wrench that is not measured.
     """
-    read_facts(folder)  # the folder's own controller may be an old one, which looks at less
+    facts = read_facts(folder)  # the folder's own controller may be an old one, which looks at less
+    if "wrench" in facts.get("inputs", ()) and not feels:
+        raise InputError(
+            f"the policy in '{folder}' observes the wrench at the wrist, which is not measured here: call"
+            " Controller.step(…, wrench=…) in a loop of your own, or train without --wrench."
+        )
     try:
         return load_controller(folder).Controller(folder)
     except ValueError as error:
@@ -155,7 +160,7 @@ class PipeLink:
 
 def serve(folder: Path, pipe: Connection) -> None:
     """Run the controller of an export at the other end of a pipe, until that is closed."""
-    controller = start_controller(folder)
+    controller = start_controller(folder, feels=True)
     period, told, due = controller.period, None, time.perf_counter()
     with contextlib.suppress(EOFError, BrokenPipeError, ConnectionResetError):
         while True:
@@ -183,5 +188,7 @@ def serve(folder: Path, pipe: Connection) -> None:
             extras: dict[str, Any] = {"velocity": told.velocity, "obstacles": told.obstacles}
             if told.objects:  # of which controllers of earlier exports know nothing
                 extras["objects"] = told.objects
+            if told.wrench:
+                extras["wrench"] = told.wrench
             command = controller.step(q, qd, told.goal, now, **extras)
             pipe.send((command, controller.problem))

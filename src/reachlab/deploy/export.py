@@ -124,13 +124,15 @@ def _planner(env: Env, agent: str | None) -> dict[str, Any]:
     Raises:
         InputError: no agent of that name can be exported, or it has nothing to plan.
     """
-    setup, scene = env.setup, env.setup.task.scene(env.setup)
-    plannable = "joints" in setup.rules.gives and not scene.moved and not scene.objects and not setup.robot.gripper
+    setup, scene = env.setup, env.setup.scene
+    plannable = "joints" in setup.rules.gives and not (scene.moved or scene.objects or scene.wrench)
     agent = agent or ("hybrid" if plannable and scene.fixed else "trained")
     if choose("agent of an export", agent, ("trained", "hybrid")) == "trained":
         return {}
     if not plannable:
-        raise InputError("agent 'hybrid' is exported for goals whose joints are known, among bodies that stay.")
+        raise InputError(
+            "agent 'hybrid' is exported for goals whose joints are known, among bodies that stay, without a wrench."
+        )
     arm = arm_of(setup.robot, setup.lag, setup.period, shaped_within(setup))._asdict()
     plain = {name: np.asarray(part).tolist() for name, part in arm.items()}
     return {"planner": {"arm": plain, "bodies": scene.bodies, "turns": setup.rules.asks_orientation}}

@@ -56,7 +56,7 @@ def describe(env: Env, policy: Policy, step: Behaviour) -> dict[str, Any]:
             "held_quaternion": list(robot.held_quaternion),
         },
         "settings": to_json(config),
-    }
+    } | ({"wrench": _wrench(robot)} if rules.wrench else {})
 
 
 def joints(robot: Robot) -> list[dict[str, Any]]:
@@ -81,6 +81,15 @@ def joints(robot: Robot) -> list[dict[str, Any]]:
         hand = {"name": GRIPPER, "type": "opening", "unit": "m", "widest": widest, "torque": robot.gripper.force}
         rows.append(hand | {"sources": sources})
     return rows
+
+
+def _wrench(robot: Robot) -> dict[str, Any]:
+    spec = robot.spec(pictures=False)  # which its parts do not keep alive
+    return {
+        "frame": spec.joints[robot.chain.n - 1].parent.name,
+        "unit": "N; Nm",
+        "sign": "what the last joint holds acts on the arm",
+    }
 
 
 def _goal(setup: TaskSetup) -> dict[str, Any]:

@@ -27,7 +27,10 @@ RESTS = 1e-6
 
 @dataclass(frozen=True)
 class Measurement:
-    """What the controller is told in a control period: joints and speeds `[n]`, and its goal, if that is seen."""
+    """What the controller is told in a control period: joints and speeds `[n]`, and its goal, if that is seen.
+
+    Where it is measured also the wrench at the wrist `[6]`.
+    """
 
     q: np.ndarray
     qd: np.ndarray
@@ -35,6 +38,7 @@ class Measurement:
     velocity: list[float] | None
     obstacles: list[dict[str, Any]]
     objects: list[dict[str, Any]]
+    wrench: list[float] | None = None
 
 
 class Link(Protocol):
@@ -139,7 +143,8 @@ class Plant:
         fixed = len(around) - setup.task.scene(setup).objects
         qd = self._beside(state.arm.qd, np.zeros(state.arm.opening.shape))
         seen = self._env.goal_seen(state.key, state.clock)[0]
-        return Measurement(self.q, qd, asked if seen else None, velocity, around[:fixed], around[fixed:])
+        wrench = None if state.arm.wrench is None else np.asarray(state.arm.wrench, float)[0].tolist()
+        return Measurement(self.q, qd, asked if seen else None, velocity, around[:fixed], around[fixed:], wrench)
 
     @staticmethod
     def _beside(joints: Any, opening: Any) -> np.ndarray:

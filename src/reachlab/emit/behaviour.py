@@ -13,7 +13,7 @@ from jax import Array, ShapeDtypeStruct
 
 from reachlab.agents.policy import Memory, Policy
 from reachlab.control.bodies import Bodies
-from reachlab.control.situation import Goal
+from reachlab.control.situation import WRENCH, Goal
 from reachlab.emit.program import Program, reads
 from reachlab.emit.tracing import trace
 from reachlab.envs.core import Env
@@ -27,6 +27,9 @@ GOAL, BODIES = "goal_", "bodies_"
 
 MEMORY, AFTER = "memory", "wanted_memory"
 """Names of what was remembered, as an input, and of what is remembered then, as a result."""
+
+FELT = "wrench"
+"""Name of the wrench that is measured at the wrist, as an input."""
 
 Shapes = dict[str, ShapeDtypeStruct]
 
@@ -129,7 +132,9 @@ def example_state(env: Env, begin: Begin | None = None) -> EnvState:
     position, quaternion = (ShapeDtypeStruct((1, size), jnp.float32) for size in (3, 4))
     contact: Any = ShapeDtypeStruct((1, 0), jnp.bool_)
     opening: Any = ShapeDtypeStruct((1, len(env.setup.robot.actuators) - env.setup.robot.chain.n), jnp.float32)
-    arm = SimState(like.q, like.q, *cast("Pose", (position, quaternion)), like.bodies, contact, opening)
+    wrench: Any = ShapeDtypeStruct((1, WRENCH), jnp.float32) if env.setup.rules.wrench else None
+    pose = cast("Pose", (position, quaternion))
+    arm = SimState(like.q, like.q, *pose, like.bodies, contact, opening, wrench=wrench)
     shapes = jax.eval_shape(functions.begin, arm, like)
     return jax.tree.map(lambda one: np.zeros(one.shape, one.dtype), replace(shapes, key=like.q))
 
@@ -146,6 +151,7 @@ def decision_inputs(env: Env, like: EnvState) -> Shapes:
     sizes: dict[str, int] = dict.fromkeys(("q", "qd", "command"), len(env.setup.robot.actuators))
     sizes["last_action"] = len(env.action_bounds[0])
     sizes |= {MEMORY: env.functions.memory} if env.functions.memory else {}
+    sizes |= {FELT: WRENCH} if env.setup.rules.wrench else {}
     shapes = {name: ShapeDtypeStruct((size,), jnp.float32) for name, size in sizes.items()}
     shapes |= {GOAL + name: shape for name, shape in _parts(like.goal).items() if name != "path"}
     shapes |= {BODIES + name: shape for name, shape in _parts(like.arm.bodies).items()}
@@ -173,9 +179,10 @@ def measured_state(functions: EnvFunctions, like: EnvState, given: Mapping[str, 
     setup, n = functions.setup, functions.setup.robot.chain.n
     q, qd, opening = given["q"][None, :n], given["qd"][None, :n], given["q"][None, n:]
     tool, contact = forward_kinematics(setup.robot.chain, q), jnp.zeros_like(like.arm.contact[:1])
+    wrench = given[FELT][None] if FELT in given else None
     state = replace(
         like,
-        arm=SimState(q, qd, *tool, bodies_of(like, given), contact, opening),
+        arm=SimState(q, qd, *tool, bodies_of(like, given), contact, opening, wrench=wrench),
         goal=goal_of(like, given),
         command=given["command"][None],
         last_action=given["last_action"][None],
@@ -193,6 +200,7 @@ def rows_of(state: EnvState, picture: Any, names: Iterable[str]) -> Iterator[dic
     speeds = jnp.concatenate([state.arm.qd, jnp.zeros_like(state.arm.opening)], axis=-1)
     known = {"q": state.arm.actuated, "qd": speeds, "command": state.command, "last_action": state.last_action}
     known |= {} if state.memory is None else {MEMORY: state.memory}
+    known |= {} if state.arm.wrench is None else {FELT: state.arm.wrench}
     known |= {GOAL + field.name: getattr(state.goal, field.name) for field in fields(state.goal)}
     known |= {BODIES + field.name: getattr(state.arm.bodies, field.name) for field in fields(state.arm.bodies)}
     given = {name: np.asarray(picture if name == "picture" else known[name]) for name in names}

@@ -18,7 +18,7 @@ from reachlab.sims import SIMULATORS
 from reachlab.tasks import TASKS, WORDS
 from reachlab.tasks.actions import ACTIONS
 from reachlab.tasks.handling import SHAPES
-from reachlab.tasks.observations import OBSERVATIONS
+from reachlab.tasks.observations import OBSERVATIONS, design_of
 from reachlab.tasks.paths import PATHS
 from reachlab.tasks.rewards import REWARDS
 from reachlab.tasks.targets import TARGETS
@@ -59,7 +59,7 @@ def check_names(config: RunConfig) -> None:
 def _contradictions(config: RunConfig, changed: set[str]) -> Iterator[str]:
     """Sentences on settings that cannot be together."""
     rules, loop, sim = config.rules, config.loop, config.sim
-    observation, task = OBSERVATIONS[rules.observation], rules.task()
+    observation, task = design_of(rules), rules.task()
     if sentence := rules.contradiction():
         yield sentence
     action = ACTIONS[rules.action]

@@ -28,7 +28,7 @@ from reachlab.settings.config import MOST_ENVS, RunConfig
 from reachlab.settings.validation import InputError, whole_number
 from reachlab.sims.simulator import BatchArray, Begin, SimState, make_simulator
 from reachlab.tasks.actions import ACTIONS
-from reachlab.tasks.observations import OBSERVATIONS
+from reachlab.tasks.observations import design_of
 from reachlab.tasks.scenes.balls import clearances
 from reachlab.tasks.schema import SIZE, Observed
 from reachlab.tasks.targets import solved_for
@@ -78,11 +78,11 @@ class Env:
             num_envs,
             threads,
             randomise_dynamics="dynamics" in config.randomise,
-            scene=setup.task.scene(setup),
+            scene=setup.scene,
         )
         self.setup = replace(setup, lag=self.simulator.lag)
         self._drawn = digest(self.setup.prepared)
-        self.schema = OBSERVATIONS[config.rules.observation].schema(self.setup)
+        self.schema = design_of(config.rules).schema(self.setup)
         self.action_bounds = ACTIONS[config.rules.action].bounds(self.setup)
         self.pictured = bool(self.schema.pictures)
         simulated = self.simulator.kind == "traced"

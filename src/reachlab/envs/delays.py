@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from reachlab.control.bodies import Bodies, turned
-from reachlab.envs.random_streams import PLACE_STREAM, delay_keys, goal_keys, sight_keys
+from reachlab.envs.random_streams import PLACE_STREAM, delay_keys, goal_keys, sight_keys, wrench_keys
 from reachlab.sims.simulator import SimState
 
 JITTER = 0.01
@@ -27,6 +27,9 @@ KEPT = 8
 
 OBJECT_ERROR = (0.005, 0.005, 0.005, 0.087)
 """Largest errors of a measured object, where objects vary: in x, y, z [m] and yaw [rad], 5 mm and 5 degrees."""
+
+WRENCH_NOISE = (0.1, 0.1, 0.1, 0.005, 0.005, 0.003)
+"""Standard deviations of a measured wrench, where dynamics vary [N, Nm]: about those of Robotiq's sensor FT 300."""
 
 
 @jax.tree_util.register_dataclass
@@ -58,6 +61,12 @@ def goal_seen(rules: Any, keys: Array, clock: Array) -> Array:
     sampled = jax.vmap(jax.random.uniform)(goal_keys(keys.ravel(), clock.ravel()))
     lost = sampled.reshape(clock.shape) < rules.goal_lost
     return ~lost if rules.goal_steps is None else ~lost & (clock < rules.goal_steps)
+
+
+def felt(wrench: Array, keys: Array, clock: Array) -> Array:
+    """Wrenches `[B, 6]` as they are measured at the steps `clock [B]` of the episodes with `keys [B]`."""
+    noise = jax.vmap(lambda key: jax.random.normal(key, wrench.shape[1:]))(wrench_keys(keys, clock))
+    return wrench + jnp.array(WRENCH_NOISE) * noise
 
 
 @jax.tree_util.register_dataclass

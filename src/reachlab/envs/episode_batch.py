@@ -25,15 +25,15 @@ from reachlab.tasks.schema import Observed
 
 
 class Now(NamedTuple):
-    """Observation of episodes, and `[B]` each: success, steps, and errors by name, as `distance` [m].
+    """Observation of episodes, and `[B]` each: success, steps, and what infos name beside, as `distance` [m].
 
-    Where an orientation is asked for `angle` [rad] is one of them.
+    Where an orientation is asked for `angle` [rad] is among these, and where it is measured `wrench` `[B, 6]` [N, Nm].
     """
 
     observation: Observed
     success: BatchArray
     steps: BatchArray
-    errors: dict[str, BatchArray]
+    named: dict[str, BatchArray]
 
 
 class Result(NamedTuple):
@@ -164,7 +164,8 @@ class Steps:
         return self._now(state, seen, jnp.zeros(len(state.clock), bool))
 
     def _now(self, state: EnvState, seen: Observed, success: BatchArray) -> Now:
-        return Now(seen, success, state.clock, named_errors(self._env.setup, state.errors))
+        wrench = {} if state.arm.wrench is None else {"wrench": state.arm.wrench}
+        return Now(seen, success, state.clock, named_errors(self._env.setup, state.errors) | wrench)
 
 
 class Programs(Steps):

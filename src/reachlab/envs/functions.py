@@ -11,7 +11,7 @@ from jax import Array
 
 from reachlab.control.motion_limits import Motion, MotionLimits
 from reachlab.control.situation import Goal, Situation
-from reachlab.envs.delays import Sensed, Sight, goal_seen, misplaced, sense
+from reachlab.envs.delays import Sensed, Sight, felt, goal_seen, misplaced, sense
 from reachlab.envs.random_streams import (
     CHAIN_STREAM,
     OBJECT_STREAM,
@@ -203,6 +203,7 @@ class EnvFunctions:
         tool = once(forward_kinematics(setup.robot.chain, moved.q)) if moved.tool is None else moved.tool
         goal, bodies = setup.task.move(setup, before.goal, moved.bodies, clock)
         now = Situation(moved.q, moved.qd, *tool, goal, command, action, bodies, moved.contact, tool, moved.opening)
+        now = now._replace(wrench=moved.wrench)
         outcome = judge(setup, before.errors, before.progress, now, clock)
         sensed = None if before.sensed is None else sense(before.sensed, before.arm, before.key, clock, setup.period)
         sight = None if before.sight is None else before.sight.after(bodies, before.key, clock)
@@ -221,7 +222,7 @@ class EnvFunctions:
             terms={"success": outcome.success, **terms},
         )
         bodies = bodies if setup.task.scene(setup).moved else moved.bodies
-        arm = SimState(moved.q, moved.qd, *tool, bodies, moved.contact, moved.opening)
+        arm = SimState(moved.q, moved.qd, *tool, bodies, moved.contact, moved.opening, wrench=moved.wrench)
         errors, progress, key = outcome.errors, outcome.progress, before.key
         known = (sensed, sight, before.memory)
         return EnvState(arm, goal, command, action, errors, progress, clock, key, motion, *known), transition
@@ -235,6 +236,7 @@ class EnvFunctions:
         arm = state.arm
         beside = arm.bodies, arm.contact, arm.tool, arm.opening
         now = Situation(arm.q, arm.qd, *arm.tool, state.goal, state.command, state.last_action, *beside)
+        now = now._replace(wrench=arm.wrench)
         return self.measured(now, state.key, state.clock, state.sensed, state.sight)
 
     def measured(
@@ -246,6 +248,8 @@ class EnvFunctions:
             now = now._replace(bodies=sight.known)
         if "objects" in self.randomise:
             now = now._replace(bodies=jax.vmap(misplaced)(keys, now.bodies))
+        if "dynamics" in self.randomise and now.wrench is not None:
+            now = now._replace(wrench=felt(now.wrench, keys, clock))
         if sensed is not None or "dynamics" in self.randomise:
             now = self._sensed(now, keys, clock, sensed)
         if not self.setup.rules.hides_goal:

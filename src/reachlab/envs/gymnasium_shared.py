@@ -110,8 +110,11 @@ class Episodes:
 
 
 def infos(now: Now) -> dict[str, Any]:
-    """Infos `[B]` by name: `is_success`, `distance` [m], `elapsed_steps`, and `angle` [rad] where one is asked for."""
-    return {"is_success": now.success, **now.errors, "elapsed_steps": now.steps}
+    """Infos `[B]` by name: `is_success`, `distance` [m], `elapsed_steps`, and `angle` [rad] where one is asked for.
+
+    Where it is measured also `wrench` `[B, 6]` [N, Nm].
+    """
+    return {"is_success": now.success, **now.named, "elapsed_steps": now.steps}
 
 
 def checked_options(options: dict[str, Any] | None, known: Sequence[str]) -> dict[str, Any]:

@@ -29,7 +29,8 @@ OPTIONS = ("target",)
 class ReachEnv(gymnasium.Env[Any, np.ndarray]):
     """One arm that has to reach a target.
 
-    `info` holds `is_success`, `distance` [m], `elapsed_steps` and, where an orientation is asked for, `angle` [rad].
+    `info` holds `is_success`, `distance` [m], `elapsed_steps` and, where an orientation is asked for, `angle` [rad];
+    with `wrench=True` also `wrench` `[6]`, the force [N] and the torque [Nm] at the wrist.
 
     Attributes:
         observation_space: what `reset` and `step` give.
@@ -100,4 +101,4 @@ class ReachEnv(gymnasium.Env[Any, np.ndarray]):
 
 
 def _info(now: Now) -> dict[str, Any]:
-    return {name: value.item() for name, value in infos(now).items()}
+    return {name: value[0] if value.ndim > 1 else value.item() for name, value in infos(now).items()}

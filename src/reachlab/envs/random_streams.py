@@ -23,10 +23,10 @@ PARTS = 4
 VIEW_STREAM, NOISE_STREAM, AGENT_STREAM, CHAIN_STREAM, SCENE_STREAM, DELAY_STREAM, OBJECT_STREAM, PLACE_STREAM = (
     2**32 - 1 - i for i in range(8)
 )
-SIGHT_STREAM, GOAL_STREAM = 2**32 - 9, 2**32 - 10
+SIGHT_STREAM, GOAL_STREAM, WRENCH_STREAM = 2**32 - 9, 2**32 - 10, 2**32 - 11
 """Streams of an episode's key beside these parts: its view, the noise of its measurements, what its agent samples,
 where the next episode begins, its bodies, how late its measurements are, which objects it has, where they are
-measured and how late, and when its goal is seen."""
+measured and how late, when its goal is seen, and the noise of the wrench at its wrist."""
 
 
 def stream_key(seed: int | Array, stream: int) -> Array:
@@ -72,6 +72,11 @@ def sight_keys(keys: Array, clock: Array) -> Array:
 def goal_keys(keys: Array, clock: Array) -> Array:
     """The same of whether the goal is seen."""
     return _step_keys(keys, clock, GOAL_STREAM)
+
+
+def wrench_keys(keys: Array, clock: Array) -> Array:
+    """The same of the noise of the wrench."""
+    return _step_keys(keys, clock, WRENCH_STREAM)
 
 
 def _step_keys(keys: Array, clock: Array, stream: int) -> Array:

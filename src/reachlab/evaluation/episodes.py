@@ -90,6 +90,7 @@ class Episodes:
         straight: nothing was in the way of the arm, had its joints moved straight to those at the goal `[B]`; None
             where nothing is beside it.
         planned: time that planning took `[B]` [s]; None of an agent that does not plan.
+        force: largest force at the wrist in it `[B]` [N]; None where it is not measured.
     """
 
     goal: Array
@@ -109,6 +110,7 @@ class Episodes:
     track: Track | None = None
     straight: Array | None = None
     planned: Array | None = None
+    force: Array | None = None
 
 
 class Beside(NamedTuple):
@@ -232,6 +234,7 @@ def _unplayed(state: EnvState, setup: TaskSetup, *, judged: bool) -> Episodes:
         motion=(state.arm.q, still, still),
         touched=jnp.zeros(count, bool) if judged else None,
         contact=state.arm.contact,
+        force=state.arm.force,
     )
 
 
@@ -274,6 +277,7 @@ def _count(episodes: Episodes, state: EnvState, transition: Transition, setup: T
         squared_jerk=episodes.squared_jerk + jerk,
         motion=(state.arm.q, moved_now, change_now),
         contact=episodes.contact | state.arm.contact,
+        force=None if episodes.force is None else jnp.maximum(episodes.force, state.arm.force),
     )
     return EnvFunctions.merge(episodes.done, episodes, new)
 

@@ -71,6 +71,8 @@ class Report:
             goal's; None where nothing is beside it.
         planning_s: time of planning an episode [s], where something was planned: median, p95, p99, max; None of agents
             that do not plan. It is part of `time_to_reach_s`.
+        largest_force_n: largest force at the wrist in an episode, the weight of what it holds included: median, p95,
+            p99, max [N]; None where it is not measured.
         wall_s: time that the evaluation took [s].
         versions: of the packages that it depends on.
     """
@@ -101,6 +103,7 @@ class Report:
     self_contact: float | None
     straight: float | None
     planning_s: dict[str, float | None] | None
+    largest_force_n: dict[str, float | None] | None
     wall_s: float
     versions: dict[str, str]
 
@@ -221,6 +224,7 @@ def summarise(
         self_contact=None if result.touched is None else float(result.touched.mean()),
         straight=None if result.straight is None else float(result.straight.mean()),
         planning_s=quantiles(planned[planned > 0], QUANTILES) if planned.any() else None,
+        largest_force_n=None if result.force is None else quantiles(np.asarray(result.force, np.float64), QUANTILES),
         wall_s=wall_s,
         versions=versions(),
     )

@@ -20,7 +20,7 @@ from reachlab.envs.core import Env
 from reachlab.settings.config import DistilRunConfig, RunConfig
 from reachlab.settings.validation import InputError
 from reachlab.tasks.actions import ACTIONS
-from reachlab.tasks.observations import OBSERVATIONS
+from reachlab.tasks.observations import design_of
 from reachlab.tasks.task import TaskSetup
 
 ADAM_EPSILON = 1e-5
@@ -80,7 +80,7 @@ def check_memory(config: RunConfig, setup: TaskSetup) -> None:
         InputError: they cannot, by what they need at least.
     """
     loop, hidden = config.loop, config.learner.hidden
-    low = OBSERVATIONS[config.rules.observation].schema(setup).bounds[0]
+    low = design_of(config.rules).schema(setup).bounds[0]
     observed = sum(part.nbytes for part in jax.tree.leaves(low))
     kept = config.dagger.capacity if isinstance(config, DistilRunConfig) else 0
     actions = loop.num_envs * loop.rollout_steps

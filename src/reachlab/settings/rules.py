@@ -53,6 +53,8 @@ class TaskSettings(Checked):
     """Penalty for a step with actions of 1."""
     hold_speed: Positive = 0.05
     """Joint speed below which the tool counts as held [rad/s or m/s]."""
+    wrench: bool = False
+    """Measure the force and the torque at the wrist, and observe them; with a simulator that has dynamics."""
 
     @classmethod
     def task(cls) -> Any:

@@ -21,6 +21,7 @@ from reachlab.sims.mujoco_model import PAYLOAD, Layout, physics_model, servo_lag
 from reachlab.sims.mujoco_objects import FreeBodies
 from reachlab.sims.rendering import Drawn
 from reachlab.sims.simulator import BatchArray, Begin, Kind, Moved, SimState, chosen
+from reachlab.sims.wrench import measured
 from reachlab.tasks.task import EMPTY, Scene
 
 GAIN_SPREAD, DAMPING_SPREAD = 0.15, 0.3
@@ -35,7 +36,8 @@ class MujocoSimulator(Drawn):
     they are, where dynamics vary.
 
     Contacts are judged where the scene says so: of the arm with bodies, the table and itself, see `add_contacts`,
-    at the start of each of the engine's steps. What is touched in the last of them is told after the next period.
+    at the start of each of the engine's steps. What is touched in the last of them is told after the next period. So is
+    the wrench at the wrist measured, see `sims.wrench`: its mean over these steps.
     """
 
     kind: Kind = "host"
@@ -71,6 +73,8 @@ class MujocoSimulator(Drawn):
         self._free = FreeBodies(self._batch, scene)
         self._numbers = np.zeros((num_envs, 0))
         self._contacts = self._batch.bind("ncon") if scene.contacts else None
+        self._sensors = self._batch.bind("sensordata") if scene.wrench else None
+        self._recorded = ("ncon",) * scene.contacts + ("sensordata",) * scene.wrench
         self._untouched = np.zeros((num_envs, 0), bool)
         self._begin = self._batch.state[0].copy()
         # What `engine` and `bodies` the arms have now, as long as they are as they were given.
@@ -95,11 +99,10 @@ class MujocoSimulator(Drawn):
         self._fixed.become(bodies)
         self._free.put(bodies, rows)
         self._become(numbers, bodies)
+        wrench = self._wrench_at_rest(rows, state)
         moved = self._moved(bodies, self._touching(rows, state))
-        pose = self._pose(moved.q)
-        return SimState(
-            moved.q, moved.qd, pose.position, pose.quaternion, bodies, moved.contact, moved.opening, moved.engine
-        )
+        pose, parts = self._pose(moved.q), (bodies, moved.contact, moved.opening, moved.engine)
+        return SimState(moved.q, moved.qd, pose.position, pose.quaternion, *parts, cast("Array | None", wrench))
 
     def model(self, index: int = 0) -> mujoco.MjModel:
         """Model of one of the arms, with the bodies beside it and the objects as they are."""
@@ -121,6 +124,14 @@ class MujocoSimulator(Drawn):
             now[~rows] = np.asarray(state.contact)[~rows]
         return now
 
+    def _wrench_at_rest(self, rows: np.ndarray, state: SimState | None) -> np.ndarray | None:
+        """Wrench `[B, 6]`, where it is measured: of those of `rows [B]` now, of the others as the state says."""
+        if self._sensors is None:
+            return None
+        self._batch.forward(rows)
+        now = measured(self._model, self._sensors)
+        return now if state is None else chosen(rows, now, np.asarray(state.wrench))
+
     def step(self, state: SimState | Moved, command: BatchArray) -> Moved:
         """See `Simulator.step`.
 
@@ -132,10 +143,11 @@ class MujocoSimulator(Drawn):
         self._ctrl[:, self._servos] = command[:, :n]
         if self._gripper:
             self._ctrl[:, self._finger_servos] = self._gripper.fingers(command[:, n:])
-        contact = self._untouched
-        if self._contacts is not None:
-            counts = self._batch.rollout(self._substeps, record=("ncon",))["ncon"]  # [B, steps]
-            contact = np.asarray(counts.any(axis=1))
+        contact, wrench = self._untouched, None
+        if self._recorded:
+            steps = self._batch.rollout(self._substeps, record=self._recorded)  # [B, steps, ...]
+            contact = np.asarray(steps["ncon"].any(axis=1)) if "ncon" in steps else contact
+            wrench = measured(self._model, steps["sensordata"].mean(axis=1)) if "sensordata" in steps else None
         else:
             self._batch.step(nstep=self._substeps)
         warnings = self._batch.warning[..., 1]  # [B, kinds], how often; beside it stands what the last one was about
@@ -143,7 +155,7 @@ class MujocoSimulator(Drawn):
             index, kind = np.argwhere(warnings)[0]
             warnings[:] = 0
             raise FloatingPointError(f"MuJoCo warned of {mujoco.mjtWarning(kind).name[7:]} in environment {index}")
-        return self._moved(state.bodies, contact)
+        return self._moved(state.bodies, contact)._replace(wrench=cast("Array | None", wrench))
 
     def _restore(self, state: SimState | Moved | None) -> None:
         """Continue from a state: from where the arms were left, or from where they were at any time."""

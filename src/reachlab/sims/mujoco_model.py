@@ -15,6 +15,7 @@ from reachlab.robots.robot import Robot
 from reachlab.settings.config import SimConfig
 from reachlab.settings.validation import InputError
 from reachlab.sims.mujoco_objects import add_objects
+from reachlab.sims.wrench import add_wrist
 from reachlab.tasks.task import EMPTY, Scene
 
 PAYLOAD = "payload"
@@ -93,6 +94,8 @@ def physics_spec(robot: Robot, config: SimConfig, scene: Scene = EMPTY, *, paylo
         _add_payload(spec, robot.tool, robot.payload)
     if scene.objects:
         add_objects(spec, robot, scene)
+    if scene.wrench:
+        add_wrist(spec, robot)
     return spec
 
 

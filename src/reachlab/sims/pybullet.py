@@ -13,6 +13,7 @@ from reachlab.control.situation import Goal
 from reachlab.render.marks import Marks
 from reachlab.robots.robot import PybulletModel, Robot
 from reachlab.settings.config import SimConfig
+from reachlab.settings.validation import InputError
 from reachlab.sims.pybullet_clients import Clients
 from reachlab.sims.pybullet_objects import ObjectSimulator
 from reachlab.sims.pybullet_world import TutorialWorld
@@ -82,8 +83,14 @@ def make_pybullet(
     randomise_dynamics: bool = False,
     scene: Scene = EMPTY,
 ) -> PybulletSimulator | ObjectSimulator:
-    """The tutorial's simulator; where a scene has objects, the one with full dynamics."""
+    """The tutorial's simulator; where a scene has objects, the one with full dynamics.
+
+    Raises:
+        InputError: the wrench is asked for where joints are set.
+    """
     del threads, randomise_dynamics
     if scene.objects:
         return ObjectSimulator(robot, config, num_envs, scene)
+    if scene.wrench:
+        raise InputError("simulator 'pybullet' measures no wrench where it sets joints, without an object: use mujoco.")
     return PybulletSimulator(robot, config, num_envs)

@@ -81,6 +81,10 @@ class ObjectWorld(World):
 
     What is in motion is a row of numbers: positions and speeds `[2 m]` of the joints, the gripper's after the arm's,
     then pose and velocity `[13]` of each object, as in `Bodies`.
+
+    Attributes:
+        touch: force [N] on the hand and its moment about the world's origin [Nm] `[6]`, mean of the last control
+            period; nothing where the wrench is not measured.
     """
 
     def __init__(
@@ -101,10 +105,15 @@ class ObjectWorld(World):
         self._objects: list[int] = []
         self._cross: list[int] = []
         self._mass, self._friction = scene.mass, scene.friction
+        # The engine tells the contacts of its last step alone, so where the wrench is measured each step is a call. It
+        # tells no friction against turning: what hand and object do to each other follows from the object's motion.
+        self._period, self._feels, self._calls = period, scene.wrench, substeps(period) if scene.wrench else 1
+        self.touch = np.zeros(6)
         bullet = self.bullet
         kinds = {Shape.BALL: bullet.GEOM_SPHERE, Shape.CYLINDER: bullet.GEOM_CYLINDER, Shape.BOX: bullet.GEOM_BOX}
         self._kind = kinds[scene.shape]
-        bullet.setPhysicsEngineParameter(numSubSteps=substeps(period), numSolverIterations=ITERATIONS)
+        bullet.setPhysicsEngineParameter(numSubSteps=substeps(period) // self._calls, numSolverIterations=ITERATIONS)
+        bullet.setTimeStep(period / self._calls)
         for body in self._furniture:
             bullet.setCollisionFilterGroupMask(body, -1, 0, 0)
         for link in range(bullet.getNumJoints(self._arm)):
@@ -195,10 +204,52 @@ class ObjectWorld(World):
         targets = command.tolist()
         keys = dict(zip(("positionGains", "velocityGains", "forces"), self._motors, strict=True))
         bullet.setJointMotorControlArray(self._arm, self._all, bullet.POSITION_CONTROL, targets, **keys)
+        if self._feels:
+            self.touch = self._felt_steps()
+        else:
+            self._pull()
+            bullet.stepSimulation()
+
+    def _pull(self) -> None:
+        """Pull objects down by their weight, in what is stepped next."""
         for body in self._objects:
-            place = bullet.getBasePositionAndOrientation(body)[0]
-            bullet.applyExternalForce(body, -1, (0, 0, -EARTH * self._mass), place, bullet.WORLD_FRAME)
-        bullet.stepSimulation()
+            place = self.bullet.getBasePositionAndOrientation(body)[0]
+            self.bullet.applyExternalForce(body, -1, (0, 0, -EARTH * self._mass), place, self.bullet.WORLD_FRAME)
+
+    def _felt_steps(self) -> np.ndarray:
+        """Mean of what acts on the hand, see `touch`, over the steps of a control period, which are taken."""
+        total, bullet = self._momentum() / self._period, self.bullet
+        for _ in range(self._calls):
+            places = [bullet.getBasePositionAndOrientation(body)[0] for body in self._objects]
+            self._pull()
+            bullet.stepSimulation()
+            acting = [self._pushed(), *(_about_origin((0, 0, -EARTH * self._mass), place) for place in places)]
+            total += np.sum(acting, axis=0) / self._calls
+        return total - self._momentum() / self._period
+
+    def _pushed(self) -> np.ndarray:
+        """Force and moment `[6]` of table and walls on hand and objects, in the engine's last step."""
+        total, held = np.zeros(6), {self._arm, *self._objects}
+        for _, one, other, _, _, place, _, normal, _, most, *sliding in self.bullet.getContactPoints():
+            if side := (one in held) - (other in held):
+                along, across = (size * np.array(way) for size, way in (sliding[:2], sliding[2:]))
+                total += side * _about_origin(most * np.array(normal) + along + across, place)
+        return total
+
+    def _momentum(self) -> np.ndarray:
+        """Momentum [kg m/s] and angular momentum about the world's origin [kg m²/s] of the objects, `[6]`."""
+        total, bullet = np.zeros(6), self.bullet
+        for body in self._objects:
+            (place, turn), (linear, angular) = bullet.getBasePositionAndOrientation(body), bullet.getBaseVelocity(body)
+            axes = np.array(bullet.getMatrixFromQuaternion(turn)).reshape(3, 3)
+            total += _about_origin(self._mass * np.array(linear), place)
+            total[3:] += axes @ (bullet.getDynamicsInfo(body, -1)[2] * (angular @ axes))
+        return total
+
+
+def _about_origin(force: Sequence[float] | np.ndarray, place: Sequence[float]) -> np.ndarray:
+    """A force at a place [m], or what is like one, and its moment about the world's origin, `[6]`."""
+    return np.concatenate([force, np.cross(place, force)])
 
 
 def substeps(period: float) -> int:

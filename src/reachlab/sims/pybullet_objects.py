@@ -21,6 +21,7 @@ from reachlab.sims.objects import mass_and_share, with_objects
 from reachlab.sims.pybullet_clients import Clients
 from reachlab.sims.pybullet_dynamics import ObjectWorld, find_motors, substeps
 from reachlab.sims.simulator import BatchArray, Begin, Moved, SimState, chosen
+from reachlab.sims.wrench import Newton
 from reachlab.tasks.task import Scene
 
 
@@ -38,7 +39,8 @@ class ObjectSimulator(Clients[ObjectWorld]):
         servos, joints = own_servos(model), range(robot.chain.n)
         self.lag = servo_lag(model, np.array([servos[joint] for joint in joints]), np.array(joints))
         motors = find_motors(model, home, period / substeps(period))
-        self._posture, self._count = home, len(home)
+        self._posture, self._count, self._period = home, len(home), period
+        self._newton = Newton(model) if scene.wrench else None
 
         def open_world(bullet: ModuleType, urdf: PybulletModel, index: int) -> ObjectWorld:
             return ObjectWorld(bullet, robot, urdf, period, scene, motors, gui=config.gui and index == 0)
@@ -61,16 +63,30 @@ class ObjectSimulator(Clients[ObjectWorld]):
             bodies = chosen(rows, bodies, jax.tree.map(np.asarray, state.bodies))
             begun = chosen(rows, begun, self._wanted(state))
         self._put(begun, bodies, rows)
+        wrench = self._wrench(begun, np.zeros((len(q), 6)))
+        if wrench is not None and state is not None:
+            wrench = chosen(rows, wrench, np.asarray(state.wrench))
         moved = self._moved(bodies)
-        return SimState(moved.q, moved.qd, *self._tool(), moved.bodies, moved.contact, moved.opening, moved.engine)
+        parts = (moved.bodies, moved.contact, moved.opening, moved.engine, cast("Array | None", wrench))
+        return SimState(moved.q, moved.qd, *self._tool(), *parts)
 
     def step(self, state: SimState | Moved, command: BatchArray) -> Moved:
         """See `Simulator.step`."""
         bodies = jax.tree.map(np.asarray, state.bodies)
-        self._put(self._wanted(state), bodies)
+        self._put(before := self._wanted(state), bodies)
         for world, row in zip(self._open_worlds, np.asarray(command, np.float64), strict=True):
             world.step(self._robot.posture(row))
-        return self._moved(bodies)
+        moved = self._moved(bodies)
+        wrench = self._wrench(before, np.array([world.touch for world in self._open_worlds]))
+        return moved._replace(wrench=cast("Array | None", wrench))
+
+    def _wrench(self, before: np.ndarray, touch: np.ndarray) -> np.ndarray | None:
+        """Mean wrench `[B, 6]` since the worlds were those of rows `before`, of the contacts `touch [B, 6]` since."""
+        if self._newton is None:
+            return None
+        q, qd, _ = np.split(self._rows[:, 2:], (self._count, 2 * self._count), axis=1)
+        faster = (qd - before[:, 2 + self._count : 2 + 2 * self._count]) / self._period
+        return np.array([self._newton.wrench(*row) for row in zip(q, qd, faster, touch, strict=True)])
 
     def _wanted(self, state: SimState | Moved) -> np.ndarray:
         """Rows of a state; objects that were moved by hand are where its bodies have them."""

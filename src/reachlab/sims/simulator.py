@@ -14,7 +14,7 @@ from reachlab.control.bodies import Bodies
 from reachlab.control.situation import Goal
 from reachlab.render.marks import Marks
 from reachlab.render.view_randomisation import Views
-from reachlab.robots.kinematics.forward import Pose
+from reachlab.robots.kinematics.forward import Pose, norm
 from reachlab.robots.robot import Robot
 from reachlab.settings.config import SimConfig
 from reachlab.settings.validation import InputError, choose
@@ -37,6 +37,8 @@ class SimState:
             without numbers, `[B, 0]`, where contacts are not judged.
         opening: of the gripper `[B, 1]` [m]; `[B, 0]` where none is driven.
         engine: whatever else an engine needs to continue exactly from here, `[B, m]` uint32, the bits of its numbers.
+        wrench: force and torque at the wrist `[B, 6]` [N, Nm], mean of the last control period, or as they are after a
+            reset, see `sims.wrench`; None where they are not measured.
     """
 
     q: Array
@@ -47,6 +49,7 @@ class SimState:
     contact: Array
     opening: Array
     engine: Array | None = None
+    wrench: Array | None = None
 
     @property
     def actuated(self) -> Array:
@@ -58,12 +61,17 @@ class SimState:
         """The tool's pose."""
         return Pose(self.tool_position, self.tool_quaternion)
 
+    @property
+    def force(self) -> Any:
+        """How large the force at the wrist is `[B]` [N]; None where it is not measured."""
+        return None if self.wrench is None else norm(self.wrench[:, :3])
+
 
 class Moved(NamedTuple):
     """Where a step took a batch of arms; like `SimState`, but for the tool.
 
     Attributes:
-        q, qd, bodies, contact, opening, engine: see `SimState`.
+        q, qd, bodies, contact, opening, engine, wrench: see `SimState`.
         tool: its pose; None where it is that of the joints by forward kinematics, which is left to the caller to
             compute, together with what it computes next.
     """
@@ -75,6 +83,7 @@ class Moved(NamedTuple):
     opening: Array
     tool: Pose | None = None
     engine: Array | None = None
+    wrench: Array | None = None
 
 
 class Begin(NamedTuple):
@@ -167,8 +176,10 @@ def make_simulator(
         InputError: there is none of that name, or it cannot be used so.
     """
     entry = SIMULATORS[choose("simulator", name, SIMULATORS)]
-    if scene.contacts and "contacts" not in entry.gives:
-        able = " or ".join(f"--sim {other}" for other, one in SIMULATORS.items() if "contacts" in one.gives)
-        raise InputError(f"simulator {name!r} judges no contacts: use {able}.")
+    asked = {"contacts": (scene.contacts, "judges no contacts"), "wrench": (scene.wrench, "measures no wrench")}
+    for word, (wanted, lacking) in asked.items():
+        if wanted and word not in entry.gives:
+            able = " or ".join(f"--sim {other}" for other, one in SIMULATORS.items() if word in one.gives)
+            raise InputError(f"simulator {name!r} {lacking}: use {able}.")
     varied = randomise_dynamics and "dynamics" in entry.gives
     return entry.load()(robot, config, num_envs, threads=threads, randomise_dynamics=varied, scene=scene)

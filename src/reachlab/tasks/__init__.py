@@ -30,6 +30,7 @@ WORDS = {
     "objects": "objects that move when they are touched, as in simulator mujoco",
     "gripper": "a gripper that opens and closes, as in task lift",
     "gripping": "an action of the gripper too, as joint_delta",
+    "wrench": "a wrench that is measured, as in simulator mujoco, or in pybullet with an object",
     "dynamics": "arms that differ, as in simulator mujoco",
     "places": "an observation that says where things are, as state; from pictures an action acts alone, as joint_delta",
     "flat": "a goal on the table and one object, as in task push",

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 from reachlab.control.situation import Situation
 from reachlab.tasks.object_terms import GRIPPED, OBJECT, STRUCK
 from reachlab.tasks.schema import Observation, Observed
@@ -17,6 +20,7 @@ from reachlab.tasks.terms import (
     STATE,
     TOOL,
     TRACK,
+    WRIST,
 )
 
 OBSERVATIONS: dict[str, Observation] = {
@@ -63,7 +67,13 @@ OBSERVATIONS: dict[str, Observation] = {
 """Observation designs by name."""
 
 
+def design_of(rules: Any) -> Observation:
+    """The observation design that rules name; where they ask for the wrench that is its first term."""
+    design = OBSERVATIONS[rules.observation]
+    return replace(design, terms=(WRIST, *design.terms), needs=design.needs | {"wrench"}) if rules.wrench else design
+
+
 def observe(setup: TaskSetup, now: Situation) -> Observed:
     """Observation of a situation, in the form that `Schema` describes."""
-    design = OBSERVATIONS[setup.rules.observation]
+    design = design_of(setup.rules)
     return design.schema(setup).join({term.name: term.value(setup, now) for term in design.terms})

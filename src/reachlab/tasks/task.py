@@ -49,6 +49,7 @@ class Scene:
         friction, grip: coefficients of friction of an object on what it lies on, and at the gripper.
         friction_spread: where objects vary, the least and the largest share of it.
         contacts: contacts of the arm are judged: with the bodies, with the table and with itself.
+        wrench: force and torque at the wrist are measured.
     """
 
     fixed: int = 0
@@ -61,6 +62,7 @@ class Scene:
     grip: float = 0.6
     friction_spread: tuple[float, float] = (0.5, 5 / 3)
     contacts: bool = False
+    wrench: bool = False
 
     @property
     def bodies(self) -> int:
@@ -107,6 +109,11 @@ class TaskSetup(Drive):
     def prepared(self) -> Any:
         """What the task has made for the arm, see `Task.prepare`."""
         return self.task.prepare(self)
+
+    @property
+    def scene(self) -> Scene:
+        """What may be beside the arm, and what the simulator has to tell of it."""
+        return replace(self.task.scene(self), wrench=self.rules.wrench)
 
 
 class Keys(NamedTuple):

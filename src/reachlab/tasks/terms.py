@@ -27,6 +27,10 @@ CLOSE, BASIS = 0.1, 4
 FASTEST = 5
 """On a smooth path the goal is faster than its mean speed: at times 2.5 times as fast, and never so many times."""
 
+GRAVITY, RANGE, LEVER = 9.81, 2.0, 0.1
+"""Gravity [m/s²]; up to how many times the weight of the arm with its payload a force at the wrist is measured, and the
+share of the arm's length that makes a torque of it. A UR5e's are 400 N and 52 Nm; Robotiq's FT 300 has 300 and 30."""
+
 NEAR = 0.02
 """Distance at which the near form of the way to the goal is half as long as a far one [m]."""
 
@@ -269,6 +273,20 @@ they are to the points of a grid (Prokudin et al., "Efficient learning on point 
 2019), which tells ways round apart. Neither depends on their order, number or kind.
 """
 
+
+def _wrench_bounds(setup: TaskSetup) -> Bounds:
+    robot = setup.robot
+    force = RANGE * GRAVITY * (robot.mass + robot.payload)
+    return within([force] * 3 + [LEVER * robot.chain.longest * force] * 3)
+
+
+def _wrench(setup: TaskSetup, now: Situation) -> Array:
+    """Force and torque as far as a sensor reaches."""
+    return jnp.clip(jnp.asarray(now.wrench), *_wrench_bounds(setup))
+
+
+WRIST = Term("wrench", "N and Nm", _wrench, _wrench_bounds)
+"""Force [N] and torque [Nm] at the wrist, see `sims.wrench`."""
 
 ACHIEVED_AND_DESIRED = (
     Term(GOALS[0], "m", _achieved, _or_pose(_tool_bounds)),

@@ -20,7 +20,7 @@ from reachlab.deploy.onboard.aiming import Aim
 from reachlab.deploy.onboard.bodies import Followed, placed
 from reachlab.deploy.onboard.folder import FORMAT, LIMITS, read_folder
 from reachlab.deploy.onboard.log import Log, read_log
-from reachlab.deploy.onboard.reading import in_words, read_bodies, read_numbers, read_seconds
+from reachlab.deploy.onboard.reading import felt, in_words, read_bodies, read_numbers, read_seconds
 from reachlab.deploy.onboard.step import load_step
 from reachlab.deploy.onboard.watching import JUMP, Watch
 from reachlab.deploy.onboard.ways import PlannerProcess, Told, Way
@@ -149,6 +149,7 @@ class Controller:
         objects: Any = None,
         picture: np.ndarray | None = None,
         joints: Any = None,
+        wrench: Any = None,
     ) -> np.ndarray:
         """Next joint command `[n]` [rad or m]; call it once in a control period. It raises nothing, see `problem`.
 
@@ -168,8 +169,11 @@ class Controller:
                 were measured earlier: without them, or with old ones, the arm brakes.
             picture: the camera's, for a policy that gets one, `[84, 84]` uint8.
             joints: joints at which the tool is at the goal, where they are known; by default they are looked for.
+            wrench: for a policy that observes it, force and torque at the wrist `[6]` [N, Nm]: that with which all that
+                the last joint holds acts on the arm, so that the weight of a hand points down, in the frame of the last
+                moving link. Without it the arm brakes.
         """
-        q, qd, goal, velocity, joints = (read_numbers(one) for one in (q, qd, goal, velocity, joints))
+        q, qd, goal, velocity, joints, wrench = map(read_numbers, (q, qd, goal, velocity, joints, wrench))
         seconds, around, things = read_seconds(time), read_bodies(obstacles), read_bodies(objects)
         self._hold_where_measured(q)
         before = self.motion.position
@@ -182,7 +186,7 @@ class Controller:
                 # An arm that rests because it has to finds out in every step whether it still has to.
                 if self._aim.goal is not None and not (refused or brake or (self.braking and not at_rest)):
                     bodies = around or [], things or [], seconds
-                    wanted, refused = self._command(self._aim.goal, bodies, picture)
+                    wanted, refused = self._command(self._aim.goal, bodies, picture, wrench)
             except Exception as error:  # whatever it is, an arm in motion is brought to rest
                 refused = f"{type(error).__name__}: {error}"
         was, now = self.braking and not at_rest, bool(refused or brake)
@@ -192,7 +196,8 @@ class Controller:
         self.motion = self.limits.advance(self.motion, wanted, self.braking)
         command = self.motion.position
         planned = self._way.ask(command) if self._way else None
-        self._log.add((q, qd, goal, seconds, velocity, around, things, joints, command, self.problem, planned))
+        noted = q, qd, goal, seconds, velocity, around, things, joints, wrench
+        self._log.add((*noted, command, self.problem, planned))
         return command.copy()
 
     def _hold_where_measured(self, q: Any) -> None:
@@ -215,7 +220,7 @@ class Controller:
         goal = self._aim.goal or {}
         return np.array(goal["joints"]) if "joints" in goal else None
 
-    def _command(self, goal: dict[str, Any], bodies: Any, picture: Any) -> tuple[np.ndarray, str]:
+    def _command(self, goal: dict[str, Any], bodies: Any, picture: Any, wrench: Any) -> tuple[np.ndarray, str]:
         """The command `[m]` with which the policy goes to a goal, and why there is none, if so.
 
         Bodies are obstacles, objects and the time [s].
@@ -226,7 +231,7 @@ class Controller:
         given.update({f"goal_{name}": part for name, part in goal.items()})
         if goal["position"] is None:
             given["goal_position"], _ = self._tool(given["q"])
-        if refused := self._look_around(given, bodies, picture):
+        if refused := self._look_around(given, bodies, picture, wrench):
             return rest, refused
         if self._way:
             planned, refused = self._way.command(goal, given, bodies[2])
@@ -240,8 +245,8 @@ class Controller:
         self._action, self._memory = action, memory[0] if memory else []
         return wanted, ""
 
-    def _look_around(self, given: dict[str, Any], bodies: Any, picture: Any) -> str:
-        """Add a picture and bodies to what is given, as the policy needs them, and say what is wrong with them."""
+    def _look_around(self, given: dict[str, Any], bodies: Any, picture: Any, wrench: Any) -> str:
+        """Add what is seen and felt to what is given, as the policy needs it, and say what is wrong with it."""
         inputs = self._inputs
         if "picture" in inputs:
             if picture is None and self._aim.hides:
@@ -249,16 +254,17 @@ class Controller:
             if picture is None or list(np.shape(picture)) != inputs["picture"]:
                 return f"the policy needs a picture of {inputs['picture']} pixels"
             given["picture"] = picture
-        if "bodies_kind" in inputs:
-            obstacles, objects, seconds = bodies
-            room = inputs["bodies_kind"][0]
-            try:
+        obstacles, objects, seconds = bodies
+        try:
+            given.update(felt(wrench, inputs))
+            if "bodies_kind" in inputs:
+                room = inputs["bodies_kind"][0]
                 around = placed(obstacles, room, objects, *self._objects, moving=self._moving, seconds=seconds)
                 if self._followed:
                     self._followed.fill(around, obstacles, seconds)
-            except ValueError as error:
-                return str(error)
-            given.update({f"bodies_{name}": numbers for name, numbers in around.items()})
+                given.update({f"bodies_{name}": numbers for name, numbers in around.items()})
+        except ValueError as error:
+            return str(error)
         return ""
 
     # --- log ----------------------------------------------------------------------------------------

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-NOTED = ("q", "qd", "goal", "time", "velocity", "obstacles", "objects", "joints", "command", "problem", "planned")
+NOTED = ("q", "qd", "goal", "time", "velocity", "obstacles", "objects", "joints", "wrench")
+NOTED += ("command", "problem", "planned")
 """What is kept of a control step."""
 
 KEPT = 100_000

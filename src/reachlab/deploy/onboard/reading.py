@@ -40,6 +40,22 @@ def read_bodies(value: Any) -> Any:
         return UNREADABLE
 
 
+def felt(wrench: Any, inputs: dict[str, list[int]]) -> dict[str, list[float]]:
+    """The wrench by its name, of one as `read_numbers` gives it; nothing where it is not among a policy's inputs.
+
+    Raises:
+        ValueError: it is among them, and is missing or not made of finite numbers.
+    """
+    if "wrench" not in inputs:
+        return {}
+    asked = f"the policy needs the wrench at the wrist, {inputs['wrench'][0]} finite numbers [N, Nm]"
+    if wrench is None:
+        raise ValueError(f"{asked}, and none is measured")
+    if isinstance(wrench, str) or list(wrench.shape) != inputs["wrench"] or not np.isfinite(wrench).all():
+        raise ValueError(f"{asked}, got {in_words(wrench)}")
+    return {"wrench": wrench.tolist()}
+
+
 def in_words(numbers: Any) -> str:
     """Numbers as text, to four digits; anything else as it is."""
     if not isinstance(numbers, (np.ndarray, np.generic)):

@@ -138,6 +138,7 @@ def why_streamed(config: RunConfig, agent: str | Function) -> str:
         "the page computes no policy of another library": not isinstance(agent, str),
         f"the page has no agent {name_of(agent)}": agent not in PLAYED,
         "the page always sees the target": config.rules.hides_goal,
+        "the page measures no wrench": config.rules.wrench,
         "the page does not shape commands": config.physics.shaping,
         "the page does not hold the meshes that collide with the table": config.physics.collisions,
     }
