@@ -31,7 +31,8 @@ def plans_for(env: Env) -> Plans:
     """
     setup = env.setup
     try:
-        arm = arm_of(setup.robot, setup.lag, setup.period, env.functions.limits)
+        arm, limits = arm_of(setup.robot, setup.lag, setup.period), env.functions.limits
+        arm = arm.within(limits) if limits else arm
         return Plans(arm, setup.task.scene(setup).bodies, turns=setup.rules.asks_orientation)
     except ModuleNotFoundError:
         raise InputError(f"agent 'planner' needs OMPL: {installing('planner')}.") from None

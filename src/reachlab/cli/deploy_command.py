@@ -38,6 +38,8 @@ def export(arguments: Export) -> None:
     say(f"Largest differences in {SITUATIONS:,} situations: {worst}.")
     if "reachlab_policy.c" not in done.differences:
         say("The C sources were not tried: no compiler was found, or the policy gets pictures.")
+    if "planner.py" in done.files:
+        say("The controller starts a planner, which needs mujoco, ompl and toppra on the robot; or --agent trained.")
     _say_unshaped(done.folder)
     say(f"Next: reachlab deploy check {done.folder}")
 

@@ -10,7 +10,6 @@ import numpy as np
 from mujoco.batch import Batch
 
 from reachlab.control.bodies import FAR, Bodies
-from reachlab.control.motion_limits import MotionLimits
 from reachlab.control.planning.arm import Arm
 from reachlab.control.planning.collision import LEAST_BOUND, Geoms, geoms_of
 from reachlab.robots.files.pictures import without_shapes
@@ -24,11 +23,6 @@ CAPSULE, BODY, TABLE = "reachlab_capsule_", "reachlab_body_", "reachlab_table"
 FOLLOWED = 0.45
 """Largest acceleration of a planned motion, in full speeds in a time of the servos' lag: more would take too fast
 commands."""
-
-PLANNED, HALVING, SMOOTHING = 0.9, 0.06, 3.2
-"""Of motions within limits of jerk: the share of the fastest speed that they have; how long jerk takes to reach the
-limit of acceleration where they have half of it [s]; and over how many times as long commands are averaged. With these,
-motions through random joint vectors leave what was planned by 6 mrad at most, on three arms."""
 
 TINY = 1e-6
 """Divides in place of a smaller time [s]."""
@@ -110,29 +104,22 @@ def body_geoms(model: mujoco.MjModel) -> list[int]:
     return [geom for geom in range(model.ngeom) if model.geom(geom).name.startswith(BODY)]
 
 
-def arm_of(robot: Robot, lag: Sequence[float] = (), period: float = 0.02, within: MotionLimits | None = None) -> Arm:
+def arm_of(robot: Robot, lag: Sequence[float] = (), period: float = 0.02) -> Arm:
     """What planning has to know of a robot whose joints follow commands, a period [s] apart, by times `[n]` [s].
-
-    Commands may be kept `within` limits.
 
     Raises:
         InputError: the robot has no shapes.
     """
     chain, capsules, speed = robot.chain, shapes_of(robot), np.array(robot.speed)
-    late, smooth = np.array(lag or np.zeros(chain.n)), 0.0
-    acceleration = np.minimum(robot.acceleration, FOLLOWED * speed / np.maximum(late, TINY))
-    if within:
-        ramp = within.acceleration / within.jerk
-        speed, acceleration = PLANNED * within.fastest, within.acceleration / (1.0 + ramp / HALVING)
-        smooth = max(SMOOTHING * float(ramp.max()), period)
+    late = np.array(lag or np.zeros(chain.n))
     return Arm(
         frames=chain.between,
         slides=np.array(chain.slides),
         lower=np.array(chain.lower),
         upper=np.array(chain.upper),
         speed=speed,
-        acceleration=acceleration,
-        smooth=smooth,
+        acceleration=np.minimum(robot.acceleration, FOLLOWED * speed / np.maximum(late, TINY)),
+        smooth=0.0,
         lag=late,
         home=np.array(robot.home),
         approach=np.array(chain.approach),

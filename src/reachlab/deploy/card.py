@@ -18,6 +18,11 @@ print(dict(zip(controller.joints, command.round(3))), controller.problem or "no 
 ```"""
 
 
+PLANNER = (
+    "| `planner.py` | plans where the policy does not get through; a process that needs MuJoCo, OMPL and TOPP-RA |"
+)
+"""Row of the planner among the files."""
+
 MET = "episodes in which links of the arm touched at any step, by the shapes in its file (meshes by their hulls)"
 """What the share of self-contact is."""
 
@@ -66,6 +71,7 @@ def _sections(facts: dict[str, Any]) -> list[str]:
         "| file | what it is |",
         "| --- | --- |",
         "| `controller.py` | runs the policy with NumPy alone (Python ≥ 3.9), within the limits below |",
+        *([PLANNER] if "planner" in facts else []),
         "| `step.py` | its decision as straight code: observation, network, action, control; printed from training's |",
         "| `reachlab_policy.c`, `.h`, `main.c` | the same step and limits in C99, and an example |",
         "| `policy.onnx` | the network, with normaliser and clipping inside |",

@@ -18,7 +18,6 @@ from reachlab.agents.acting import make_act
 from reachlab.agents.policy import Policy
 from reachlab.control.contact_model import arm_of
 from reachlab.control.motion_limits import MotionLimits
-from reachlab.control.situation import shaped_within
 from reachlab.deploy.bundle import controller_source, planner_source
 from reachlab.deploy.c_library import OWN, CPolicy, compiler
 from reachlab.deploy.c_source import c_sources
@@ -133,7 +132,7 @@ def _planner(env: Env, agent: str | None) -> dict[str, Any]:
         raise InputError(
             "agent 'hybrid' is exported for goals whose joints are known, among bodies that stay, without a wrench."
         )
-    arm = arm_of(setup.robot, setup.lag, setup.period, shaped_within(setup))._asdict()
+    arm = arm_of(setup.robot, setup.lag, setup.period)._asdict()
     plain = {name: np.asarray(part).tolist() for name, part in arm.items()}
     return {"planner": {"arm": plain, "bodies": scene.bodies, "turns": setup.rules.asks_orientation}}
 

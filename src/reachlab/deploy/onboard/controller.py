@@ -189,15 +189,13 @@ class Controller:
                     wanted, refused = self._command(self._aim.goal, bodies, picture, wrench)
             except Exception as error:  # whatever it is, an arm in motion is brought to rest
                 refused = f"{type(error).__name__}: {error}"
-        was, now = self.braking and not at_rest, bool(refused or brake)
-        aimless = goal is None and self._aim.goal is None
+        was, aimless = self.braking and not at_rest, goal is None and self._aim.goal is None
         self.problem = refused or problem or (self.problem if was else "") or (NO_GOAL if aimless else "")
-        self.braking = now or was
+        self.braking = bool(refused or brake) or was
         self.motion = self.limits.advance(self.motion, wanted, self.braking)
         command = self.motion.position
-        planned = self._way.ask(command) if self._way else None
-        noted = q, qd, goal, seconds, velocity, around, things, joints, wrench
-        self._log.add((*noted, command, self.problem, planned))
+        told = self.problem, self._way.ask(command) if self._way else None
+        self._log.add((q, qd, goal, seconds, velocity, around, things, joints, wrench, command, *told))
         return command.copy()
 
     def _hold_where_measured(self, q: Any) -> None:

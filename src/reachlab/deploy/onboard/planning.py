@@ -33,13 +33,11 @@ class Bodies(NamedTuple):
 class Foresight:
     """Where a policy leads an arm whose joints follow late."""
 
-    def __init__(self, folder: Path, facts: dict[str, Any], arm: Arm) -> None:
-        """Of an exported policy."""
+    def __init__(self, folder: Path, facts: dict[str, Any], arm: Arm, limits: MotionLimits) -> None:
+        """Of an exported policy, whose commands are kept within limits."""
         step = load_step(folder)
         self._decide, self._tool, self._inputs = step["decide"], step["tool"], facts["inputs"]
-        rows = [facts["limits"][joint["name"]] for joint in facts["joints"]]
-        limits = {name: np.array([row[name] for row in rows], float) for name in LIMITS}
-        self._arm, self._limits = arm, MotionLimits(**limits, period=arm.period)
+        self._arm, self._limits = arm, limits
         self._near = facts["goal"]["success_distance"]
 
     def leads(self, plans: Plans, bodies: Bodies, start: np.ndarray, goal: np.ndarray) -> bool:
@@ -72,8 +70,12 @@ class Answers:
         facts = read_folder(folder)
         known = facts["planner"]
         numbers: dict[str, Any] = {name: np.array(part) for name, part in known["arm"].items()}
-        arm = Arm(**numbers)
-        self._plans, self._foresight = Plans(arm, known["bodies"], turns=known["turns"]), Foresight(folder, facts, arm)
+        rows = [facts["limits"][joint["name"]] for joint in facts["joints"]]
+        within: dict[str, Any] = {name: np.array([row[name] for row in rows], float) for name in LIMITS}
+        limits = MotionLimits(**within, period=float(numbers["period"]))
+        arm = Arm(**numbers).within(limits)
+        self._plans = Plans(arm, known["bodies"], turns=known["turns"])
+        self._foresight = Foresight(folder, facts, arm, limits)
         self._motion: Trajectory | None = None
 
     def answer(self, request: dict[str, Any]) -> dict[str, Any]:
