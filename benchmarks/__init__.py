@@ -40,6 +40,10 @@ SUITES: dict[str, Lazy] = {
         "Scenes of furniture, without avoiding, with dampers and with the planner, on two arms: an hour.",
         "benchmarks.ways:ways",
     ),
+    "onboard": Lazy(
+        "Scenes of furniture, by the controller of an exported policy with its planner, on two arms: half an hour.",
+        "benchmarks.onboard:onboard",
+    ),
     "arms": Lazy("The tutorial's task on every robot of the catalogue, in three simulators.", "benchmarks.arms:arms"),
     "arms_precise": Lazy(
         "The precise task on every robot of the catalogue, beside inverse kinematics: two hours.",

@@ -28,7 +28,7 @@ from reachlab.deploy.check import settings_of
 from reachlab.deploy.export import export
 from reachlab.deploy.onboard.controller import Controller
 from reachlab.deploy.onboard.log import read_log
-from reachlab.deploy.onboard.ways import DEADLINE, Told
+from reachlab.deploy.onboard.ways import DEADLINE, LOOK, Told
 from reachlab.deploy.plant import Plant
 from reachlab.robots.catalogue import ROBOTS
 from reachlab.robots.loading import load_robot
@@ -436,3 +436,22 @@ def test_smoothed_motions_end_where_they_lead() -> None:
         np.testing.assert_allclose(part[0], path[0])
         np.testing.assert_allclose(part[-1], path[-1], atol=0.01)
     np.testing.assert_allclose(motion.q[1:], motion.q[:-1] + [0.2, 0.3] * (motion.command[1:] - motion.q[:-1]))
+
+
+def test_a_look_that_takes_too_long_brakes_the_arm_until_it_is_answered(controller: Controller) -> None:
+    arm, way = Arm(controller), controller._way
+    assert way is not None
+    while mode(controller) != "follow":
+        arm.step()
+    real, way.planner = way.planner, Told()
+    there = [{**WALL[0], "position": [0.45, 0.001, 0.3]}]
+    for _ in range(round(LOOK / controller.period) + 15):
+        arm.step(obstacles=there)
+    assert controller.problem == "the planner has not answered for 0.2 s"
+    assert controller.braking
+    way.planner, way._outstanding = real, None
+    for _ in range(300):
+        arm.step(obstacles=there)
+    assert controller.problem == ""
+    assert arm.distance < 0.005
+    assert not touches(arm.path, there)

@@ -6,6 +6,7 @@ from __future__ import annotations
 import dataclasses
 import logging
 import shutil
+import time
 from pathlib import Path
 from typing import Any
 
@@ -104,6 +105,8 @@ class ReachlabPolicy(PreTrainedPolicy):
             if controller.problem not in self._problems:
                 log.warning("reachlab: %s.", controller.problem)
                 self._problems.add(controller.problem)
+        if any(getattr(controller, "waits", False) for controller in self._controllers[: len(q)]):
+            time.sleep(period)  # their planners need real time
         self._before, self._steps = q, self._steps + 1
         return torch.from_numpy(self._motors.read(np.array(commands)).astype(np.float32)).to(self.config.device)
 

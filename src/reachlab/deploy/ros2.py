@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from reachlab.deploy.check import start_controller
+from reachlab.deploy.check import read_facts, start_controller
+from reachlab.deploy.markers import from_markers
 from reachlab.deploy.topics import Topics
 from reachlab.settings.validation import InputError, installing
 
@@ -55,9 +56,10 @@ def run_node(folder: Path, topics: Topics, *, trajectory: bool) -> None:
     Raises:
         InputError: ROS 2 is missing, or the folder is none that was exported.
     """
-    controller = start_controller(folder)
+    controller, facts = start_controller(folder), read_facts(folder)
+    sees = "bodies_kind" in facts["inputs"] and facts["inputs"]["bodies_kind"] != [len(facts.get("objects", []))]
     with ros2() as rclpy:
-        node = PolicyNode(rclpy.create_node("reachlab_policy"), controller, topics, trajectory=trajectory)
+        node = PolicyNode(rclpy.create_node("reachlab_policy"), controller, topics, trajectory=trajectory, sees=sees)
         with contextlib.suppress(KeyboardInterrupt, rclpy.executors.ExternalShutdownException):
             rclpy.spin(node.node)
 
@@ -70,8 +72,8 @@ class PolicyNode:
     its own that the policy was not trained with.
     """
 
-    def __init__(self, node: Any, controller: Any, topics: Topics, *, trajectory: bool) -> None:
-        """The policy's side of a node of rclpy."""
+    def __init__(self, node: Any, controller: Any, topics: Topics, *, trajectory: bool, sees: bool = False) -> None:
+        """The policy's side of a node of rclpy, of a policy that has to be told of obstacles, or has not."""
         from geometry_msgs.msg import PoseStamped
         from rclpy.qos import qos_profile_sensor_data
         from sensor_msgs.msg import JointState
@@ -80,7 +82,8 @@ class PolicyNode:
 
         self.node, self._controller, self._trajectory = node, controller, trajectory
         self._goal: list[float] | None = None
-        self._goals, self._objects = topics.goals, list[dict[str, Any]]()
+        self._topics, self._objects = topics, list[dict[str, Any]]()
+        self._obstacles: list[dict[str, Any]] | None = None if sees else []
         self._measured: tuple[np.ndarray, np.ndarray] | None = None
         self._due, self._told = 0.0, ""
         self._resets = True  # commands begin where the arm is
@@ -89,6 +92,10 @@ class PolicyNode:
         node.create_subscription(JointState, topics.joint_states, self._on_joints, qos_profile_sensor_data)
         node.create_subscription(PoseStamped, topics.goals, self._on_goal, 1)
         node.create_subscription(PoseStamped, topics.objects, self._on_object, qos_profile_sensor_data)
+        if sees:
+            from visualization_msgs.msg import MarkerArray
+
+            node.create_subscription(MarkerArray, topics.obstacles, self._on_obstacles, qos_profile_sensor_data)
         node.create_subscription(Empty, topics.reset, self._on_reset, 1)
         node.create_subscription(Empty, topics.stop, lambda _: controller.stop(), 1)
         node.create_timer(controller.period / TICKS, self._on_tick)
@@ -114,6 +121,9 @@ class PolicyNode:
                 now["velocity"] = (position - before["position"]) / since
         self._objects = [now]
 
+    def _on_obstacles(self, message: Any) -> None:
+        self._obstacles = from_markers(message, time.monotonic())
+
     def _on_joints(self, message: Any) -> None:
         try:
             rows = [message.name.index(name) for name in self._controller.joints]
@@ -138,8 +148,12 @@ class PolicyNode:
         if not self._begin(q):
             return
         beside: dict[str, Any] = {"objects": self._objects} if self._objects else {}
-        command = controller.step(q, qd, self._goal, now, **beside)
-        waiting = "" if self._goal else f"no goal has come on '{self._goals}', and the arm is held where it is"
+        if self._obstacles:
+            beside["obstacles"] = self._obstacles
+        command = controller.step(q, qd, None if self._obstacles is None else self._goal, now, **beside)
+        missing = "" if self._goal else f"goal has come on '{self._topics.goals}'"
+        missing = f"obstacles have come on '{self._topics.obstacles}'" if self._obstacles is None else missing
+        waiting = missing and f"no {missing}, and the arm is held where it is"
         self._tell(controller.problem if controller.braking else waiting)
         self._publish(command)
 

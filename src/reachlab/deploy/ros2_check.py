@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from reachlab.deploy.check import PATIENCE, read_facts, settings_of
+from reachlab.deploy.markers import to_markers
 from reachlab.deploy.plant import Measurement, Outcome, Plant, drive
 from reachlab.deploy.plant_faults import Faults
 from reachlab.deploy.ros2 import ros2
@@ -34,8 +35,8 @@ def check_over_ros2(folder: Path, *, sim: str | None, episodes: int, seed: int, 
         InputError: ROS 2 is missing, the policy is one that topics cannot carry, or its node does not start.
     """
     config, facts = settings_of(folder, sim), read_facts(folder)
-    if facts["goal"]["moves"] or "bodies" in config.rules.gives:
-        raise InputError("goals that move and obstacles have no topic: check this policy without --over-ros2.")
+    if facts["goal"]["moves"]:
+        raise InputError("goals that move have no topic: check this policy without --over-ros2.")
     topics = Topics()
     with ros2() as rclpy:
         plant = Plant(config, seed)
@@ -74,11 +75,13 @@ class RosLink:
         from geometry_msgs.msg import PoseStamped
         from sensor_msgs.msg import JointState
         from std_msgs.msg import Empty, Float64MultiArray
+        from visualization_msgs.msg import MarkerArray
 
         self._joints, self._node = joints, node
         self._states = node.create_publisher(JointState, topics.joint_states, 1)
         self._goals = node.create_publisher(PoseStamped, topics.goals, 1)
         self._objects = node.create_publisher(PoseStamped, topics.objects, 1)
+        self._obstacles = node.create_publisher(MarkerArray, topics.obstacles, 1)
         self._resets = node.create_publisher(Empty, topics.reset, 1)
         node.create_subscription(Float64MultiArray, topics.commands, self._on_command, 1)
         self._commands: list[np.ndarray] = []
@@ -116,6 +119,7 @@ class RosLink:
             self._goals.publish(self._pose(measurement.goal))
         for one in measurement.objects:
             self._objects.publish(self._pose([*one["position"], *one["quaternion"]]))
+        self._obstacles.publish(to_markers(measurement.obstacles))
         self._publish(measurement.q, measurement.qd)
 
     def _pose(self, numbers: list[float]) -> Any:

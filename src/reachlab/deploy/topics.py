@@ -15,6 +15,8 @@ class Topics:
     """Goals, `geometry_msgs/PoseStamped`, in the frame of the arm's base."""
     objects: str = "reachlab/object"
     """Where the object is, `geometry_msgs/PoseStamped`, in the same frame; its header says when it was seen there."""
+    obstacles: str = "reachlab/obstacles"
+    """All obstacles, `visualization_msgs/MarkerArray`, in that frame: spheres, cubes, and cylinders for capsules."""
     commands: str = "forward_position_controller/commands"
     """Joint commands, `std_msgs/Float64MultiArray`, in the order of the policy's joints."""
     reset: str = "reachlab/reset"

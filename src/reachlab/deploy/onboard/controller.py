@@ -213,6 +213,11 @@ class Controller:
             )
 
     @property
+    def waits(self) -> bool:
+        """The arm waits for a planner: where time is simulated, let some pass."""
+        return bool(self._way and self._way.waits)
+
+    @property
     def goal_joints(self) -> np.ndarray | None:
         """Joints `[n]` at which the tool is at the goal, where the policy needs them and they are found."""
         goal = self._aim.goal or {}

@@ -16,8 +16,8 @@ import numpy as np
 
 from reachlab.control.planning.following import PATIENCE, PROGRESS, Follower, Trajectory
 
-DEADLINE = 5.0
-"""Time in which a planner has to answer [s]."""
+DEADLINE, LOOK = 5.0, 0.2
+"""Times in which a planner has to have planned, and to have looked at a motion again [s]."""
 
 STARTS = 60.0
 """Time in which it has to have started [s]."""
@@ -148,8 +148,9 @@ class Way:
             self._forget(trust=True)
         self._seconds, self._scene, held = seconds, scene, np.array(given["command"])
         self._listen()
-        if self._outstanding is not None and seconds - self._since > DEADLINE:
-            return held, f"the planner has not answered for {DEADLINE:g} s"
+        allowed = LOOK if self._mode == "follow" else DEADLINE
+        if self._outstanding is not None and seconds - self._since > allowed:
+            return held, f"the planner has not answered for {allowed:g} s"
         return self._by_mode(goal, given, held)
 
     def _by_mode(self, goal: dict[str, Any], given: dict[str, Any], held: np.ndarray) -> tuple[np.ndarray | None, str]:
@@ -197,6 +198,11 @@ class Way:
             self._mode, self._nearest, self._came = "policy", np.inf, self._seconds
         else:
             self._mode = "none"
+
+    @property
+    def waits(self) -> bool:
+        """What comes next depends on an answer of the planner."""
+        return self._mode == "wait" or (self._mode == "ask" and self._outstanding is not None)
 
     def ask(self, command: np.ndarray) -> dict[str, Any] | None:
         """Ask the planner what is to be asked, now that `command [n]` is given; what it has answered in this step."""

@@ -1,0 +1,58 @@
+"""Obstacles as messages of ROS 2: markers, which RViz draws."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+
+def to_markers(obstacles: Sequence[dict[str, Any]], frame: str = "base") -> Any:
+    """A `MarkerArray` of obstacles as `Controller.step` takes them: spheres, cubes, and cylinders for capsules."""
+    from visualization_msgs.msg import Marker, MarkerArray
+
+    found = []
+    for number, one in enumerate(obstacles):
+        half, radius = np.asarray(one.get("half", np.zeros(3)), float), float(one.get("radius", 0.0))
+        marker = Marker(ns="obstacles", id=number)
+        marker.header.frame_id = frame
+        if half[:2].any():
+            marker.type, size = Marker.CUBE, 2 * (half + radius)
+        elif half[2]:
+            marker.type, size = Marker.CYLINDER, 2 * np.array([radius, radius, half[2]])
+        else:
+            marker.type, size = Marker.SPHERE, np.full(3, 2 * radius)
+        place, turn, scale = marker.pose.position, marker.pose.orientation, marker.scale
+        place.x, place.y, place.z = map(float, one["position"])
+        turn.w, turn.x, turn.y, turn.z = map(float, one.get("quaternion", (1.0, 0.0, 0.0, 0.0)))
+        scale.x, scale.y, scale.z = map(float, size)
+        marker.color.r, marker.color.g, marker.color.b, marker.color.a = 0.9, 0.5, 0.1, 0.6
+        found.append(marker)
+    return MarkerArray(markers=found)
+
+
+def from_markers(message: Any, seen: float) -> list[dict[str, Any]]:
+    """Obstacles, seen at a time [s], of a `MarkerArray` that holds all of them.
+
+    A cylinder is taken as the capsule around it: its axis, swept by a ball of its radius. What is no sphere, cube or
+    cylinder is a ball around its scale.
+    """
+    from visualization_msgs.msg import Marker
+
+    found = []
+    for marker in sorted(message.markers, key=lambda one: (one.ns, one.id)):
+        if marker.action != Marker.ADD:
+            continue
+        place, turn = marker.pose.position, marker.pose.orientation
+        half = np.array([marker.scale.x, marker.scale.y, marker.scale.z]) / 2
+        shape: dict[str, Any] = {"radius": float(np.linalg.norm(half))}
+        if marker.type == Marker.CUBE:
+            shape = {"half": half}
+        elif marker.type == Marker.CYLINDER:
+            shape = {"half": np.array([0.0, 0.0, half[2]]), "radius": max(half[:2])}
+        elif marker.type == Marker.SPHERE:
+            shape = {"radius": max(half)}
+        pose = {"position": [place.x, place.y, place.z], "quaternion": [turn.w, turn.x, turn.y, turn.z]}
+        found.append({**pose, **shape, "time": seen})
+    return found
