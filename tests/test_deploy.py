@@ -10,6 +10,7 @@ import time
 import warnings
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import jax
@@ -30,8 +31,14 @@ from reachlab.deploy.bundle import controller_source
 from reachlab.deploy.card import model_card
 from reachlab.deploy.check import check, load_controller
 from reachlab.deploy.export import export
+from reachlab.deploy.markers import from_markers, to_markers
+from reachlab.deploy.onboard.bodies import placed
+from reachlab.deploy.onboard.controller import Controller
+from reachlab.deploy.onboard.reading import read_bodies
 from reachlab.deploy.plant import Measurement, Plant, drive
 from reachlab.deploy.plant_faults import Faults
+from reachlab.deploy.ros2 import PolicyNode
+from reachlab.deploy.topics import Topics
 from reachlab.envs.core import Env
 from reachlab.envs.presets import configure
 from reachlab.envs.random_streams import REPORT_STREAM, episode_keys
@@ -466,6 +473,59 @@ def test_the_loop_runs_over_ros_2(task: str, precise: Path, tmp_path: Path) -> N
     assert task != "clutter" or result["success_rate"] == 1.0
     assert result["in_time"] > 0.5, "most commands come in time also where much else is computed"
     assert time.monotonic() - began > 4, "it is real time"
+
+
+def test_obstacles_come_through_markers_as_they_are_told() -> None:
+    pytest.importorskip("rclpy")
+    from visualization_msgs.msg import Marker, MarkerArray
+
+    half = np.sqrt(0.5)
+    told = [
+        {"position": [0.5, 0.1, 0.2], "half": [0.1, 0.02, 0.3], "quaternion": [half, 0.0, 0.0, half]},
+        {"position": [0.4, -0.2, 0.5], "radius": 0.05},
+        {"position": [0.3, 0.2, 0.1], "half": [0.0, 0.0, 0.2], "radius": 0.04, "quaternion": [half, half, 0.0, 0.0]},
+    ]
+    markers = to_markers(told)
+    came = placed(read_bodies(from_markers(markers, 3.0)), 4)
+    expected = placed(read_bodies(told), 4)
+    for name, numbers in expected.items():
+        np.testing.assert_allclose(came[name], numbers, atol=1e-12)
+    gone, arrow = Marker(action=Marker.DELETE), Marker(type=Marker.ARROW, id=9)
+    arrow.scale.x = arrow.scale.y = arrow.scale.z = 0.2
+    found = from_markers(MarkerArray(markers=[gone, arrow]), 3.0)
+    assert len(found) == 1, "what is taken away is not there"
+    assert found[0]["radius"] == pytest.approx(0.1 * np.sqrt(3)), "what is unknown is a ball around its scale"
+
+
+def test_the_node_holds_the_arm_until_obstacles_were_told(clutter: Path) -> None:
+    pytest.importorskip("rclpy")
+    from geometry_msgs.msg import PoseStamped
+    from sensor_msgs.msg import JointState
+
+    made, said = SimpleNamespace(publish=lambda _: None), list[str]()
+    node = SimpleNamespace(
+        **dict.fromkeys(("create_publisher", "create_subscription", "create_timer"), lambda *_: made),
+        get_logger=lambda: SimpleNamespace(warning=said.append),
+    )
+    controller = Controller(clutter)
+    policy = PolicyNode(node, controller, Topics(), trajectory=False, sees=True)
+    goal = PoseStamped()
+    goal.pose.position.x, goal.pose.position.y, goal.pose.position.z = np.mean(controller.goal_box, axis=0).tolist()
+
+    def step() -> None:
+        here = controller.motion.position.tolist()
+        policy._on_joints(JointState(name=controller.joints, position=here, velocity=[0.0] * len(here)))
+        time.sleep(controller.period)
+
+    step()
+    policy._on_goal(goal)
+    for _ in range(5):
+        step()
+    assert said[-1] == "no obstacles have come on 'reachlab/obstacles', and the arm is held where it is"
+    policy._on_obstacles(to_markers([]))
+    for _ in range(5):
+        step()
+    assert said[-1] == "all is well again"
 
 
 # --- policies in ONNX -----------------------------------------------------------------------------
