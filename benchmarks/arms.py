@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -12,8 +13,11 @@ from reachlab.bench.timing import run_command
 from reachlab.evaluation.report import FRESH_SEED
 from reachlab.robots.catalogue import ROBOTS
 
-SEEDS, HELD_OUT = range(5), 2000
+SEEDS, HELD_OUT = range(int(os.environ.get("SEEDS", "5"))), 2000
 """Trainings of each robot, and held-out targets of each: seed s has those of seed `FRESH_SEED` + s."""
+
+FLAGS = ("--gripper", os.environ["GRIPPER"]) if "GRIPPER" in os.environ else ()
+"""Flags of all trainings: with a gripper, where one is named."""
 
 TRANSFERS, TRANSFERRED = range(3), 1000
 """Trainings whose policies are tried in the other simulators, and held-out targets of each."""
@@ -26,7 +30,7 @@ def arms() -> Iterator[Row]:
     """The tutorial's task: success in three simulators, and the time of the whole command, robot by robot."""
     with tempfile.TemporaryDirectory() as folder:
         for robot in ROBOTS:
-            yield from tutorial(robot, Path(folder) / robot)
+            yield from tutorial(robot, Path(folder) / robot, flags=FLAGS)
 
 
 def tutorial(robot: str, folder: Path, seeds: Sequence[int] = SEEDS, flags: Sequence[str] = ()) -> Iterator[Row]:
@@ -56,7 +60,7 @@ def arms_precise() -> Iterator[Row]:
     """The precise task on arms whose dynamics vary, beside inverse kinematics on the same targets."""
     with tempfile.TemporaryDirectory() as folder:
         for robot in ROBOTS:
-            yield from precise(robot, Path(folder) / robot)
+            yield from precise(robot, Path(folder) / robot, flags=FLAGS)
 
 
 def precise(robot: str, folder: Path, seeds: Sequence[int] = SEEDS, flags: Sequence[str] = ()) -> Iterator[Row]:

@@ -36,6 +36,7 @@ from reachlab.agents import AGENTS
 from reachlab.cli import main as cli
 from reachlab.cli.flags import EVALUATED
 from reachlab.cli.verbs import VERBS
+from reachlab.deploy.topics import Topics
 from reachlab.envs.consistency import RANDOMISED
 from reachlab.envs.presets import preset
 from reachlab.render import CAMERAS
@@ -87,6 +88,7 @@ NAMES: dict[str, Sequence[str]] = {
     "engine": [*ENGINES, "slurm"],
     "address": ["127.0.0.1:1", "auto"],
     "goal": [*GOALS, "succes_rate"],
+    **{topic.name: [str(topic.default), "no topic"] for topic in dataclasses.fields(Topics)},
 }
 """Values of the settings that are names."""
 

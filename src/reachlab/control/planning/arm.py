@@ -8,6 +8,7 @@ import numpy as np
 
 from reachlab.control.motion_limits import MotionLimits
 from reachlab.control.planning.following import SHORTEST
+from reachlab.robots.kinematics.transforms import moved_links
 
 PLANNED, HALVING, SMOOTHING = 0.9, 0.06, 3.2
 """Of motions within limits of jerk: the share of the fastest speed that they have; how long jerk takes to reach the
@@ -84,14 +85,5 @@ class Arm(NamedTuple):
 
     def links_at(self, q: np.ndarray) -> np.ndarray:
         """Transforms `[..., n + 1, 4, 4]` of what the joints move at `q [..., n]`, and of the tool."""
-        before, found = np.eye(4), []
-        for frame, slide, value in zip(self.frames, self.slides, np.moveaxis(q, -1, 0), strict=False):
-            moved = np.zeros((*value.shape, 4, 4)) + np.eye(4)
-            if slide:
-                moved[..., 2, 3] = value
-            else:
-                cos, sin = np.cos(value), np.sin(value)
-                moved[..., 0, 0], moved[..., 0, 1], moved[..., 1, 0], moved[..., 1, 1] = cos, -sin, sin, cos
-            before = before @ frame @ moved
-            found.append(before)
-        return np.stack([*found, before @ self.frames[-1]], axis=-3)
+        moved = moved_links(self.frames, self.slides, q)
+        return np.stack([*moved, moved[-1] @ self.frames[-1]], axis=-3)

@@ -11,6 +11,7 @@ import numpy as np
 
 from reachlab.robots.kinematics.limits import position_limits
 from reachlab.robots.kinematics.scalars import Rotation, Vec, rotation_from_quaternion
+from reachlab.robots.kinematics.transforms import joint_transform, moved_links
 
 DECIMALS = 12
 """Decimals of the constants of a joint frame [m or 1]: one that is 0 or 1 but for float64's rounding is that number."""
@@ -74,12 +75,8 @@ class Chain:
         Link 0 is the base, in the world's frame; link `k + 1` is what joint `k` moves, in the frame `F_0 J_0 ... J_k`.
         """
         values = np.asarray(q, float)
-        transforms = [np.broadcast_to(np.eye(4), (*values.shape[:-1], 4, 4))]
-        for (rotation, offset), slide, value in zip(
-            self.frames[:-1], self.slides, np.moveaxis(values, -1, 0), strict=True
-        ):
-            transforms.append(transforms[-1] @ _matrix(rotation, offset) @ _joint_transform(slide, value))
-        return np.stack(transforms, axis=-3)
+        base = np.broadcast_to(np.eye(4), (*values.shape[:-1], 4, 4))
+        return np.stack([base, *moved_links(self.between, self.slides, values)], axis=-3)
 
 
 DIGITS = 6
@@ -133,7 +130,7 @@ def chain_from_model(model: mujoco.MjModel, tool: str) -> Chain:
                 raise ValueError(f"joint {name!r} is a {what} joint; a chain takes hinge and slide joints only")
             align = _align_z(model.jnt_pos[joint], model.jnt_axis[joint])
             reference = float(model.qpos0[model.jnt_qposadr[joint]])
-            frames.append(transform @ align @ _joint_transform(slide, -reference))
+            frames.append(transform @ align @ joint_transform(slide, -reference))
             transform = np.linalg.inv(align)
             slides.append(slide)
             limits.append(position_limits(model, joint))
@@ -202,17 +199,6 @@ def _align_z(position: np.ndarray, axis: np.ndarray) -> np.ndarray:
     axis = axis / np.linalg.norm(axis)
     half = np.array([1.0 + axis[2], -axis[1], axis[0], 0.0])
     return _transform(position, half if half[0] > ROUND_TO_EXACT else np.array([0.0, 1.0, 0.0, 0.0]))
-
-
-def _joint_transform(slide: bool, value: float | np.ndarray) -> np.ndarray:
-    """Transforms `[..., 4, 4]` of a joint that is moved by `value [...]`."""
-    transform = np.tile(np.eye(4), (*np.shape(value), 1, 1))
-    if slide:
-        transform[..., 2, 3] = value
-        return transform
-    cos, sin = np.cos(value), np.sin(value)
-    transform[..., :2, :2] = np.stack([np.stack([cos, -sin], -1), np.stack([sin, cos], -1)], -2)
-    return transform
 
 
 def _matrix(rotation: Rotation, offset: Vec | np.ndarray) -> np.ndarray:
