@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -48,7 +50,8 @@ class LeRobotPolicy:
             ) from None
         try:
             config: Any = PreTrainedConfig.from_pretrained(folder)
-            self._policy: Any = get_policy_class(config.type).from_pretrained(folder, config=config)
+            with contextlib.redirect_stdout(sys.stderr):  # LeRobot prints, and our standard output may be JSON
+                self._policy: Any = get_policy_class(config.type).from_pretrained(folder, config=config)
             self._before, self._after = make_pre_post_processors(
                 config, str(folder), preprocessor_overrides={"device_processor": {"device": str(config.device)}}
             )
