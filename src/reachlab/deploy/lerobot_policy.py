@@ -32,12 +32,13 @@ class LeRobotPolicy:
 
     config = None
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: str | Path) -> None:
         """Policy of a folder, as `checkpoints/last/pretrained_model` of `lerobot-train`; one of LeRobot's own classes.
 
         Raises:
             InputError: LeRobot is not installed, the folder cannot be read, or the policy observes pictures.
         """
+        self._folder = folder = Path(folder)
         try:
             from lerobot.configs import PreTrainedConfig  # pyright: ignore[reportMissingImports]
             from lerobot.policies import (  # pyright: ignore[reportMissingImports]
@@ -61,7 +62,6 @@ class LeRobotPolicy:
             raise InputError(f"'{folder}' cannot be read as a policy of LeRobot: {why}.") from None
         if config.image_features:
             raise InputError("a policy that observes pictures is evaluated by `lerobot-eval`, see docs/lerobot.md.")
-        self._folder = folder
         self._shapes = {name: one.shape for name, one in (config.input_features | config.output_features).items()}
         self.checkpoint: dict[str, Any] = {"steps": None, "sha256": hashlib.sha256(weights).hexdigest()}
         self.act = Driver(config.type, self._act)
