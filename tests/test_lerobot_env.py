@@ -14,12 +14,13 @@ import numpy as np
 import pytest
 
 import reachlab
+from reachlab.cli.eval_subjects import is_model
 from reachlab.deploy.lerobot_env import LeRobotVectorEnv
 from reachlab.deploy.lerobot_surroundings import told
 from reachlab.deploy.lerobot_units import motors_of
 from reachlab.envs.presets import configure
 from reachlab.envs.setup import make_setup
-from reachlab.lerobot import make_env
+from reachlab.lerobot import LeRobotPolicy, make_env
 from reachlab.robots.catalogue import ROBOTS
 from reachlab.settings.validation import InputError
 
@@ -150,3 +151,11 @@ def test_what_is_asked_is_told_to_a_controller_by_name() -> None:
     assert [body["position"][0] for body in asked["objects"]] == [0.4]
     with pytest.raises(InputError, match="asks for other goals"):
         told(facts, np.zeros(11))
+
+
+def test_a_policy_of_lerobot_is_known_by_its_files_and_needs_lerobot(tmp_path: Path) -> None:
+    assert not is_model(tmp_path)
+    (tmp_path / "policy_preprocessor.json").touch()
+    assert is_model(tmp_path)
+    with pytest.raises(InputError, match="run the command where LeRobot is installed"):
+        LeRobotPolicy(tmp_path)

@@ -1,5 +1,7 @@
 """Environments for Hugging Face LeRobot: `make_env` is what the `env.py` of a repository on its hub gives.
 
+`LeRobotPolicy` is the other way round: a policy that LeRobot has trained, for `reachlab.evaluate`.
+
 Actions are positions of an arm's motors, in LeRobot's units, and observations the same with pictures: the form of the
 datasets that `reachlab record` writes.
 """
@@ -12,11 +14,12 @@ from typing import Any
 
 from reachlab.deploy.check import read_facts
 from reachlab.deploy.lerobot_env import LeRobotVectorEnv
+from reachlab.deploy.lerobot_policy import LeRobotPolicy
 from reachlab.envs.formats import from_json
 from reachlab.envs.setup import configure_env, in_evaluation
 from reachlab.tasks import TASKS
 
-__all__ = ["make_env"]
+__all__ = ["LeRobotPolicy", "make_env"]
 
 
 def make_env(

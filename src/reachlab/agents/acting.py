@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
@@ -38,6 +38,23 @@ Act = Callable[..., tuple[EnvState, Transition, Array]]
 Pictures are drawn for the environments of `mask [B]` alone, for all without it. A joint command `instead [B, n]` that
 is a number is taken in place of the agent's, see `Env.step`.
 """
+
+
+@dataclass(frozen=True)
+class Driver:
+    """An agent beside those of `AGENTS` that commands joints itself, rather than giving actions.
+
+    Attributes:
+        name: of it in reports.
+        make_act: gives its step in an environment.
+    """
+
+    name: str
+    make_act: Callable[[Env], Act]
+
+    def __call__(self, env: Env) -> Act:
+        """Its step in an environment."""
+        return self.make_act(env)
 
 
 def trained(
@@ -82,15 +99,19 @@ def _named(fields: Mapping[str, Field]) -> str:
 
 def name_of(agent: str | Function) -> str:
     """Name of an agent in reports."""
+    if isinstance(agent, Driver):
+        return agent.name
     return agent if isinstance(agent, str) else getattr(agent, "__name__", type(agent).__name__)
 
 
 def make_act(env: Env, agent: str | Function) -> Act:
-    """The step of an agent of `AGENTS`, or of a function.
+    """The step of an agent of `AGENTS`, of a driver, or of a function.
 
     Raises:
         InputError: there is none of that name, or it cannot act there.
     """
+    if isinstance(agent, Driver):
+        return agent(env)
     if not isinstance(agent, str):
         return _act_by(agent, env)
     entry = AGENTS[choose("agent", agent, AGENTS)]

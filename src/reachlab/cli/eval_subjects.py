@@ -20,10 +20,13 @@ if TYPE_CHECKING:
     from reachlab.agents.acting import Function
     from reachlab.agents.policy import Policy
     from reachlab.agents.sb3_policy import SavedModel
+    from reachlab.deploy.lerobot_policy import LeRobotPolicy
     from reachlab.deploy.onnx_network import OnnxNetwork
     from reachlab.envs.core import Env
     from reachlab.learn.load import Saved
     from reachlab.runs.directory import RunDirectory
+
+    Model = SavedModel | OnnxNetwork | LeRobotPolicy
 
 
 @dataclass
@@ -37,7 +40,7 @@ class Subject:
     name: str
     config: RunConfig
     run: RunDirectory | None = None
-    model: SavedModel | OnnxNetwork | None = None
+    model: Model | None = None
     saved: Saved | None = None
 
     def acting(self, env: Env, agent: str) -> tuple[str | Function, Policy | None, dict[str, Any] | None]:
@@ -64,12 +67,16 @@ def other_goals(arguments: Subjects | Export) -> dict[str, Any]:
 def find_subjects(arguments: Subjects, agents: Sequence[str]) -> list[Subject]:
     """Subjects that the flags name, and that such agents need; several runs are of one task on one arm.
 
+    A model that does not say what it was trained for is evaluated on what the first subject was.
+
     Raises:
         InputError: they are not, or one of them is named twice or cannot be used.
     """
     check_trust(arguments)
     first, *others = made = [find_subject(arguments, agents, path) for path in arguments.runs or (None,)]
     for other in others:
+        if other.model and not other.model.config and not arguments.task:
+            other.config = first.config
         for name in ("task", "robot") + (() if arguments.sim else ("sim",)):
             one, another = getattr(first.config, name), getattr(other.config, name)
             if one != another:
@@ -127,13 +134,18 @@ def _is_onnx(path: Path) -> bool:
     return (path.suffix == ".onnx" and not path.is_dir()) or (path / "policy.onnx").is_file()
 
 
+def _is_lerobot(path: Path) -> bool:
+    """Whether a path names the folder of a policy that LeRobot has saved."""
+    return (path / "policy_preprocessor.json").is_file()
+
+
 def is_model(path: Path) -> bool:
     """Whether a path names a model of another library, and no run."""
-    return _is_zip(path) or _is_onnx(path)
+    return _is_zip(path) or _is_onnx(path) or _is_lerobot(path)
 
 
-def _find_model(arguments: Subjects, path: Path) -> SavedModel | OnnxNetwork | None:
-    """The model of Stable-Baselines3 or the policy in ONNX that is named, if one is.
+def _find_model(arguments: Subjects, path: Path) -> Model | None:
+    """The model of Stable-Baselines3, or the policy in ONNX or of LeRobot, that is named, if one is.
 
     Raises:
         InputError: it is not trusted or cannot be loaded.
@@ -142,6 +154,10 @@ def _find_model(arguments: Subjects, path: Path) -> SavedModel | OnnxNetwork | N
         from reachlab.deploy.onnx_network import OnnxNetwork
 
         return OnnxNetwork(path)
+    if _is_lerobot(path):
+        from reachlab.deploy.lerobot_policy import LeRobotPolicy
+
+        return LeRobotPolicy(path)
     if not _is_zip(path):
         return None
     if not arguments.trust:
@@ -154,9 +170,7 @@ def _find_model(arguments: Subjects, path: Path) -> SavedModel | OnnxNetwork | N
     return load_model(path, arguments.normaliser)
 
 
-def _settings(
-    arguments: Subjects, agents: Sequence[str], run: RunDirectory | None, model: SavedModel | OnnxNetwork | None
-) -> RunConfig:
+def _settings(arguments: Subjects, agents: Sequence[str], run: RunDirectory | None, model: Model | None) -> RunConfig:
     """Settings of the run or the model, or without one those of the task and the robot that the flags name.
 
     Raises:

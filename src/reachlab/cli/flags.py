@@ -163,8 +163,9 @@ class Subjects(Arm):
     """Flags of whatever plays episodes: by runs, models of other libraries or baselines, on which goals."""
 
     runs: Annotated[tuple[Path, ...], tyro.conf.Positional] = ()
-    """Run directories, policies that come with reachlab, as `panda/precise`, policies in ONNX (.onnx or an export) or
-    models of Stable-Baselines3 (.zip); baselines need none. `eval` gives means of those that differ by seed."""
+    """Run directories, policies that come with reachlab, as `panda/precise`, policies in ONNX (.onnx or an export),
+    models of Stable-Baselines3 (.zip) or policies that LeRobot has saved; baselines need none. `eval` gives means of
+    those that differ by seed."""
     trust: bool = False
     """The model's file may run code: it is unpickled."""
     normaliser: Annotated[Path | None, Optional] = None

@@ -10,9 +10,7 @@ from gymnasium.spaces import Box, Dict
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from reachlab.deploy.lerobot_pictures import Studio
-from reachlab.deploy.lerobot_surroundings import surroundings
-from reachlab.deploy.lerobot_units import motors_of
+from reachlab.deploy.lerobot_form import LeRobotForm
 from reachlab.envs.core import Env
 from reachlab.envs.gymnasium_shared import METADATA, checked_actions, checked_seeds
 from reachlab.envs.random_streams import gymnasium_keys
@@ -44,10 +42,8 @@ class LeRobotVectorEnv(VectorEnv[Any, Any, Any]):
             InputError: no such camera, or see `Env`.
         """
         self._env = env = Env(override(config, shaping=False), num_envs)
-        self._studios = {name: Studio(env, name, size) for name in cameras}
-        robot, rules, period = env.setup.robot, env.setup.rules, env.setup.period
-        self._motors, self._bounds = motors_of(env.config.robot, robot), robot.commands
-        self._most = np.array(robot.commands.speed) * (period if env.functions.real_time else np.inf)
+        self._form = LeRobotForm(env, cameras, size)
+        rules, period = env.setup.rules, env.setup.period
         self._init, self._step = map(env.compile_whole, (env.init, env.step))
         self._idle = np.zeros((num_envs, len(env.action_bounds[0])), np.float32)
         self._of_each = {
@@ -78,7 +74,7 @@ class LeRobotVectorEnv(VectorEnv[Any, Any, Any]):
         super().reset(seed=None if np.ndim(seed) else seeds[0])  # pyright: ignore[reportArgumentType]
         drawn = [int(self.np_random.integers(LAST_SEED + 1)) if one is None else one for one in seeds]
         self._state = self._init(gymnasium_keys(np.array(drawn, np.uint32)))
-        return self._seen(), {"is_success": np.zeros(self.num_envs, bool)}
+        return self._form.seen(self._state), {"is_success": np.zeros(self.num_envs, bool)}
 
     def step(self, actions: Any) -> tuple[dict[str, Any], Any, Any, Any, dict[str, Any]]:
         """Observations, rewards, terminated, truncated and info after commands to the motors `[B, k]`.
@@ -88,13 +84,18 @@ class LeRobotVectorEnv(VectorEnv[Any, Any, Any]):
         Raises:
             InputError: an action is misshapen or not finite; nothing has moved.
         """
-        wanted = self._motors.command(checked_actions(actions, (self.num_envs, len(self._motors.names))))
-        before, bounds = np.asarray(self._state.command), self._bounds
-        command = np.clip(np.clip(wanted, before - self._most, before + self._most), bounds.lower, bounds.upper)
-        self._state, done = self._step(self._state, self._idle, instead=command.astype(np.float32))
+        positions = checked_actions(actions, (self.num_envs, len(self._form.motors.names)))
+        command = self._form.command(self._state, positions)
+        self._state, done = self._step(self._state, self._idle, instead=command)
         success = np.asarray(done.done) & np.asarray(done.terms["success"])
         reward = np.asarray(done.reward, np.float64)
-        return self._seen(), reward, np.array(done.terminated), np.array(done.truncated), {"is_success": success}
+        return (
+            self._form.seen(self._state),
+            reward,
+            np.array(done.terminated),
+            np.array(done.truncated),
+            {"is_success": success},
+        )
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> Sequence[Any]:
         """What each environment answers, as a batch of single environments gives it.
@@ -118,22 +119,8 @@ class LeRobotVectorEnv(VectorEnv[Any, Any, Any]):
     def close_extras(self, **kwargs: Any) -> None:
         """Close simulator and cameras."""
         del kwargs
-        for studio in self._studios.values():
-            studio.close()
+        self._form.close()
         self._env.close()
-
-    def _seen(self) -> dict[str, Any]:
-        env, state, bodies = self._env, self._state, self._state.arm.bodies
-        goal, actuated = state.goal, np.concatenate([state.arm.q, state.arm.opening], axis=1)
-        seen: dict[str, Any] = {
-            "agent_pos": self._motors.read(actuated).astype(np.float32),
-            "environment_state": surroundings(goal, bodies),
-        }
-        samples, position = np.asarray(env.functions.view_samples(state.key)), np.asarray(goal.position)
-        pictures = {
-            name: studio.pictures(samples, actuated, position, bodies) for name, studio in self._studios.items()
-        }
-        return seen | ({"pixels": pictures} if pictures else {})
 
 
 def _space(part: Any) -> Any:
