@@ -106,7 +106,8 @@ def _shown_of(arguments: View, path: Path | None) -> Iterator[Shown]:
         for step in reversed(subject.run.checkpoint_steps()) if arguments.checkpoints else [None]:
             yield load_shown(path, step=step, changed=changed, **given)
         return
-    if (model := subject.model) and not model.config:
+    model: Any = subject.model
+    if model and not model.config:
         raise InputError(
             f"'{path}' does not say in which environment it was trained: show it from Python, with `reachlab.view`."
         )
