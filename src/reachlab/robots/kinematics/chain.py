@@ -11,7 +11,7 @@ import numpy as np
 
 from reachlab.robots.kinematics.limits import position_limits
 from reachlab.robots.kinematics.scalars import Rotation, Vec, rotation_from_quaternion
-from reachlab.robots.kinematics.transforms import joint_transform, moved_links
+from reachlab.robots.kinematics.transforms import joint_transforms, moved_links
 
 DECIMALS = 12
 """Decimals of the constants of a joint frame [m or 1]: one that is 0 or 1 but for float64's rounding is that number."""
@@ -130,7 +130,7 @@ def chain_from_model(model: mujoco.MjModel, tool: str) -> Chain:
                 raise ValueError(f"joint {name!r} is a {what} joint; a chain takes hinge and slide joints only")
             align = _align_z(model.jnt_pos[joint], model.jnt_axis[joint])
             reference = float(model.qpos0[model.jnt_qposadr[joint]])
-            frames.append(transform @ align @ joint_transform(slide, -reference))
+            frames.append(transform @ align @ joint_transforms([slide], [-reference])[0])
             transform = np.linalg.inv(align)
             slides.append(slide)
             limits.append(position_limits(model, joint))

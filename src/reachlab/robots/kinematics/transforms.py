@@ -7,15 +7,16 @@ from collections.abc import Sequence
 import numpy as np
 
 
-def joint_transform(slide: bool, value: float | np.ndarray) -> np.ndarray:
-    """Transforms `[..., 4, 4]` of a joint that is moved by `value [...]`: along its z axis, or about it."""
-    transform = np.tile(np.eye(4), (*np.shape(value), 1, 1))
-    if slide:
-        transform[..., 2, 3] = value
-        return transform
-    cos, sin = np.cos(value), np.sin(value)
-    transform[..., :2, :2] = np.stack([np.stack([cos, -sin], -1), np.stack([sin, cos], -1)], -2)
-    return transform
+def joint_transforms(slides: Sequence[bool] | np.ndarray, q: Sequence[float] | np.ndarray) -> np.ndarray:
+    """Transforms `[..., n, 4, 4]` of joints at `q [..., n]`: along their z axes where they slide, else about them."""
+    values, sliding = np.asarray(q, float), np.asarray(slides, bool)
+    transforms = np.zeros((*values.shape, 4, 4)) + np.eye(4)
+    turn = np.where(sliding, 0.0, values)
+    cos, sin = np.cos(turn), np.sin(turn)
+    transforms[..., 0, 0] = transforms[..., 1, 1] = cos
+    transforms[..., 0, 1], transforms[..., 1, 0] = -sin, sin
+    transforms[..., 2, 3] = np.where(sliding, values, 0.0)
+    return transforms
 
 
 def moved_links(frames: np.ndarray, slides: Sequence[bool] | np.ndarray, q: np.ndarray) -> list[np.ndarray]:
@@ -23,7 +24,8 @@ def moved_links(frames: np.ndarray, slides: Sequence[bool] | np.ndarray, q: np.n
 
     Before each joint stands one of `frames [n or more, 4, 4]`.
     """
-    found = [np.broadcast_to(np.eye(4), (*q.shape[:-1], 4, 4))]
-    for joint, slide in enumerate(slides):
-        found.append(found[-1] @ frames[joint] @ joint_transform(slide, q[..., joint]))
-    return found[1:]
+    before, found = np.eye(4), []
+    for joint, transform in enumerate(np.moveaxis(joint_transforms(slides, q), -3, 0)):
+        before = before @ frames[joint] @ transform
+        found.append(before)
+    return found
