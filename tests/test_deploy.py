@@ -82,7 +82,7 @@ def run(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 
 @pytest.fixture(scope="module")
 def folder(run: RunDirectory) -> Path:
-    done = export(run, run.path.parent / "policy")
+    done = export(run, run.path.parent / "policy", "trained")
     assert done.differences.keys() >= {"ONNX Runtime", "step.py"}
     assert done.differences["ONNX Runtime"] < 1e-6
     assert done.differences["step.py"] < SAME
