@@ -14,8 +14,7 @@ from jax import Array
 from reachlab.agents.acting import decide, trained
 from reachlab.agents.planner import Following
 from reachlab.agents.policy import Policy
-from reachlab.control.contact_model import TINY
-from reachlab.control.planning.following import PATIENCE, PROGRESS, longest_way
+from reachlab.control.planning.following import PATIENCE, PROGRESS, SHORTEST, longest_way
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState
 from reachlab.jax_setup import jit
@@ -28,7 +27,7 @@ Ahead = Callable[[Policy | None, EnvState], tuple[Array, Array]]
 def make_ahead(env: Env) -> Ahead:
     """Function that looks ahead: servos lag behind commands by their time, and nothing is in the way."""
     functions, setup, n = replace(env.functions, randomise=()), env.setup, env.setup.robot.chain.n
-    share = 1.0 - jnp.exp(-setup.period / jnp.maximum(jnp.array(setup.lag), TINY))
+    share = 1.0 - jnp.exp(-setup.period / jnp.maximum(jnp.array(setup.lag), SHORTEST))
 
     def ahead(policy: Policy | None, state: EnvState) -> tuple[Array, Array]:
         def step(state: EnvState, _: None) -> tuple[EnvState, tuple[Array, Array]]:

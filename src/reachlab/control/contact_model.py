@@ -12,6 +12,7 @@ from mujoco.batch import Batch
 from reachlab.control.bodies import FAR, Bodies
 from reachlab.control.planning.arm import Arm
 from reachlab.control.planning.collision import LEAST_BOUND, Geoms, geoms_of
+from reachlab.control.planning.following import SHORTEST
 from reachlab.robots.files.pictures import without_shapes
 from reachlab.robots.robot import Robot
 from reachlab.robots.shapes.clearance import Capsules
@@ -23,9 +24,6 @@ CAPSULE, BODY, TABLE = "reachlab_capsule_", "reachlab_body_", "reachlab_table"
 FOLLOWED = 0.45
 """Largest acceleration of a planned motion, in full speeds in a time of the servos' lag: more would take too fast
 commands."""
-
-TINY = 1e-6
-"""Divides in place of a smaller time [s]."""
 
 _Bit, _Geom = mujoco.mjtDisableBit, mujoco.mjtGeom
 
@@ -118,7 +116,7 @@ def arm_of(robot: Robot, lag: Sequence[float] = (), period: float = 0.02) -> Arm
         lower=np.array(chain.lower),
         upper=np.array(chain.upper),
         speed=speed,
-        acceleration=np.minimum(robot.acceleration, FOLLOWED * speed / np.maximum(late, TINY)),
+        acceleration=np.minimum(robot.acceleration, FOLLOWED * speed / np.maximum(late, SHORTEST)),
         smooth=0.0,
         lag=late,
         home=np.array(robot.home),
