@@ -165,7 +165,8 @@ def test_c_decides_as_python_does_and_keeps_every_limit_whatever_it_is_given(fol
 
 
 @needs_compiler
-def test_the_example_in_c_prints_the_commands_of_a_log(folder: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("flags", [SANITIZED, ["-O2"]], ids=["sanitized", "as_its_head_says"])
+def test_the_example_in_c_prints_the_commands_of_a_log(folder: Path, tmp_path: Path, flags: list[str]) -> None:
     controller = Controller(folder)
     controller.reset(controller.home)
     q, qd, commands = controller.home, 0 * controller.home, []
@@ -176,7 +177,7 @@ def test_the_example_in_c_prints_the_commands_of_a_log(folder: Path, tmp_path: P
         q, qd = command, (command - q) / controller.period
     controller.save_log(tmp_path / "log.jsonl")
     sources = [str(folder / name) for name in ("main.c", "reachlab_policy.c")]
-    subprocess.run([str(compiler()), *SANITIZED, "-o", str(tmp_path / "policy"), *sources, "-lm"], check=True)
+    subprocess.run([str(compiler()), *flags, "-o", str(tmp_path / "policy"), *sources, "-lm"], check=True)
     done = subprocess.run(
         [str(tmp_path / "policy"), str(tmp_path / "log.jsonl")], capture_output=True, text=True, check=True
     )

@@ -34,7 +34,7 @@ typedef reachlab_real real;
     (!((number) == (number)) ? 0 : (number) >= R(2147483520.0) ? INT_MAX : (number) <= R(-2147483520.0) ? -INT_MAX : (int) (number))
 
 {{functions}}
-static int finite(const real *numbers, int count)
+static int all_finite(const real *numbers, int count)
 {
     int all = 1;
     for (int i = 0; i < count; ++i) all &= isfinite(numbers[i]) != 0;
@@ -59,7 +59,7 @@ int reachlab_step(reachlab_state *state, const reachlab_input *input, int brake,
     if (!({{checked}})) problem = REACHLAB_NOT_FINITE;
     if (problem == REACHLAB_OK && !brake) {
         decide({{decided}}, next.last_action, wanted{{remembers}});
-        if (!finite(wanted, REACHLAB_COMMANDS) || !finite(next.last_action, {{actions}}){{remembered}}) {
+        if (!all_finite(wanted, REACHLAB_COMMANDS) || !all_finite(next.last_action, {{actions}}){{remembered}}) {
             problem = REACHLAB_NOT_FINITE;
             next = *state;
             for (int i = 0; i < REACHLAB_COMMANDS; ++i) wanted[i] = state->position[i];
