@@ -101,6 +101,7 @@ def _kept(robot: Robot, scene: str, name: str) -> Bank:
     file = cache_folder() / "scenes" / f"{name}.safetensors"
     with contextlib.suppress(Exception):  # whatever is wrong with it, it is made anew
         arrays: dict[str, Any] = safetensors.numpy.load(file.read_bytes())
+        del arrays["bodies"]
         return Bank(arrays.pop("start"), arrays.pop("joints"), Bodies(**arrays))
     bank = _drawn(robot, scene)
     with contextlib.suppress(OSError):
