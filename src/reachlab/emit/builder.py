@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -36,6 +36,12 @@ WIDE = 16
 
 LONG = 8
 """Numbers that stand one after the other from which on arrays are joined, in place of their numbers."""
+
+FEW = 2
+"""Such rows of each of several arrays up to which they are joined as they are."""
+
+APART = 64
+"""The same beside numbers that stand elsewhere: these are put into an array of their own."""
 
 Key = tuple[Any, ...]
 
@@ -123,13 +129,15 @@ class Builder:
             firsts = [i for i, one in enumerate(atoms) if not i or one != _next(atoms[i - 1])]
             if len(firsts) == 1:
                 return Slice(atoms[0].array, atoms[0].index)
-            if LONG * len(firsts) <= len(atoms):
-                sizes = [end - first for first, end in itertools.pairwise([*firsts, len(atoms)])]
-                parts = [Slice(atoms[i].array, atoms[i].index) for i in firsts]
-                return Slice(self._add(Join, Variable(kind, len(atoms)), parts, sizes), 0)
-            if all(one.array is atoms[0].array for one in atoms):
+            arrays = list(dict.fromkeys(one.array for one in atoms))
+            if len(arrays) == 1:
                 indices = [one.index for one in atoms]
-                return Slice(self._add(Gather, Variable(kind, len(atoms)), atoms[0].array, indices), 0)
+                return Slice(self._add(Gather, Variable(kind, len(atoms)), arrays[0], indices), 0)
+            if LONG * len(firsts) <= len(atoms):
+                return self._joined(atoms, firsts, arrays)
+        if len(stretches := _stretches(atoms)) > 1:
+            parts = [self.as_slice(one) for one in stretches]
+            return Slice(self._add(Join, Variable(kind, len(atoms)), parts, [*map(len, stretches)]), 0)
         places: dict[Any, int] = {}
         indices = [places.setdefault(_key(one), len(places)) for one in atoms]
         if 2 * len(places) > len(atoms):
@@ -137,6 +145,19 @@ class Builder:
         each = dict(zip(indices, atoms, strict=True))
         packed = self._add(Pack, Variable(kind, len(places)), [each[i] for i in range(len(places))])
         return Slice(self._add(Gather, Variable(kind, len(atoms)), packed, indices), 0)
+
+    def _joined(self, atoms: list[Any], firsts: list[int], arrays: list[Variable]) -> Slice:
+        """Numbers of some arrays in rows that begin at `firsts`; taken out of all, if there are many rows of each."""
+        kind = kind_of(atoms[0])
+        if len(firsts) <= FEW * len(arrays):
+            sizes = [end - first for first, end in itertools.pairwise([*firsts, len(atoms)])]
+            parts = [Slice(atoms[i].array, atoms[i].index) for i in firsts]
+            return Slice(self._add(Join, Variable(kind, len(atoms)), parts, sizes), 0)
+        sizes = [one.size or 0 for one in arrays]
+        ends = dict(zip(arrays, np.cumsum(sizes).tolist(), strict=True))
+        whole = self._add(Join, Variable(kind, sum(sizes)), [Slice(one, 0) for one in arrays], sizes)
+        indices = [ends[one.array] - one.array.size + one.index for one in atoms]
+        return Slice(self._add(Gather, Variable(kind, len(atoms)), whole, indices), 0)
 
     def is_at_hand(self, atoms: list[Any]) -> bool:
         """Whether nothing has to be put side by side to operate on these numbers."""
@@ -184,6 +205,29 @@ class Builder:
         """Add a loop, after which what it has carried is known."""
         self._scopes[-1].statements.append(loop)
         self._depths |= {one.variable: len(self._scopes) - 1 for one in loop.carried}
+
+
+def _stretches(atoms: list[Any]) -> list[list[Any]]:
+    """Numbers in stretches, of which every other is a long part of an array."""
+    found = [list[Any]()]
+    for row in _rows(atoms):
+        if len(row) >= APART:
+            found += [row, []]
+        else:
+            found[-1] += row
+    return [one for one in found if one]
+
+
+def _rows(atoms: list[Any]) -> Iterator[list[Any]]:
+    """Numbers that stand one after the other in an array, and others by themselves."""
+    row = list[Any]()
+    for one in atoms:
+        if row and not (isinstance(one, Element) and isinstance(row[-1], Element) and one == _next(row[-1])):
+            yield row
+            row = []
+        row.append(one)
+    if row:
+        yield row
 
 
 def _next(element: Any) -> Any:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import hypot, isfinite, nan
 from typing import Any
 
 import numpy as np
@@ -15,12 +16,7 @@ SHAPES = {"position": (3,), "quaternion": (4,), "half": (3,), "radius": (), "vel
 OLD = 0.1
 """Age of a measurement of an object from which on it is not believed [s]."""
 
-USUAL = {
-    "quaternion": np.array([1.0, 0.0, 0.0, 0.0]),
-    "half": np.zeros(3),
-    "radius": np.array(0.0),
-    "velocity": np.zeros(3),
-}
+USUAL = {"quaternion": [1.0, 0.0, 0.0, 0.0], "half": [0.0] * 3, "radius": 0.0, "velocity": [0.0] * 3}
 """What a body has where nothing else is given."""
 
 UNIT = 0.01
@@ -120,13 +116,13 @@ def _add(parts: dict[str, list[float]], bodies: Any, what: str) -> None:
     for number, one in enumerate(bodies, 1):
         if wrong := _wrong_body(one, what):
             raise ValueError(f"{what} {number} {wrong}")
-        body = {**USUAL, **one}
-        half, radius, turn = body["half"].tolist(), float(body["radius"]), body["quaternion"]
-        kind = BOX if half[0] or half[1] else CAPSULE if half[2] else BALL
+        body = {**USUAL, **{name: part.tolist() for name, part in one.items()}}
+        half, radius, turn = body["half"], body["radius"], body["quaternion"]
+        kind, length = BOX if half[0] or half[1] else CAPSULE if half[2] else BALL, hypot(*turn)
         size = [side + radius for side in half] if kind == BOX else [radius, half[2], 0.0]
-        parts["position"] += body["position"].tolist()
-        parts["quaternion"] += (turn / np.sqrt(turn @ turn)).tolist()
-        parts["velocity"] += [*body["velocity"].tolist(), 0.0, 0.0, 0.0]
+        parts["position"] += body["position"]
+        parts["quaternion"] += [part / length for part in turn]
+        parts["velocity"] += [*body["velocity"], 0.0, 0.0, 0.0]
         parts["size"] += size
         parts["kind"].append(kind)
 
@@ -138,10 +134,11 @@ def _wrong_body(body: dict[str, Any], what: str) -> str:
     if "position" not in body:
         return "has no position"
     for name, numbers in body.items():
-        if not isinstance(numbers, np.ndarray) or numbers.shape != SHAPES[name] or not np.isfinite(numbers).all():
+        plain = numbers.ravel().tolist() if isinstance(numbers, np.ndarray) and numbers.shape == SHAPES[name] else [nan]
+        if not all(map(isfinite, plain)):
             return f"must have a {name} of {max(sum(SHAPES[name]), 1)} finite numbers, got {in_words(numbers)}"
-    for name in ("half", "radius"):
-        if name in body and body[name].min() < 0.0:
-            return f"must have a {name} of at least 0 m, got {in_words(body[name])}"
-    turn = body.get("quaternion", USUAL["quaternion"])
-    return "" if abs(turn @ turn - 1.0) <= 2 * UNIT else f"must have a quaternion of length 1, got {in_words(turn)}"
+        if name in ("half", "radius") and min(plain) < 0.0:
+            return f"must have a {name} of at least 0 m, got {in_words(numbers)}"
+        if name == "quaternion" and not abs(hypot(*plain) - 1.0) <= UNIT:
+            return f"must have a quaternion of length 1, got {in_words(numbers)}"
+    return ""
