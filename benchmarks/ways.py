@@ -32,6 +32,12 @@ ROBOTS = tuple(os.environ.get("ROBOTS", "panda ur5e").split())
 SCENES = tuple(os.environ.get("SCENES", " ".join([*KINDS, "balls"])).split())
 """Kinds of scene in which they do; `moving` is another, in which nothing plans."""
 
+TASK = os.environ.get("TASK", "clutter")
+"""What is asked for: points, or poses with `clutter_pose`."""
+
+POLICY = os.environ.get("POLICY", "{robot}/{task}")
+"""Run whose policy is tried."""
+
 SPEED = float(os.environ.get("SPEED", "0.3"))
 """How fast the bodies of scene moving are [m/s]."""
 
@@ -45,7 +51,7 @@ UNAWARE = "ik, velocities unknown"
 """Name of the agent that takes all bodies to be at rest."""
 
 AGENTS_TRIED = tuple(os.environ.get("AGENTS", f"{UNDAMPED};ik;trained;planner;hybrid").split(";"))
-"""Agents that find them; the policy is the one that comes with reachlab, trained among balls."""
+"""Agents that find them; by default the policy is the one that comes with reachlab, trained among balls."""
 
 TIMED = 200
 """Scenes that are drawn to time it."""
@@ -96,13 +102,14 @@ def ways() -> Iterator[Row]:
     AGENTS[UNAWARE] = AgentEntry("ik that takes bodies to be at rest", "benchmarks.ways:unaware", remembers=True)
     try:
         for robot in ROBOTS:
-            policy = load(f"{robot}/clutter").policy
+            learnt = {"trained", "hybrid"} & set(AGENTS_TRIED)
+            policy = load(POLICY.format(robot=robot, task=TASK)).policy if learnt else None
             for scene in SCENES:
                 moves = scene == "moving"
                 if scene != "balls" and not moves:
                     yield _drawing_time(robot, scene)
                 speed = {"body_speed": SPEED} if moves else {}
-                config = configure("clutter", robot=robot, scene=(scene,), randomise=(), max_steps=250, **speed)
+                config = configure(TASK, robot=robot, scene=(scene,), randomise=(), max_steps=250, **speed)
                 env = Env(config, FEWER)
                 for agent in AGENTS_TRIED:
                     yield from _rows(env, f"{robot} {scene} {agent}", agent, policy)
@@ -120,7 +127,7 @@ def _drawing_time(robot: str, scene: str) -> Row:
     return row(f"time to draw 2,000 scenes/{robot} {scene}", 2000 * (time.perf_counter() - begun) / count, "s")
 
 
-def _rows(env: Env, name: str, agent: str, policy: Policy) -> Iterator[Row]:
+def _rows(env: Env, name: str, agent: str, policy: Policy | None) -> Iterator[Row]:
     moves = env.setup.task.scene(env.setup).moved > 0
     episodes = EPISODES if moves or agent in ("planner", "hybrid") else FEWER
     report = evaluate(env, agent, policy, seed=FRESH_SEED, episodes=episodes)

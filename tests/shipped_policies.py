@@ -24,7 +24,7 @@ from reachlab.runs.shipped import SHIPPED, shipped
 from reachlab.settings.json_form import override, to_json
 from reachlab.tasks import TASKS
 
-SOME = {"push": ("panda", "so101"), "lift": ("panda",), "place": ("panda",), "slide": ()}
+SOME = {"push": ("panda", "so101"), "lift": ("panda",), "place": ("panda",), "slide": (), "clutter_pose": ()}
 """Tasks for which only some arms have one."""
 
 NAMES = [f"{robot}/{task}" for task in TASKS for robot in SOME.get(task, tuple(ROBOTS))]

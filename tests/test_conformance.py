@@ -31,7 +31,7 @@ FIRST = next(iter(TASKS))
 TASK_OF_ROBOT = {"panda": "pose", "ur5e": "clutter", "xarm7": "track", "gen3": "precise", "so101": "pose"}
 """In which other task a robot beside the first is tried."""
 
-LONG = ("image+tool", "clutter")
+LONG = ("image+tool", "clutter", "clutter_pose")
 """What takes long and has a quicker sibling."""
 
 

@@ -164,7 +164,7 @@ CONTRADICTIONS: list[tuple[dict[str, Any], str]] = [
     ({"task": "clutter", "chained_starts": 0.5}, "with chained_starts 0.5 episodes would start inside bodies"),
     ({"task": "clutter", "sim": "kinematic"}, "task 'clutter' needs contacts, as in simulator mujoco"),
     ({"task": "clutter", "sim": "pybullet"}, "task 'clutter' needs contacts, as in simulator mujoco"),
-    ({"task": "clutter", "targets": "table"}, "the goal of task 'clutter' is a point in a box: set targets to 'box'"),
+    ({"task": "clutter", "targets": "table"}, "goals among obstacles are in a box: set targets to 'box'"),
     ({"task": "clutter", "target_turn": (0.1, 0.1, 0.1)}, "target_turn is a setting of task pose"),
     ({"task": "track", "goal_paths": ()}, "goal_paths names no path: choose one"),
     (

@@ -19,6 +19,7 @@ from faults.c_sources import c_sources
 from faults.controllers import controllers
 from faults.hostile import hostile_files
 from faults.inputs import TRIALS as INPUTS
+from faults.recordings import killed_recordings
 from faults.saves import Trial, corruptions, cut_saves, failing_saves
 from faults.sweeps import killed_sweeps, killed_workers
 from faults.trainings import killed_runs, not_finite
@@ -41,6 +42,9 @@ MINUTES, INTERVAL, WORKER_TRIALS, WORKER_STEPS = 5, 5.0, 12, 1_000_000
 SWEEP_KILLS, SWEEP_TRIALS, SWEEP_STEPS = 20, 8, 400_000
 """How often a sweep itself is killed; its trials, and steps of each."""
 
+RECORDING_KILLS = 20
+"""How often a recording is killed."""
+
 HOSTILE_STEPS, FAULTS = 1_000_000, 1000
 """Control steps of an exported policy's controller among hostile measurements, and how often each fault is tried."""
 
@@ -62,6 +66,7 @@ TRIALS: dict[str, Callable[[], Trial]] = {
     "shared_weights": shared_weights,
     "lost_node": lost_node,
     "killed_sweeps": lambda: killed_sweeps(SWEEP_KILLS, SWEEP_TRIALS, SWEEP_STEPS),
+    "killed_recordings": lambda: killed_recordings(RECORDING_KILLS),
     "c_sources_precise": lambda: c_sources("precise", DECISIONS, HOSTILE_STEPS),
     "c_sources_clutter": lambda: c_sources("clutter", DECISIONS // 10, HOSTILE_STEPS),
     **INPUTS,

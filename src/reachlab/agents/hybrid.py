@@ -59,12 +59,13 @@ class Hybrid(Following):
 
     def commands(self, policy: Policy | None, state: EnvState, mask: np.ndarray) -> np.ndarray:
         """Next joint commands `[B, n]` of the planner, where it has taken over; not numbers where the policy acts."""
-        clock, distance = np.asarray(state.clock), np.asarray(state.distance)
+        task, rules, clock = self._env.setup.task, self._env.setup.rules, np.asarray(state.clock)
+        distance = np.asarray(task.gap(rules, state.errors))
         first = mask & (clock == 0)
         if first.any():
             self._leads[first] = self._soon(policy, state, first)
             self._planned[first] = 0.0
-        near = np.asarray(self._env.setup.task.near(self._env.setup.rules, state.errors))
+        near = np.asarray(task.near(rules, state.errors))
         came = first | near | (distance < self._nearest - PROGRESS)
         self._nearest[came], self._since[came] = distance[came], clock[came]
         self._leads &= clock - self._since <= self._patience

@@ -107,6 +107,7 @@ def _goal(setup: TaskSetup) -> dict[str, Any]:
         "joints": "joints" in rules.gives,
         "hidden": rules.hides_goal,
         "success_distance": rules.success_distance,
+        "success_turn": rules.success_distance / rules.success_angle if rules.asks_orientation else 0.0,
         "asks": setup.task.asks(rules, setup.period),
     }
 

@@ -11,6 +11,10 @@ TASKS: dict[str, Lazy] = {
     "clutter": Lazy(
         "hold a point among obstacles without touching anything, under full dynamics", "reachlab.tasks.clutter:Clutter"
     ),
+    "clutter_pose": Lazy(
+        "hold a pose among obstacles without touching anything, under full dynamics",
+        "reachlab.tasks.clutter_pose:ClutterPose",
+    ),
     "track": Lazy("follow a point that moves, under full dynamics", "reachlab.tasks.track:Track"),
     "push": Lazy("push an object to a place on the table, under full dynamics", "reachlab.tasks.push:Push"),
     "lift": Lazy("grip an object and hold it in the air, under full dynamics", "reachlab.tasks.lift:Lift"),

@@ -106,7 +106,7 @@ class Clutter(Precise):
         if self.scene != ("moving",) and self.body_speed != Clutter.body_speed:
             return f"body_speed is that of scene moving, not of {' '.join(self.scene)}: leave it out."
         if self.targets != "box":
-            return "the goal of task 'clutter' is a point in a box: set targets to 'box'."
+            return "goals among obstacles are in a box: set targets to 'box'."
         return super().contradiction()
 
     @property

@@ -12,6 +12,7 @@ from reachlab.tasks.task import TaskSetup
 from reachlab.tasks.terms import (
     ACHIEVED_AND_DESIRED,
     ARM,
+    AROUND,
     CLUTTER,
     GOAL,
     IMAGE,
@@ -41,6 +42,11 @@ OBSERVATIONS: dict[str, Observation] = {
         " to points of a grid",
         CLUTTER,
         needs=frozenset({"joints", "bodies"}),
+    ),
+    "clutter_pose": Observation(
+        "as pose, and how near bodies are to each link and to points of a grid",
+        (*POSE, *AROUND),
+        needs=frozenset({"orientation", "joints", "bodies"}),
     ),
     "push": Observation(
         "joints, their speeds and lag, tool, target and last action, and the object's place beside tool and target",

@@ -260,18 +260,19 @@ POSE = (
 TRACK = (*STATE, Term("goal_velocity", "m/s", _goal_velocity, _goal_velocity_bounds, _goal_velocity_constant))
 """The same as `STATE`, and how fast the goal moves."""
 
-CLUTTER = (
-    *STATE,
-    JOINT_WAY,
+AROUND = (
     Term("clearance", "1", _clearance, _clearance_bounds),
     Term("scene", "1", _scene, lambda _: (np.zeros(BASIS**3, np.float32), np.ones(BASIS**3, np.float32))),
 )
-"""The same as `STATE`, how far the joints are from where they have the goal, and the bodies beside the arm.
+"""The bodies beside the arm.
 
 These are observed by what is nearest to each capsule of the arm, which is what a policy must not touch, and by how near
 they are to the points of a grid (Prokudin et al., "Efficient learning on point clouds with basis point sets", ICCV
 2019), which tells ways round apart. Neither depends on their order, number or kind.
 """
+
+CLUTTER = (*STATE, JOINT_WAY, *AROUND)
+"""The same as `STATE`, how far the joints are from where they have the goal, and the bodies beside the arm."""
 
 
 def _wrench_bounds(setup: TaskSetup) -> Bounds:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -41,6 +42,13 @@ class Follower:
         now, then = min(step, len(motion.q) - 1), min(step + 1, len(motion.q) - 1)
         moved = motion.command[then] - motion.command[now] + self._gain * (motion.q[now] - q)
         return given + np.clip(moved, -self._most, self._most)
+
+
+def gap(pose: Sequence[Any], goal: Sequence[Any], turn: float) -> float:
+    """Distance of a pose, position [m] and quaternion wxyz, from another, an angle counting as `turn` m/rad."""
+    (position, quaternion), (wanted, turned) = pose, goal
+    away = float(np.linalg.norm(np.subtract(position, wanted)))
+    return away + (turn * 2.0 * math.acos(min(abs(float(np.dot(quaternion, turned))), 1.0)) if turn else 0.0)
 
 
 def longest_way(start: np.ndarray, goal: np.ndarray, speed: Sequence[float] | np.ndarray) -> np.ndarray:

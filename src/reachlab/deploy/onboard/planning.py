@@ -15,7 +15,7 @@ import numpy as np
 
 from reachlab.control.motion_limits import MotionLimits
 from reachlab.control.planning.arm import Arm
-from reachlab.control.planning.following import Trajectory, longest_way
+from reachlab.control.planning.following import Trajectory, gap, longest_way
 from reachlab.control.planning.plans import Plans
 from reachlab.deploy.onboard.folder import LIMITS, read_folder
 from reachlab.deploy.onboard.step import load_step
@@ -38,15 +38,15 @@ class Foresight:
         step = load_step(folder)
         self._decide, self._tool, self._inputs = step["decide"], step["tool"], facts["inputs"]
         self._arm, self._limits = arm, limits
-        self._near = facts["goal"]["success_distance"]
+        self._near, self._turn = facts["goal"]["success_distance"], facts["goal"].get("success_turn", 0.0)
 
     def leads(self, plans: Plans, bodies: Bodies, start: np.ndarray, goal: np.ndarray) -> bool:
         """Whether it comes from rest at joints `start [n]` to where the tool is at `goal [n]`, freely and soon."""
-        position, quaternion = self._tool(goal.tolist())
+        there = self._tool(goal.tolist())
         q, qd, motion, way = start, np.zeros_like(start), self._limits.at_rest(start), [start]
         given: dict[str, Any] = {f"bodies_{name}": part.ravel().tolist() for name, part in bodies._asdict().items()}
         given |= {"bodies_velocity": [0.0] * (6 * len(bodies.kind)), "goal_joints": goal.tolist()}
-        given |= {"goal_position": position, "goal_quaternion": quaternion}
+        given |= dict(zip(("goal_position", "goal_quaternion"), there))
         given |= {"last_action": [0.0] * self._inputs["last_action"][0]}
         given |= {"memory": [0.0] * self._inputs.get("memory", [0])[0]}
         for _ in range(int(longest_way(start, goal, self._arm.speed) / self._arm.period)):
@@ -57,7 +57,7 @@ class Foresight:
             moved = self._arm.share * (motion.position - q)
             q, qd = q + moved, moved / self._arm.period
             way.append(q)
-            if np.linalg.norm(np.subtract(self._tool(q.tolist())[0], position)) < self._near:
+            if gap(self._tool(q.tolist()), there, self._turn) < self._near:
                 return plans.free(np.array(way), bodies)
         return False
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from reachlab.control.planning.following import PATIENCE, PROGRESS, Follower, Trajectory
+from reachlab.control.planning.following import PATIENCE, PROGRESS, Follower, Trajectory, gap
 
 DEADLINE, LOOK = 5.0, 0.2
 """Times in which a planner has to have planned, and to have looked at a motion again [s]."""
@@ -114,7 +114,8 @@ class Way:
         """Of an exported policy whose tool is where `tool` says."""
         arm, goal = facts["planner"]["arm"], facts["goal"]
         self.planner, self._tool, self._period = planner, tool, float(arm["period"])
-        self._near, self._follower = goal["success_distance"], Follower(arm["lag"], arm["speed"], self._period)
+        self._near, self._turn = goal["success_distance"], goal.get("success_turn", 0.0)
+        self._follower = Follower(arm["lag"], arm["speed"], self._period)
         self._asked = 0
         self.clear()
 
@@ -168,7 +169,7 @@ class Way:
             command = self._follower.command(self._motion, self._step, q, held)
             self._step += 1
             return command, ""
-        distance = float(np.linalg.norm(np.subtract(self._tool(given["q"])[0], goal["position"])))
+        distance = gap(self._tool(given["q"]), (goal["position"], goal.get("quaternion")), self._turn)
         if distance < max(self._nearest - PROGRESS, self._near):
             self._nearest, self._came = distance, self._seconds
         if self._seconds - self._came <= PATIENCE:

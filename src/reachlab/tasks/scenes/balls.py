@@ -11,7 +11,7 @@ from jax import Array
 
 from reachlab.control.bodies import FAR, Bodies, Shape, absent, beside
 from reachlab.control.situation import Goal
-from reachlab.robots.kinematics.forward import forward_kinematics
+from reachlab.robots.kinematics.forward import Pose, forward_kinematics
 from reachlab.robots.shapes.clearance import Capsules, Segments, capsules_at, free_at, moving
 from reachlab.tasks.placing import joints_at
 from reachlab.tasks.targets import Drawn, first_reached, sample_point
@@ -61,7 +61,12 @@ def sample_free_goal(setup: TaskSetup, key: Array) -> Goal:
         return Drawn(key, *joints_at(setup, sample_point(setup, now)), jnp.zeros((), jnp.int32))
 
     found = first_reached(draw, setup, key)
-    return Goal.at(found.position, joints=found.joints)
+    return goal_of(setup, Pose(found.position, found.quaternion), found.joints)
+
+
+def goal_of(setup: TaskSetup, pose: Pose, joints: Array) -> Goal:
+    """The point of a pose or, where an orientation is asked for, the pose; and joints `[n]` that have it."""
+    return Goal.at(pose.position, quaternion=pose.quaternion if setup.rules.asks_orientation else None, joints=joints)
 
 
 def places(setup: TaskSetup) -> int:

@@ -90,4 +90,4 @@ def _one(setup: TaskSetup, key: Array, held_out: Array | bool) -> Any:
 
 
 def _goal(setup: TaskSetup, one: Any) -> Goal:
-    return Goal.at(forward_kinematics(setup.robot.chain, one.joints).position, joints=one.joints)
+    return balls.goal_of(setup, forward_kinematics(setup.robot.chain, one.joints), one.joints)
