@@ -40,6 +40,7 @@ CASES: dict[str, dict[str, Any]] = {
     "precise": {"task": "precise"},
     "precise_goal": {"task": "precise", "observation": "goal+state"},
     "precise_delta": {"task": "precise", "action": "joint_delta"},
+    "memory": {"task": "precise", "memory": 64},
     "pose": {"task": "pose"},
     "track": {"task": "track"},
     "clutter": {"task": "clutter"},
@@ -67,7 +68,7 @@ def deploy() -> Iterator[Row]:
         picture = lively_run(Path(place) / "image" / "run", "tutorial", observation="image+tool")
         for what, value in _differences(picture, Path(place) / "image" / "policy", 1000).items():
             yield row(f"difference_image/{what}", value, UNITS[what], arms=1, situations=1000)
-        for name in ("tutorial", "precise", "pose", "track", "clutter"):
+        for name in ("tutorial", "precise", "memory", "pose", "track", "clutter"):
             yield from _times(name, Path(place) / name / "iiwa14" / "policy")
 
 

@@ -107,8 +107,8 @@ WITHOUT_EFFECT: list[tuple[dict[str, Any], str]] = [
     ({"gravity_compensation": True, "sim": "pybullet"}, "gravity_compensation has an effect only with sim mujoco"),
     ({"gui": True}, "gui has an effect only with sim pybullet"),
     ({"slow": True, "sim": "mujoco"}, "slow has an effect only with sim pybullet"),
-    ({"success_angle": 0.1}, "success_angle is a setting of task pose, and not of tutorial"),
-    ({"task": "precise", "angle_weight": 0.2}, "angle_weight is a setting of task pose, and not of precise"),
+    ({"success_angle": 0.1}, "success_angle is a setting of task pose or clutter_pose, and not of tutorial"),
+    ({"task": "precise", "angle_weight": 0.2}, "angle_weight is a setting of task pose or clutter_pose, and not"),
     (
         {"task": "pose", "targets": "any", "target_turn": (0.1, 0.1, 0.1)},
         "target_turn has an effect only with targets table or box",
@@ -126,7 +126,7 @@ WITHOUT_EFFECT: list[tuple[dict[str, Any], str]] = [
     ),
     ({"goal_velocity": False}, "goal_velocity is a setting of task track"),
     ({"settle_steps": 10}, "settle_steps is a setting of task track"),
-    ({"task": "precise", "obstacles": (0, 2)}, "obstacles is a setting of task clutter, and not of precise"),
+    ({"task": "precise", "obstacles": (0, 2)}, "obstacles is a setting of task clutter or clutter_pose, and not"),
     ({"end_on_contact": True}, "end_on_contact is a setting of task clutter"),
 ]
 

@@ -45,7 +45,7 @@ class PythonPrinter:
         self._program, self._pauses = program, pauses
         self._names = {one: one.name for one in program.inputs}
         self._names |= {one.variable: f"{program.name}_k{number}" for number, one in enumerate(program.constants)}
-        self._tables: dict[tuple[int, ...], str] = {}
+        self._tables: dict[str, str] = {}
         self._lists, self._arrays = set[Variable](), set[Variable]()
         self._look(program.body)
         self._want(atom for one in program.outputs for atom in one.atoms)
@@ -81,7 +81,7 @@ class PythonPrinter:
         ]
         lines += ["yield"] * self._pauses + list(self._block(program.body))
         lines.append(f"return {' '.join(f'{self._list(one.atoms)},' for one in program.outputs)}")
-        tables = [f"{name} = np.array({list(indices)})" for indices, name in self._tables.items()]
+        tables = [f"{name} = {array}" for array, name in self._tables.items()]
         body = "\n".join(INDENT + line for line in lines)
         return "\n".join([*self._constants(), *tables, "", "", f"def {program.name}({names}):", body, ""])
 
@@ -123,7 +123,11 @@ class PythonPrinter:
         steps = {b - a for a, b in itertools.pairwise(indices)}
         if len(steps) == 1 and (step := steps.pop()) > 0:
             return f"{indices[0]}:{indices[-1] + 1}:{step}"
-        return self._tables.setdefault(indices, f"{self._program.name}_i{len(self._tables)}")
+        return self._table(f"np.array({list(indices)})")
+
+    def _table(self, array: str) -> str:
+        """Name of an array that is made once."""
+        return self._tables.setdefault(array, f"{self._program.name}_i{len(self._tables)}")
 
     # --- statements ---------------------------------------------------------------------------------
 
@@ -158,8 +162,11 @@ class PythonPrinter:
             case Gather(source=source, indices=indices):
                 return f"a_{self._name(source)}[{self._places(indices)}]"
             case Product(left=left, right=right, shape=(m, k, n)):
-                rows = self._operand(left, m * k) + f".reshape({m}, {k})" * (m > 1)
-                return f"({rows} @ {self._operand(right, k * n)}.reshape({k}, {n})).ravel()"
+                matrix = f"{self._operand(right, k * n)}.reshape({k}, {n})"
+                if any(right.array is one.variable for one in self._program.constants):
+                    matrix = self._table(matrix)
+                rows = self._operand(left, m * k)
+                return f"{rows} @ {matrix}" if m == 1 else f"({rows}.reshape({m}, {k}) @ {matrix}).ravel()"
         raise TypeError(one)
 
     def _loop(self, loop: Loop) -> Iterator[str]:

@@ -143,8 +143,8 @@ class RunConfig(Checked):
     """How its policy is learnt; see `reachlab.learn.METHODS`."""
 
     task: str = "tutorial"
-    """Task preset, which sets the other defaults: clutter, lift, place, pose, precise, push, slide, track or
-    tutorial."""
+    """Task preset, which sets the other defaults: clutter, clutter_pose, lift, place, pose, precise, push, slide, track
+    or tutorial."""
     robot: str = "iiwa14"
     """Robot: gen3, iiwa14, panda, so101, ur5e, xarm7, or the path of an MJCF or URDF file; see `reachlab robot`."""
     base: str | None = None

@@ -10,6 +10,7 @@
 
 from __future__ import annotations
 
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -241,12 +242,11 @@ class Controller:
             if planned is not None:
                 return planned, refused
         with np.errstate(all="ignore"):  # what is not finite is refused below
-            action, wanted, *memory = self._decide(**{name: given[name] for name in inputs})
-        wanted = np.array(wanted)
-        if not (np.isfinite(wanted).all() and np.isfinite(memory).all()):
+            action, wanted, memory = (*self._decide(**{name: given[name] for name in inputs}), [])[:3]
+        if not all(map(isfinite, (*wanted, *memory))):
             return rest, "the policy's command is not finite"
-        self._action, self._memory = action, memory[0] if memory else []
-        return wanted, ""
+        self._action, self._memory = action, memory
+        return np.array(wanted), ""
 
     def _look_around(self, given: dict[str, Any], bodies: Any, picture: Any, wrench: Any) -> str:
         """Add what is seen and felt to what is given, as the policy needs it, and say what is wrong with it."""
