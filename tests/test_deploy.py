@@ -59,6 +59,7 @@ CASES: dict[str, tuple[str, dict[str, Any]]] = {
     "tilt": ("pose", {"robot": "so101"}),
     "track": ("track", {"robot": "ur5e"}),
     "clutter": ("clutter", {"robot": "xarm7"}),
+    "clutter_pose": ("clutter_pose", {"robot": "panda"}),
     "picture": ("tutorial", {"observation": "image+tool"}),
     "memory": ("precise", {"memory": 16, "robot": "ur5e"}),
 }

@@ -24,6 +24,7 @@ from reachlab.envs.functions import EnvState
 from reachlab.envs.presets import configure
 from reachlab.envs.random_streams import env_keys
 from reachlab.evaluation.report import evaluate
+from reachlab.learn.learner import make_initial_policy
 from reachlab.learn.load import load
 from reachlab.robots.loading import load_robot
 from reachlab.settings.validation import InputError
@@ -139,6 +140,21 @@ def test_the_agent_holds_its_goals(env: Env) -> None:
     assert 0 < (report.planning_s["median"] or 0) <= (report.planning_s["max"] or 0)
     share = np.array(report.max_joint_speed) / np.array(load_robot(report.robot).speed)
     assert share.max() < 1.5
+
+
+def test_poses_in_a_shelf_are_held_by_either() -> None:
+    env = Env(configure("clutter_pose", robot="panda", scene=("shelf",), randomise=()), EPISODES)
+    goal = begun(env).goal
+    assert goal.quaternion.shape == (EPISODES, 4)
+    at = np.stack([env.setup.robot.chain.tool_at(q)[1] for q in np.asarray(goal.joints)])
+    np.testing.assert_allclose(np.abs((at * np.asarray(goal.quaternion)).sum(axis=1)), 1.0, atol=1e-5)
+    unlearnt = make_initial_policy(env.config, env, jax.random.key(0))
+    for agent, policy in (("planner", None), ("hybrid", unlearnt)):
+        report = evaluate(env, agent, policy, seed=2, episodes=EPISODES)
+        assert report.success_rate == 1.0, agent
+        assert report.contact == 0.0
+        assert (report.final_angle_rad or {})["median"] < 0.05
+    env.close()
 
 
 def test_an_arm_whose_goal_cannot_be_reached_stays_where_it_is(env: Env) -> None:

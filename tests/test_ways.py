@@ -17,6 +17,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from benchmarks.deploy import lively_run
 from reachlab.control.contact_model import add_contacts, arm_of
 from reachlab.control.motion_limits import MotionLimits
 from reachlab.control.planning.branches import branches
@@ -349,9 +350,14 @@ def test_names_that_are_defined_twice_are_refused() -> None:
 
 @pytest.mark.usefixtures("few_scenes")
 @pytest.mark.slow
-@pytest.mark.parametrize(("robot", "scene"), [("panda", "bin"), ("ur5e", "shelf"), ("iiwa14", "posts")])
+@pytest.mark.parametrize(
+    ("robot", "scene"), [("panda", "bin"), ("ur5e", "shelf"), ("iiwa14", "posts"), ("panda", "pose")]
+)
 def test_held_out_scenes_are_solved(robot: str, scene: str, tmp_path: Path) -> None:
-    made = export(f"{robot}/clutter", tmp_path / "policy", scene=(scene,)).folder
+    run = f"{robot}/clutter"
+    if scene == "pose":  # no policy comes with it: one that has learnt nothing
+        run, scene = lively_run(tmp_path / "run", "clutter_pose", robot=robot), "shelf"
+    made = export(run, tmp_path / "policy", scene=(scene,)).folder
     plant, controller = Plant(settings_of(made, None), 1), Controller(made)
     for number in range(6):
         plant.begin(number)
