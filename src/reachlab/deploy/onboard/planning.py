@@ -15,7 +15,7 @@ import numpy as np
 
 from reachlab.control.motion_limits import MotionLimits
 from reachlab.control.planning.arm import Arm
-from reachlab.control.planning.following import Trajectory, gap, longest_way
+from reachlab.control.planning.following import PATIENCE, PROGRESS, Trajectory, gap, longest_way
 from reachlab.control.planning.plans import Plans
 from reachlab.deploy.onboard.folder import LIMITS, read_folder
 from reachlab.deploy.onboard.step import load_step
@@ -41,7 +41,10 @@ class Foresight:
         self._near, self._turn = facts["goal"]["success_distance"], facts["goal"].get("success_turn", 0.0)
 
     def leads(self, plans: Plans, bodies: Bodies, start: np.ndarray, goal: np.ndarray) -> bool:
-        """Whether it comes from rest at joints `start [n]` to where the tool is at `goal [n]`, freely and soon."""
+        """Whether it comes from rest at joints `start [n]` to where the tool is at `goal [n]`, freely and soon.
+
+        Nor does it where it comes no nearer for so long that it would be taken over from.
+        """
         there = self._tool(goal.tolist())
         q, qd, motion, way = start, np.zeros_like(start), self._limits.at_rest(start), [start]
         given: dict[str, Any] = {f"bodies_{name}": part.ravel().tolist() for name, part in bodies._asdict().items()}
@@ -49,7 +52,8 @@ class Foresight:
         given |= dict(zip(("goal_position", "goal_quaternion"), there))
         given |= {"last_action": [0.0] * self._inputs["last_action"][0]}
         given |= {"memory": [0.0] * self._inputs.get("memory", [0])[0]}
-        for _ in range(int(longest_way(start, goal, self._arm.speed) / self._arm.period)):
+        nearest, came, patience = np.inf, 0, round(PATIENCE / self._arm.period)
+        for step in range(int(longest_way(start, goal, self._arm.speed) / self._arm.period)):
             given |= {"q": q.tolist(), "qd": qd.tolist(), "command": motion.position.tolist()}
             given["last_action"], wanted, *memory = self._decide(**{name: given[name] for name in self._inputs})
             given["memory"] = memory[0] if memory else []
@@ -57,8 +61,13 @@ class Foresight:
             moved = self._arm.share * (motion.position - q)
             q, qd = q + moved, moved / self._arm.period
             way.append(q)
-            if gap(self._tool(q.tolist()), there, self._turn) < self._near:
+            distance = gap(self._tool(q.tolist()), there, self._turn)
+            if distance < self._near:
                 return plans.free(np.array(way), bodies)
+            if distance < nearest - PROGRESS:
+                nearest, came = distance, step
+            elif step - came > patience:  # it would be taken over from
+                return False
         return False
 
 
