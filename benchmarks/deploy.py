@@ -95,7 +95,7 @@ def lively_run(path: Path, task: str, **settings: Any) -> RunDirectory:
 
 
 def _differences(run: RunDirectory, folder: Path, situations: int = SITUATIONS) -> dict[str, float]:
-    export(run, folder)
+    export(run, folder, "trained")
     config = run.read_config()
     env = Env(in_evaluation(config, config.sim), TOGETHER)
     try:
