@@ -14,11 +14,14 @@ import pyarrow.parquet as pq
 
 from faults.saves import Trial
 
-EPISODES, KILLS_IN_ONE = 600, 10
+EPISODES, KILLS_IN_ONE = 800, 10
 """Episodes of a dataset, and kills after which one is recorded to its end."""
 
-DELAYS = (2.0, 7.0)
-"""A process is killed at a random moment between these times after its start [s]: at times before it has written."""
+LATEST = 1.0
+"""A process is killed at a random moment of this time [s]: after its start, or after it has written a first file."""
+
+POLL = 0.005
+"""Time between two looks for that [s]."""
 
 COMMAND = (sys.executable, "-m", "reachlab", "record", "--agent", "ik", "--episodes", str(EPISODES))
 COMMAND += ("--cameras", "front", "--size", "32", "--out")
@@ -33,7 +36,7 @@ def killed_recordings(count: int, seed: int = 0) -> Trial:
         subprocess.run([*COMMAND, str(whole)], check=True, capture_output=True)
         while killed < count:
             out, here, told = Path(folder) / f"from-{killed}", 0, list[int]()
-            while here < min(KILLS_IN_ONE, count - killed) and _kill(out, draw.uniform(*DELAYS)):
+            while here < min(KILLS_IN_ONE, count - killed) and _kill(out, draw):
                 now = _told(out)
                 while_writing += len(now) > len(told)
                 wrong += [f"kill {killed + here}: {len(told)} were told, and {len(now)} are left"] * (
@@ -46,18 +49,25 @@ def killed_recordings(count: int, seed: int = 0) -> Trial:
                 wrong.append(f"{out.name}: {len(_told(out))} episodes, some of them twice")
             if any(not _rows(out, part).equals(_rows(whole, part)) for part in ("data", "meta/episodes")):
                 wrong.append(f"{out.name}: other contents")
-    if 2 * while_writing < count:
+    if 4 * while_writing < count:
         wrong.append(f"only {while_writing} of {count} had written anything since the kill before")
     return Trial(count, wrong)
 
 
-def _kill(out: Path, delay: float) -> bool:
-    """Record, and end it after a time without a warning; whether it was still at work."""
+def _kill(out: Path, draw: random.Random) -> bool:
+    """Record, and end it without a warning, every second time after it has written; whether it was still at work."""
+    before, waits = _files(out), draw.random() < 1 / 2
     with subprocess.Popen([*COMMAND, str(out)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
-        time.sleep(delay)
+        while waits and process.poll() is None and _files(out) == before:
+            time.sleep(POLL)
+        time.sleep(draw.uniform(0.0, LATEST))
         alive = process.poll() is None
         process.kill()
     return alive
+
+
+def _files(out: Path) -> int:
+    return sum(1 for _ in out.rglob("*.parquet"))
 
 
 def _told(out: Path) -> list[int]:
