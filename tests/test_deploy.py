@@ -60,6 +60,7 @@ CASES: dict[str, tuple[str, dict[str, Any]]] = {
     "track": ("track", {"robot": "ur5e"}),
     "clutter": ("clutter", {"robot": "xarm7"}),
     "clutter_pose": ("clutter_pose", {"robot": "panda"}),
+    "heading": ("clutter", {"action": "heading", "observation": "ways", "robot": "ur5e"}),
     "picture": ("tutorial", {"observation": "image+tool"}),
     "memory": ("precise", {"memory": 16, "robot": "ur5e"}),
 }

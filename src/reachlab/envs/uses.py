@@ -12,7 +12,7 @@ CLOSENESS = ("closeness_weight", "closeness_scale", "effort_weight")
 USES: dict[str, Mapping[Any, Collection[str]]] = {
     "action": {
         **dict.fromkeys(("tool_delta", "tool_step"), ("tool_scale",)),
-        **dict.fromkeys(("joint_delta", "joint_residual", "picture_points"), ("joint_scale",)),
+        **dict.fromkeys(("joint_delta", "joint_residual", "heading", "picture_points"), ("joint_scale",)),
     },
     "reward": {
         **dict.fromkeys(("sparse", "goal", "goal_distance"), ()),

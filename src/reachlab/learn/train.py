@@ -29,6 +29,7 @@ from reachlab.runs.sinks import Sink, make_sinks
 from reachlab.settings.config import DistilRunConfig, RunConfig
 from reachlab.settings.json_form import override
 from reachlab.settings.validation import InputError
+from reachlab.tasks.actions import ACTIONS
 
 
 @dataclass(frozen=True)
@@ -103,7 +104,7 @@ def train(
         run.refuse_existing()
     wanted = make_sinks(sinks)
     _choose_threads(run, config, threads)
-    method: Method = METHODS[config.method].load()
+    method: Method = METHODS[ACTIONS[config.rules.action].method or config.method].load()
     given = method.load(config, resume)
     if not resume and "object" not in asked.rules.gives:  # which need not be where the tool can be
         check_reach(asked)

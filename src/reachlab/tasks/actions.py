@@ -11,15 +11,29 @@ from jax import Array
 
 from reachlab.control import CONTROLLERS
 from reachlab.control.bodies import Bodies
-from reachlab.control.dampers import damped
+from reachlab.control.dampers import damped, hemmed
 from reachlab.control.evading import evaded
 from reachlab.control.situation import Goal, Situation
+from reachlab.robots.kinematics.forward import norm
 from reachlab.robots.kinematics.inverse import ik_displace
 from reachlab.tasks.camera import in_picture, on_table
 from reachlab.tasks.task import Bounds, TaskSetup
 
 TINY = 1e-6
 """Divides in place of a smaller number."""
+
+AHEAD = 0.3
+"""Length of the way in joint space that a heading of length 1 stands for [rad]."""
+
+SHORT = 0.05
+"""Length up to which a heading is not taken for a longer one."""
+
+ARRIVES = 0.4
+"""What is left of the way to the goal's joints where the task's controller takes over from headings [rad]: a
+policy that is 0.1 rad off comes no nearer than that by itself, and stands there."""
+
+GiveWay = Callable[[TaskSetup, Situation, Array], Array]
+"""Dampers: joint displacement `[B, n]` in place of the one that is asked for."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +50,7 @@ class Action:
         needs: what else there has to be, of `reachlab.tasks.WORDS`.
         whole: of a correction of what the controller does, the name of the action that corrects nothing.
         points: of an action that says where in the picture things are, how many.
+        method: by which it is learnt, of `reachlab.learn.METHODS`; None: as the configuration says.
     """
 
     summary: str
@@ -46,6 +61,7 @@ class Action:
     needs: frozenset[str] = frozenset()
     whole: str | None = None
     points: int = 0
+    method: str | None = None
 
 
 def _tool_box(setup: TaskSetup) -> Bounds:
@@ -88,11 +104,11 @@ def joint_scale(setup: TaskSetup) -> np.ndarray:
     return full_speed
 
 
-def _move_joints(setup: TaskSetup, now: Situation, action: Array) -> Array:
+def _move_joints(setup: TaskSetup, now: Situation, action: Array, give_way: GiveWay = damped) -> Array:
     """Joint command displaced by the action, as far as the task's dampers allow."""
     limits, step = setup.robot.commands, action * joint_scale(setup)
     if setup.task.control.dampers:
-        give_way = evaded if setup.task.scene(setup).moved else damped
+        give_way = evaded if setup.task.scene(setup).moved else give_way
         # Limits that contradict each other, as where a body is moved into the arm, may ask for anything.
         step = jnp.clip(give_way(setup, now, step), -joint_scale(setup), joint_scale(setup))
     return jnp.clip(now.command + step, jnp.array(limits.lower), jnp.array(limits.upper))
@@ -131,6 +147,25 @@ def _correction_towards(setup: TaskSetup, now: Situation, believed: Situation) -
     """Nothing, but where the situation is believed to be another."""
     correction = _joints_towards(setup, believed, believed) - _joints_towards(setup, now, now)
     return jnp.clip(correction / jnp.maximum(_residual_gain(setup, now), TINY), *_joint_box(setup))
+
+
+def _take_heading(setup: TaskSetup, now: Situation, action: Array) -> Array:
+    """Joint command displaced along a heading, as fast as joints and their lag allow; at the goal by the controller.
+
+    Its length is that of `AHEAD` unless it is very short: the mean of two ways is short, and has to be left.
+    """
+    speed, way = np.array(setup.robot.speed), AHEAD * action / jnp.maximum(norm(action)[:, None], SHORT)
+    time = jnp.maximum((jnp.abs(way) / speed).max(axis=-1, keepdims=True), max(*setup.lag, TINY))
+    far = norm(now.goal.joints - now.q)[:, None] > ARRIVES
+    along = jnp.clip(setup.period * way / time / joint_scale(setup), *_joint_box(setup))
+    return _move_joints(setup, now, jnp.where(far, along, _joints_towards(setup, now, now)), hemmed)
+
+
+def _straight_heading(setup: TaskSetup, now: Situation, believed: Situation) -> Array:
+    """That to the goal's joints."""
+    del setup, now
+    way = believed.goal.joints - believed.q
+    return way / jnp.maximum(norm(way)[:, None], AHEAD)
 
 
 def _picture_box(setup: TaskSetup) -> Bounds:
@@ -182,6 +217,15 @@ ACTIONS: dict[str, Action] = {
         _correction_towards,
         needs=frozenset({"places"}),
         whole="joint_delta",
+    ),
+    "heading": Action(
+        "a direction of the joints, which they take as fast as they can; at the goal the task's controller acts",
+        _joint_box,
+        _take_heading,
+        _straight_heading,
+        gives=frozenset({"turning"}),
+        needs=frozenset({"joints", "bodies"}),
+        method="imitation",
     ),
     "picture_points": Action(
         "where in the camera's picture goal and object are, on which the task's controller acts",

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from reachlab.settings.config import LearnerConfig, LoopConfig, PPOConfig, SimConfig
-from reachlab.settings.preset_record import Preset
+from reachlab.settings.preset_record import Preset, Rule
 from reachlab.settings.validation import NonNegative, Positive, Range, choose
 from reachlab.tasks.precise import WITHOUT_CONTROLLER, Precise
 from reachlab.tasks.tutorial import TOUCHED
@@ -20,6 +20,23 @@ Few = Annotated[int, Range(0, 16)]
 
 AROUND_FURNITURE = 250
 """Steps of an episode in which there is no straight way."""
+
+IMITATED = Rule(
+    lambda c: c.rules.action == "heading",
+    {
+        "observation": "ways",
+        "num_envs": 48,
+        "rollout_steps": 25,
+        "total_steps": 60 * 48 * 25,
+        "anneal_steps": 60 * 48 * 25,
+        "hidden": (384, 384, 384),
+        "learning_rate": 1e-3,
+        "final_learning_rate": 3e-5,
+        "max_grad_norm": 1.0,
+        "initial_std": 0.1,
+    },
+)
+"""A policy that imitates planned ways."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +56,7 @@ class Clutter(Precise):
             initial_std=0.3,
         ),
         ppo=PPOConfig(epochs=4, minibatches=4, gamma=0.98, final_std=0.1),
-        rules=(WITHOUT_CONTROLLER, *TOUCHED),
+        rules=(WITHOUT_CONTROLLER, *TOUCHED, IMITATED),
     )
 
     observation: str = "clutter"

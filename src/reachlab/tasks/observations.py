@@ -23,6 +23,7 @@ from reachlab.tasks.terms import (
     TRACK,
     WRIST,
 )
+from reachlab.tasks.way_terms import WAYS
 
 OBSERVATIONS: dict[str, Observation] = {
     "target": Observation("the target's position [m]", (GOAL,)),
@@ -41,6 +42,12 @@ OBSERVATIONS: dict[str, Observation] = {
         "as state, how far the joints are from where they have the target, and how near bodies are to each link and"
         " to points of a grid",
         CLUTTER,
+        needs=frozenset({"joints", "bodies"}),
+    ),
+    "ways": Observation(
+        "joints, tool, target, how far the joints are from where they have it, how near bodies are to each link there,"
+        " here and in between, and to points of a grid",
+        WAYS,
         needs=frozenset({"joints", "bodies"}),
     ),
     "clutter_pose": Observation(

@@ -171,7 +171,7 @@ def _goal_velocity_bounds(setup: TaskSetup) -> Bounds:
     return within(np.full(3, FASTEST * setup.rules.goal_speed[1]))
 
 
-def _clearance(setup: TaskSetup, now: Situation) -> Array:
+def clearance(setup: TaskSetup, now: Situation) -> Array:
     """Of each moving capsule the direction away from what is nearest, shorter the further away, `[B, 3 C]`."""
     near = CLOSE * setup.robot.scale
     around = surroundings(setup.robot, now.q, now.bodies)
@@ -190,9 +190,9 @@ def _basis_points(setup: TaskSetup, each: int) -> np.ndarray:
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3).astype(np.float32)
 
 
-def _scene(setup: TaskSetup, now: Situation) -> Array:
-    """Nearness `[B, BASIS³]` of bodies to points about the goals."""
-    away = distance_from(now.bodies, _basis_points(setup, BASIS))
+def scene(setup: TaskSetup, now: Situation, each: int = BASIS) -> Array:
+    """Nearness `[B, each³]` of bodies to points about the goals."""
+    away = distance_from(now.bodies, _basis_points(setup, each))
     return CLOSE / (CLOSE + jnp.maximum(away / setup.robot.scale, 0.0))
 
 
@@ -260,9 +260,11 @@ POSE = (
 TRACK = (*STATE, Term("goal_velocity", "m/s", _goal_velocity, _goal_velocity_bounds, _goal_velocity_constant))
 """The same as `STATE`, and how fast the goal moves."""
 
+CLEARANCE = Term("clearance", "1", clearance, _clearance_bounds)
+
 AROUND = (
-    Term("clearance", "1", _clearance, _clearance_bounds),
-    Term("scene", "1", _scene, lambda _: (np.zeros(BASIS**3, np.float32), np.ones(BASIS**3, np.float32))),
+    CLEARANCE,
+    Term("scene", "1", scene, lambda _: (np.zeros(BASIS**3, np.float32), np.ones(BASIS**3, np.float32))),
 )
 """The bodies beside the arm.
 

@@ -128,9 +128,11 @@ def _drawn(robot: Robot, scene: str) -> Bank:
 # --- drawing --------------------------------------------------------------------------------------
 
 
-def drawn_scenes(robot: Robot, scene: str, count: int) -> Iterator[tuple[np.ndarray, np.ndarray, Bodies]]:
-    """Scenes with joints at start and goal, as many as are asked for."""
-    kind, rng, found = kind_of(scene, robot), np.random.default_rng(0), 0
+def drawn_scenes(
+    robot: Robot, scene: str, count: int, seed: int = 0
+) -> Iterator[tuple[np.ndarray, np.ndarray, Bodies]]:
+    """Scenes with joints at start and goal, as many as are asked for; those of the bank have seed 0."""
+    kind, rng, found = kind_of(scene, robot), np.random.default_rng(seed), 0
     try:
         finder = _Finder(robot, kind)
     except ModuleNotFoundError:

@@ -1,0 +1,168 @@
+"""Imitation of planned ways: a policy acts, and learns the heading that a planner would have taken where it has come.
+
+As DAgger (Ross, Gordon, Bagnell, arXiv:1011.0686), and from all of the way that was planned there.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from jax import Array
+
+from reachlab.agents.policy import Inputs, Parameters, distribution
+from reachlab.control.bodies import Bodies
+from reachlab.control.situation import Goal, Situation
+from reachlab.envs.core import Env
+from reachlab.jax_setup import jit
+from reachlab.learn.learner import Learner, make_learner, make_optimiser
+from reachlab.learn.method import Finite, Method, Watched, all_finite
+from reachlab.learn.planned import LESSONS, Teacher
+from reachlab.learn.ppo_method import TrainState, initial_state
+from reachlab.learn.rollout import episode_statistics, host_collector
+from reachlab.robots.kinematics.forward import forward_kinematics
+from reachlab.settings.config import RunConfig
+from reachlab.settings.validation import InputError
+from reachlab.tasks.observations import observe
+from reachlab.tasks.task import TaskSetup
+
+PLANS = 24_000
+"""Planned ways that are kept to learn from."""
+
+FRESH = 80
+"""Scenes in an iteration that are drawn to plan in: what is learnt of few of them fails in others."""
+
+UPDATES, BATCH = 100, 512
+"""Gradient steps of an iteration, and joint vectors of a step."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Lessons:
+    """The last `N` planned ways, each known by `P` joint vectors, the oldest overwritten first.
+
+    Attributes:
+        q: joints on the way `[N, P, n]`.
+        heading: the action to be taken there `[N, P, n]`.
+        goal: where the way leads `[N, ...]`.
+        bodies: what it leads among `[N, K]`.
+        count: ways so far `[]`.
+    """
+
+    q: Array
+    heading: Array
+    goal: Goal
+    bodies: Bodies
+    count: Array
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class ImitationState(TrainState):
+    """All that training changes, and what it learns from: enough to continue from."""
+
+    lessons: Lessons
+
+
+def _initial_state(env: Env, config: RunConfig, seed: int | Array, given: Any) -> ImitationState:
+    """State before the first iteration."""
+    del given
+    begun = initial_state(env, config, seed)
+    empty = partial(jax.tree.map, lambda x: np.zeros((PLANS, *x.shape[1:]), x.dtype))
+    q: Any = np.zeros((PLANS, LESSONS, env.setup.robot.chain.n), np.float32)
+    lessons = Lessons(q, q.copy(), empty(begun.env.goal), empty(begun.env.arm.bodies), jnp.zeros((), jnp.int32))
+    learner = make_learner(make_optimiser(config, UPDATES), begun.learner.policy)
+    return ImitationState(learner, begun.env, begun.key, lessons)
+
+
+def _compile_iteration(env: Env, config: RunConfig, *_: Any) -> Callable[[ImitationState], tuple[Any, Watched]]:
+    """See `Method.compile_iteration`: the policy acts, ways are planned from where it has come, and it learns them."""
+    teacher, act, learn = Teacher(env), host_collector(), jit(partial(_learn, env))
+
+    def iterate(state: ImitationState) -> tuple[ImitationState, Watched]:
+        key, for_acting, for_planning, for_learning = jax.random.split(state.key, 4)
+        lessons, known = _planned(teacher, state, for_planning)
+        learner, losses = learn(state.learner, lessons, min(max(known, 1), PLANS), for_learning)
+        after, rollout = act(env, learner.policy, state.env, for_acting, config.loop)
+        metrics = {**episode_statistics(rollout), **losses, "plans": jnp.asarray(known)}
+        learner = replace(learner, steps=learner.steps + config.loop.iteration_steps)
+        new = ImitationState(learner, after, key, lessons)
+        finite = map(
+            all_finite, (rollout.observation, rollout.output, rollout.reward, after, metrics, metrics, learner)
+        )
+        watched = Watched(metrics, Finite(*finite), rollout)
+        return (new if watched.sound else state), watched
+
+    return iterate
+
+
+def _planned(teacher: Teacher, state: ImitationState, key: Array) -> tuple[Lessons, int]:
+    """Lessons with ways in fresh scenes and from where the arms are, and how many there have been by then."""
+    lessons: Lessons = jax.tree.map(np.array, state.lessons)
+    rng, known = np.random.default_rng(np.asarray(jax.random.key_data(key))), int(lessons.count)
+    beside: Any = jax.tree.map(np.asarray, (state.env.arm.q, state.env.goal.joints, state.env.arm.bodies))
+    arms = [jax.tree.map(lambda x, row=row: x[row], beside) for row in range(len(beside[0]))]
+    for start, goal, bodies in (*teacher.fresh(FRESH, int(rng.integers(1, 2**30))), *arms):
+        for q, heading, position, joints in teacher.lessons(bodies, start, goal, rng):
+            row = known % PLANS
+            lessons.q[row], lessons.heading[row] = q, heading
+            lessons.goal.position[row], lessons.goal.joints[row] = position, joints
+            jax.tree.map(lambda rows, one, row=row: operator.setitem(rows, row, one), lessons.bodies, bodies)
+            known += 1
+    return replace(lessons, count=jnp.asarray(known, jnp.int32)), known
+
+
+def _learn(env: Env, learner: Learner, lessons: Lessons, known: Array, key: Array) -> tuple[Learner, dict[str, Array]]:
+    """Learner after the gradient steps of an iteration, and the means of what they are judged by."""
+
+    def update(learner: Learner, key: Array) -> tuple[Learner, dict[str, Array]]:
+        for_way, for_point = jax.random.split(key)
+        ways = jax.random.randint(for_way, (BATCH,), 0, known)
+        points = jax.random.randint(for_point, (BATCH,), 0, LESSONS)
+        goal, bodies = jax.tree.map(lambda x: x[ways], (lessons.goal, lessons.bodies))
+        seen = observe(env.setup, _at_rest(env.setup, lessons.q[ways, points], goal, bodies))
+        policy, wanted = learner.policy.observed(seen), lessons.heading[ways, points]
+        inputs: Inputs = policy.inputs(seen)
+
+        def loss(parameters: Parameters) -> Array:
+            return jnp.square(distribution(parameters, inputs).mean - wanted).sum(axis=-1).mean()
+
+        error, gradient = jax.value_and_grad(loss)(policy.parameters)
+        change, state = make_optimiser(env.config, UPDATES).update(gradient, learner.optimiser)
+        policy = replace(policy, parameters=jax.tree.map(jnp.add, policy.parameters, change))
+        judged = {"heading_error": error, "gradient_norm": optax.tree.norm(gradient)}
+        return replace(learner, policy=policy, optimiser=state), judged
+
+    learner, judged = jax.lax.scan(update, learner, jax.random.split(key, UPDATES))
+    return learner, jax.tree.map(jnp.mean, judged)
+
+
+def _at_rest(setup: TaskSetup, q: Array, goal: Goal, bodies: Bodies) -> Situation:
+    """Situations of arms that rest at joints `q [B, n]`."""
+    tool, none = forward_kinematics(setup.robot.chain, q), jnp.zeros((len(q), 0))
+    return Situation(q, jnp.zeros_like(q), *tool, goal, q, jnp.zeros_like(q), bodies, none, tool, none)
+
+
+def _check(config: RunConfig, resume: bool) -> None:
+    """Make sure that what is observed can be told of an arm at rest.
+
+    Raises:
+        InputError: it cannot, or the policy remembers something.
+    """
+    del resume
+    if config.rules.observation != "ways" or config.learner.memory:
+        raise InputError(
+            "an action 'heading' is learnt of planned ways, of which joints alone are known: choose --observation ways,"
+            " and no --memory."
+        )
+
+
+IMITATION = Method(_check, _initial_state, _compile_iteration)
+"""Imitation of planned ways."""

@@ -1,0 +1,94 @@
+"""Imitation of planned ways: what is learnt from one, and a training by it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from reachlab.control import dampers
+from reachlab.envs.core import Env
+from reachlab.envs.presets import configure
+from reachlab.envs.random_streams import env_keys
+from reachlab.learn.imitation import FRESH
+from reachlab.learn.planned import ASIDE, LESSONS, Teacher
+from reachlab.learn.train import train
+from reachlab.robots.kinematics.forward import forward_kinematics
+from reachlab.settings.validation import InputError
+from reachlab.tasks.actions import AHEAD
+
+pytestmark = pytest.mark.usefixtures("few_scenes")
+
+
+def furnished(count: int, **settings: Any) -> Env:
+    settings = {"robot": "panda", "scene": ("wall",), "action": "heading", "num_envs": count} | settings
+    return Env(configure("clutter", **settings), count)
+
+
+def test_headings_lead_along_planned_ways_there_and_back() -> None:
+    env = furnished(4)
+    teacher = Teacher(env)
+    for start, goal, bodies in teacher.fresh(4, seed=1):
+        there, back = teacher.lessons(bodies, start, goal, np.random.default_rng(0))
+        for lesson, ends in ((there, (start, goal)), (back, (goal, start))):
+            assert lesson.q.shape == lesson.heading.shape == (LESSONS, len(start))
+            np.testing.assert_allclose(lesson.q[0], ends[0], atol=1e-6)
+            np.testing.assert_allclose(lesson.joints, ends[1], atol=1e-6)
+            tool = forward_kinematics(env.setup.robot.chain, jnp.asarray(lesson.joints)[None]).position[0]
+            np.testing.assert_allclose(lesson.position, tool, atol=1e-4)
+            assert (np.linalg.norm(lesson.heading, axis=1) < 1 + 6 * ASIDE * np.sqrt(len(start)) / AHEAD).all()
+        assert not list(teacher.lessons(bodies, goal, goal, np.random.default_rng(0)))
+    env.close()
+
+
+def test_fresh_scenes_are_in_no_bank() -> None:
+    env = furnished(4)
+    known = {row.tobytes() for row in env.setup.prepared.joints[:, 0]}
+    assert not known & {goal.tobytes() for _, goal, _ in Teacher(env).fresh(4, seed=1)}
+    env.close()
+
+
+def test_an_arm_between_bodies_keeps_clear_of_those_that_are_not_the_nearest() -> None:
+    env = furnished(8, scene=("shelf",))
+    now = env.situation(env.init(env_keys(0, 8)))
+    step = 0.05 * jnp.sign(now.goal.joints - now.q)
+    moved = dampers.hemmed(env.setup, now, step)
+    for body in range(now.bodies.kind.shape[1]):
+        one = jax.tree.map(lambda x, body=body: x[:, body : body + 1], now.bodies)
+        around = dampers.surroundings(env.setup.robot, now.command, one)
+        change = (dampers.approach(env.setup.robot, now.command, around) * moved.T).sum(axis=1)
+        allowed = -dampers.RATE * (around.distance - dampers.CLOSE * env.setup.robot.scale)
+        assert (change > allowed - 5e-3).all()
+    env.close()
+
+
+def test_a_training_plans_and_comes_nearer_to_what_was_planned(tmp_path: Path) -> None:
+    settings = {"robot": "panda", "scene": ("wall",), "action": "heading", "hidden": (64, 64), "seed": 1}
+    rest = {"num_envs": 4, "rollout_steps": 5, "total_steps": 40, "anneal_steps": 40, "report_episodes": 4}
+    config = configure("clutter", **settings, **rest)
+    result = train(config, tmp_path / "run", base=config)
+    rows = [json.loads(line) for line in (tmp_path / "run" / "metrics.jsonl").read_text().splitlines()]
+    assert [row["plans"] > 2 * FRESH * (count + 1) for count, row in enumerate(rows)] == [True, True]
+    assert rows[1]["heading_error"] < rows[0]["heading_error"]
+    assert result.report.episodes == 4
+
+
+@pytest.mark.parametrize(
+    ("changed", "sentence"),
+    [
+        ({"observation": "clutter"}, "choose --observation ways"),
+        ({"memory": 16}, "and no --memory"),
+        ({"scene": ("balls",)}, "among furniture"),
+    ],
+)
+def test_what_cannot_be_imitated_is_refused_in_a_sentence(
+    changed: dict[str, Any], sentence: str, tmp_path: Path
+) -> None:
+    config = configure("clutter", robot="panda", action="heading", num_envs=4, **changed)
+    with pytest.raises(InputError, match=sentence):
+        train(config, tmp_path / "run", base=config)
