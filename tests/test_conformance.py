@@ -56,6 +56,8 @@ def _combinations() -> Iterator[tuple[dict[str, str], bool]]:
                 concerned = kind in ("sim", "action") or (kind == "robot" and task == TASK_OF_ROBOT[name])
                 pictured = kind == "action" and "picture" in ACTIONS[name].needs
                 changed = {**usual, kind: name} | ({"observation": "image"} if pictured else {})
+                if kind == "action" and not pictured:  # some are preset with an observation of their own
+                    changed["observation"] = preset(task, action=name).rules.observation
                 if (task == FIRST or concerned) and _fits(changed):
                     yield changed, (task != FIRST and not pictured) or name in LONG
 
