@@ -106,7 +106,8 @@ def test_a_later_rule_outranks_an_earlier_one_and_what_is_chosen_all(monkeypatch
 @pytest.mark.parametrize("rule", RULES, ids=lambda rule: ", ".join(list(rule.settings)[:3]))
 def test_every_rule_is_for_some_configuration_and_names_settings(rule):
     choices = [{}, {"sim": "pybullet"}, {"sim": "mujoco"}, {"reward": "sparse"}, {"observation": "image"}]
-    presets = [preset(task, **chosen) for task in TASKS for chosen in [*choices, {"action": "joint_delta"}]]
+    actions = [{"action": "joint_delta"}, {"action": "heading"}]
+    presets = [preset(task, **chosen) for task in TASKS for chosen in [*choices, *actions]]
     assert any(rule.when(config) for config in presets)
     assert rule.settings.keys() <= flatten(to_json(preset())).keys()
 
