@@ -154,7 +154,7 @@ $(LEROBOT_VENV)/bin/python: | lerobot-python
 	$(LEROBOT_PYTHON) -m venv $(LEROBOT_VENV)
 
 $(LEROBOT_VENV)/installed: $(LEROBOT_VENV)/bin/python pyproject.toml constraints.txt tests/lerobot/constraints.txt lerobot_policy_reachlab/pyproject.toml
-	grep -vE '^(fsspec|numpy|packaging|pillow|setuptools|torch)==' constraints.txt | cat - tests/lerobot/constraints.txt > $(LEROBOT_VENV)/constraints.txt
+	grep -vE '^(fsspec|numpy|packaging|pillow|setuptools|torch|wandb)==' constraints.txt | cat - tests/lerobot/constraints.txt > $(LEROBOT_VENV)/constraints.txt
 	$(LEROBOT_VENV)/bin/python -m pip --disable-pip-version-check --quiet install --no-compile --constraint $(LEROBOT_VENV)/constraints.txt \
 		--editable '.[deploy,lerobot]' --editable ./lerobot_policy_reachlab 'lerobot[dataset,evaluation,feetech,training]' pytest pytest-timeout
 	@touch $@
