@@ -82,7 +82,7 @@ class _Packer:
         for one in statements:
             match one:
                 case Compute(target=target, operation=operation) if target.size is not None:
-                    groups[operation].append(one)
+                    groups[operation, target.kind].append(one)
                 case Loop(rounds=int()) if all(each.variable.size for each in one.carried):
                     groups[one.rounds, *((each.variable.kind, each.variable.size) for each in one.carried)].append(one)
                 case _:
