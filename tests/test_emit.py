@@ -85,12 +85,32 @@ def gradients(a: Any, b: Any) -> Any:
     return jnp.pad(jax.grad(value)(a), (1, 2)) + jax.lax.pad(b, 0.5, ((2, 1, 0),))
 
 
+def numbers_and_places(a: Any, b: Any) -> Any:
+    """Whole numbers that are places, and others, chosen at once."""
+    choices = (a < b, b, a), (a < 0, a, b), (b < 0, a, b), (a < 1, b, a), (b < 1, b, a)
+    numbers = [jnp.where(*one) for one in choices]
+    places = jnp.where(a < b, 2, jnp.arange(a.size) % 3)
+    return sum(numbers) * numbers[0][places[1]] + places
+
+
 def random_of_a_key(a: Any, b: Any) -> Any:
     return a * jax.random.uniform(jax.random.key(3), a.shape) + b
 
 
 FUNCTIONS: dict[str, Callable[[Any, Any], Any]] = {
-    one.__name__: one for one in (powers, angles, choices, wholes, places, loops, products, gradients, random_of_a_key)
+    one.__name__: one
+    for one in (
+        powers,
+        angles,
+        choices,
+        wholes,
+        places,
+        loops,
+        products,
+        gradients,
+        numbers_and_places,
+        random_of_a_key,
+    )
 }
 
 
