@@ -38,10 +38,10 @@ LONG = 8
 """Numbers that stand one after the other from which on arrays are joined, in place of their numbers."""
 
 FEW = 2
-"""Such rows of each of several arrays up to which they are joined as they are."""
+"""Rows from each of several arrays, on average, up to which rows are joined one by one, and not taken out of all."""
 
 APART = 64
-"""The same beside numbers that stand elsewhere: these are put into an array of their own."""
+"""Numbers that stand one after the other from which on those beside them, from elsewhere, get arrays of their own."""
 
 Key = tuple[Any, ...]
 

@@ -46,7 +46,7 @@ class Teacher:
         """Of the arm of an environment.
 
         Raises:
-            InputError: OMPL is not installed, or bodies move.
+            InputError: OMPL is not installed, or scenes are drawn as episodes begin.
         """
         setup = env.setup
         scene = setup.task.scene(setup)
@@ -55,7 +55,8 @@ class Teacher:
         self._setup, self._arm = setup, arm_of(setup.robot, setup.lag, setup.period)
         checker = CollisionChecker(self._arm, scene.bodies)
         try:
-            self._planner, self._search = Planner(checker, self._arm), Search(checker, *self._arm[2:4])
+            self._planner = Planner(checker, self._arm)
+            self._search = Search(checker, self._arm.lower, self._arm.upper)
         except ModuleNotFoundError:
             raise InputError(f"an action 'heading' is learnt from OMPL's plans: {installing('planner')}.") from None
 
