@@ -20,8 +20,9 @@ STOP = 0.03
 CLOSE = 0.012
 """The same for ways among furniture, where half of the goals are nearer than `STOP`: planned ones keep 1.4 cm [m]."""
 
-RATE = 0.08
-"""Share of its way to that distance that a capsule may go in a step."""
+RATE, RATE_AMONG = 0.08, 0.2
+"""Share of its way to that distance that a capsule may go in a step; the same for ways among furniture, whose narrow
+parts take too long otherwise."""
 
 SWEEPS = 6
 """Times that the displacement is made to obey each capsule's limit in turn."""
@@ -48,15 +49,26 @@ def damped(drive: Drive, now: Situation, step: Array) -> Array:
 
 
 def hemmed(drive: Drive, now: Situation, step: Array) -> Array:
-    """The same with limits for each body, and nearer to them, for ways among furniture.
+    """The same with limits for each body, nearer to them and faster, for ways among furniture.
 
-    Where an arm reaches between boards, another than the nearest may be met next.
+    Where an arm reaches between boards, another than the nearest may be met next. And an arm that is late cuts the
+    corners of its commands: from where it is, all that is left to the next one may bring it no nearer either.
     """
     robot, commanded = drive.robot, now.command[..., : drive.robot.chain.n]
-    bodies = [jax.tree.map(lambda x, k=k: x[:, k : k + 1], now.bodies) for k in range(now.bodies.kind.shape[1])]
-    each = [surroundings(robot, commanded, one) for one in bodies]
-    least = [-RATE * jnp.maximum(one.distance - CLOSE * robot.scale, -CLOSE) for one in each]
-    return obeyed(step, jnp.concatenate([approach(robot, commanded, one) for one in each]), jnp.concatenate(least))
+    count = now.bodies.kind.shape[1]
+    each = jax.tree.map(lambda x: jnp.concatenate([jnp.moveaxis(x[:, :, None], 1, 0)] * 2), now.bodies)
+    where = jnp.stack([commanded] * count + [now.q] * count)
+    rate, back = (np.repeat(np.float32(both), count) for both in ((RATE_AMONG, 1.0), (CLOSE, 0.0)))
+
+    def limit(_: None, one: tuple[Array, Bodies, Array, Array]) -> tuple[None, tuple[Array, Array]]:
+        q, body, rate, back = one
+        around = surroundings(robot, q, body)
+        row = approach(robot, q, around)
+        left = (row * (commanded - q).T).sum(axis=1)
+        return None, (row, -rate * jnp.maximum(around.distance - CLOSE * robot.scale, -back) - left)
+
+    rows, least = jax.lax.scan(limit, None, (where, each, rate, back))[1]
+    return obeyed(step, rows.reshape(-1, *rows.shape[2:]), least.reshape(-1, least.shape[-1]))
 
 
 def obeyed(step: Array, rows: Array, least: Array) -> Array:

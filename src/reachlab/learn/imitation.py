@@ -42,6 +42,10 @@ FRESH = 80
 UPDATES, BATCH = 100, 512
 """Gradient steps of an iteration, and joint vectors of a step."""
 
+SMOOTH = 1e-4
+"""Added to the square of how far a heading is off. Its length is learnt from, not the square: of two ways the more
+frequent is taken rather than their mean."""
+
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
@@ -132,7 +136,8 @@ def _learn(env: Env, learner: Learner, lessons: Lessons, known: Array, key: Arra
         inputs: Inputs = policy.inputs(seen)
 
         def loss(parameters: Parameters) -> Array:
-            return jnp.square(distribution(parameters, inputs).mean - wanted).sum(axis=-1).mean()
+            off = jnp.square(distribution(parameters, inputs).mean - wanted).sum(axis=-1)
+            return jnp.sqrt(off + SMOOTH).mean()
 
         error, gradient = jax.value_and_grad(loss)(policy.parameters)
         change, state = make_optimiser(env.config, UPDATES).update(gradient, learner.optimiser)

@@ -28,7 +28,7 @@ AHEAD = 0.3
 SHORT = 0.05
 """Length up to which a heading is not taken for a longer one."""
 
-ARRIVES = 0.4
+ARRIVES = 0.3
 """What is left of the way to the goal's joints where the task's controller takes over from headings [rad]: a
 policy that is 0.1 rad off comes no nearer than that by itself, and stands there."""
 
