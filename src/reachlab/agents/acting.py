@@ -84,7 +84,9 @@ def _check_fits(schema: Schema, env: Env) -> None:
     """
     known, given = ({field.name: field for field in one.fields} for one in (schema, env.schema))
     mend = "evaluate it in the environment that `reachlab.load` gives of its run"
-    if [(one.name, one.shape) for one in schema.fields] != [(one.name, one.shape) for one in env.schema.fields]:
+    if [(one.name, one.row or one.shape) for one in schema.fields] != [
+        (one.name, one.row or one.shape) for one in env.schema.fields
+    ]:
         raise InputError(f"the policy observes {_named(known)}, and the environment gives {_named(given)}: {mend}.")
     for name in known.keys() & OF_THE_ARM:
         if not np.allclose(known[name].bounds, given[name].bounds):

@@ -1,4 +1,4 @@
-"""From a picture to features: small networks of matrix products, which XLA computes well on the CPU."""
+"""From a picture or bodies to features: small networks of matrix products, which XLA computes well on the CPU."""
 
 from __future__ import annotations
 
@@ -22,6 +22,9 @@ as this whole network's."""
 
 CELL, KEPT, SEEN = 4, 16, 32
 """Of `Keypoints`: side of a cell [pixels], numbers that are kept of one, and of one and those around it."""
+
+OF_ROWS, DEEP = 128, 384
+"""Of `Pooled`: numbers that are kept of all rows, and widths of the layers after them."""
 
 SHARPNESS = 2.0
 """By what scores are multiplied where the place of a point is read from them."""
@@ -117,14 +120,48 @@ def _expected(scores: Array, places: Array) -> Array:
     return (jax.nn.softmax(SHARPNESS * scores, axis=-2)[..., None] * places).sum(axis=-3)
 
 
-Encoder = Squares | Keypoints
+class Pooled:
+    """Features of a vector and of rows whose order and number mean nothing, such as bodies.
+
+    Of each row beside the vector, the largest of each number over all rows, and of these beside the vector: Zaheer et
+    al., "Deep sets", NeurIPS 2017; Qi et al., "PointNet", CVPR 2017.
+    """
+
+    def __init__(self, layers: Layers) -> None:
+        """Encoder of these layers: two of a row, then those after it."""
+        self.layers = layers
+
+    @classmethod
+    def make(cls, key: Array, vector: int, row: int) -> Pooled:
+        """Untrained encoder of a vector of so many numbers and rows of so many."""
+        after = ((vector + OF_ROWS, DEEP), (DEEP, DEEP), (DEEP, DEEP))
+        return cls(_layers(key, ((row + vector, OF_ROWS), (OF_ROWS, OF_ROWS), *after)))
+
+    @property
+    def features(self) -> int:
+        """Numbers that come out."""
+        return DEEP
+
+    def __call__(self, vector: Array, rows: Array) -> Array:
+        """Features `[..., DEEP]` of a vector `[..., k]` and rows `[..., K, row]`."""
+        (first, bias), (second, bias_2), *after = self.layers
+        row = rows.shape[-1]
+        beside = vector @ first[row:] + bias
+        each = jax.nn.relu(rows @ first[:row] + beside[..., None, :]) @ second + bias_2
+        x = jnp.concatenate([vector, jnp.tanh(each.max(axis=-2))], axis=-1)
+        for weight, bias in after:
+            x = jax.nn.relu(x @ weight + bias)
+        return x
+
+
+Encoder = Squares | Keypoints | Pooled
 
 
 def _with_keys(encoder: Encoder) -> tuple[list[tuple[Any, Any]], None]:
     return [(jax.tree_util.SequenceKey(i), layer) for i, layer in enumerate(encoder.layers)], None
 
 
-for _kind in (Squares, Keypoints):  # their arrays are named as those of a list of layers
+for _kind in (Squares, Keypoints, Pooled):  # their arrays are named as those of a list of layers
     jax.tree_util.register_pytree_with_keys(
         _kind, _with_keys, lambda _, layers, kind=_kind: kind(list(layers)), lambda encoder: (encoder.layers, None)
     )

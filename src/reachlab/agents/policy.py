@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from reachlab.agents.encoder import Encoder, Keypoints, Squares
+from reachlab.agents.encoder import Encoder, Keypoints, Pooled, Squares
 from reachlab.agents.layers import Layers, forward, make_layers
 from reachlab.agents.memory import Cell
 from reachlab.robots.kinematics.forward import added
@@ -33,7 +33,7 @@ et al., "What matters in on-policy reinforcement learning?", 2021)."""
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Parameters:
-    """Layers of actor and critic, `log_std [a]`, the encoder of a picture if there is one, and the memory if any."""
+    """Layers of actor and critic, `log_std [a]`, the encoder of a picture or of rows if any, and the memory if any."""
 
     actor: Layers
     critic: Layers
@@ -55,12 +55,14 @@ class Inputs(NamedTuple):
         memory: what is remembered before them `[..., M]`; None where nothing is. Before a sequence of inputs
             `[T, B, ...]`, `[1, B, M]`.
         begins: of such a sequence, with which of its inputs episodes begin `[T, B]`.
+        rows: `[..., K, row]` as they are; None where observations hold none.
     """
 
     picture: Array | None
     vector: Array | None
     memory: Array | None = None
     begins: Array | None = None
+    rows: Array | None = None
 
 
 @jax.tree_util.register_dataclass
@@ -172,7 +174,8 @@ class Policy:
                 f"the policy observes {names}, {self.schema.vector_size} numbers, and got an array of shape"
                 f" {jnp.shape(vector)}: give the environment the run's `observation`."
             )
-        return Inputs(picture, None if vector is None else self.normaliser(vector), memory)
+        rows = self.schema.rows(observation)
+        return Inputs(picture, None if vector is None else self.normaliser(vector), memory, rows=rows)
 
     def observed(self, observation: Observed) -> Policy:
         """Policy whose normaliser knows a batch `[n, ...]` of observations more."""
@@ -186,12 +189,14 @@ class Policy:
 
 
 def encoded(parameters: Parameters, inputs: Inputs) -> Array:
-    """The vector, and what the encoder makes of the picture `[..., f]`.
+    """The vector, and what the encoder makes of the picture `[..., f]`; or what it makes of vector and rows.
 
     A policy that remembers knows whether the picture came: of a black one all is 0, or else it would drive the gates of
     the memory to where they are not taught any more.
     """
-    picture, vector = inputs.picture, inputs.vector
+    picture, vector, rows = inputs.picture, inputs.vector, inputs.rows
+    if isinstance(parameters.encoder, Pooled):
+        return parameters.encoder(cast("Array", vector), cast("Array", rows))
     if picture is None or parameters.encoder is None:
         return cast("Array", vector)  # an observation has a picture or a vector
     points = parameters.encoder(picture)
@@ -251,7 +256,7 @@ def make_policy(
     """Untrained policy for observations of a schema and actions with these lower and upper bounds `[a]`.
 
     Where the observation holds a picture the policy has an encoder, which finds so many `points` in it or, with 0, sees
-    it as a whole. It remembers so many numbers.
+    it as a whole; where it holds rows, one that pools them. It remembers so many numbers.
     """
     low, high = (jnp.asarray(bound) for bound in action_bounds)
     k, a, encoder = schema.vector_size, len(low), None
@@ -259,6 +264,9 @@ def make_policy(
     if schema.pictures:
         encoder = Keypoints.make(for_encoder, points) if points else Squares.make(for_encoder, SIZE)
     inputs = k + (encoder.features if encoder else 0)
+    if schema.row:
+        encoder = Pooled.make(for_encoder, k, schema.row)
+        inputs = encoder.features
     inputs += 1 if encoder and memory else 0
     cell = Cell.make(jax.random.fold_in(key, 3), inputs, memory) if memory else None
     inputs += memory

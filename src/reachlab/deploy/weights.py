@@ -54,7 +54,7 @@ def inputs(schema: Schema) -> list[tuple[str, list[int], bool]]:
         sizes = {field.name: field.shape[0] for field in schema.fields}
         goals = [(name, [sizes.pop(name)], False) for name in GOALS]
         return [("observation", [sum(sizes.values())], False), *goals]
-    return [("observation", [schema.vector_size], False)]
+    return [("observation", [sum(field.shape[0] for field in schema.fields)], False)]
 
 
 def onnx_model(policy: Policy, bounds: Bounds, *, clips: bool) -> Any:
@@ -86,8 +86,10 @@ def onnx_model(policy: Policy, bounds: Bounds, *, clips: bool) -> Any:
         parts = _known_to_have_come(parts[0], next(name for name, _, picture in given if picture), add, constants)
     if vectors:
         vector = vectors[0] if len(vectors) == 1 else add("Concat", vectors, "vector", axis=1)
+        vector, rows = _without_rows(policy.schema, vector, add, constants, weights)
         scaled = add("Div", [add("Sub", [vector, "normaliser.mean"], "shifted"), "normaliser.scale"], "scaled")
         parts.append(add("Clip", [scaled, "clip.low", "clip.high"], "normalised"))
+        parts = _pooled(encoder, parts, rows, add)
     x = parts[0] if len(parts) == 1 else add("Concat", parts, "features", axis=1)
     more = [(MEMORY, [policy.parameters.memory.size], False)] if policy.parameters.memory else []
     x = add("Concat", [x, _remembered(x, add)], "known", axis=1) if more else x
@@ -140,6 +142,39 @@ def _remembered(x: str, add: Any) -> str:
     new = add("Tanh", [gate("new", counts)], "memory.new.value")
     change = add("Mul", [keep, add("Sub", [MEMORY, new], "memory.old")], "memory.change")
     return add("Add", [new, change], AFTER)
+
+
+def _without_rows(
+    schema: Schema, vector: str, add: Any, constants: dict[str, Any], weights: dict[str, np.ndarray]
+) -> tuple[str, str]:
+    """A vector without the rows that end it, and these `[batch, K, row]`, of `encoder.Pooled`; or no rows."""
+    if not schema.row:
+        return vector, ""
+    ends = {"nought": 0, "rows.begin": schema.vector_size, "rows.end": np.iinfo(np.int64).max, "rows.axis": 1}
+    constants |= {name: np.array([value], np.int64) for name, value in ends.items()}
+    constants |= {"rows.shape": np.array([0, -1, schema.row], np.int64)}
+    parts = np.split(weights["encoder.0.weight"], [schema.row])
+    constants |= dict(zip(("encoder.0.row", "encoder.0.beside"), parts, strict=True))
+    numbers = add("Slice", [vector, "rows.begin", "rows.end", "rows.axis"], "rows.numbers")
+    own = add("Slice", [vector, "nought", "rows.begin", "rows.axis"], "vector.own")
+    return own, add("Reshape", [numbers, "rows.shape"], "rows")
+
+
+def _pooled(encoder: Encoder, parts: list[str], rows: str, add: Any) -> list[str]:
+    """Features of a vector and rows, see `encoder.Pooled`; where there are no rows what was there before."""
+    if not rows:
+        return parts
+    given = add("Gemm", [*parts, "encoder.0.beside", "encoder.0.bias"], "rows.beside")
+    given = add("Unsqueeze", [given, "rows.axis"], "rows.every")
+    each = add("Add", [add("MatMul", [rows, "encoder.0.row"], "rows.given"), given], "rows.sum")
+    each = add("MatMul", [add("Relu", [each], "rows.out"), "encoder.1.weight"], "rows.kept")
+    each = add("Add", [each, "encoder.1.bias"], "rows.each")
+    x = add("Tanh", [add("ReduceMax", [each], "rows.most", axes=[1], keepdims=0)], "rows.pooled")
+    x = add("Concat", [*parts, x], "encoder.joined", axis=1)
+    for i in range(2, len(encoder.layers)):
+        x = add("Gemm", [x, f"encoder.{i}.weight", f"encoder.{i}.bias"], f"encoder.{i}.sum")
+        x = add("Relu", [x], f"encoder.{i}.out")
+    return [x]
 
 
 def _encoded(encoder: Encoder, name: str, add: Any, constants: dict[str, Any]) -> str:

@@ -9,7 +9,7 @@ import operator
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
@@ -41,6 +41,10 @@ FRESH = 80
 
 UPDATES, BATCH = 100, 512
 """Gradient steps of an iteration, and joint vectors of a step."""
+
+DECAY = 0.5
+"""Share of the weights that is taken off in a step, in proportion to the learning rate: else what is learnt of few
+thousand ways is learnt by heart."""
 
 SMOOTH = 1e-4
 """Added to the square of how far a heading is off. Its length is learnt from, not the square: of two ways the more
@@ -82,7 +86,7 @@ def _initial_state(env: Env, config: RunConfig, seed: int | Array, given: Any) -
     empty = partial(jax.tree.map, lambda x: np.zeros((PLANS, *x.shape[1:]), x.dtype))
     q: Any = np.zeros((PLANS, LESSONS, env.setup.robot.chain.n), np.float32)
     lessons = Lessons(q, q.copy(), empty(begun.env.goal), empty(begun.env.arm.bodies), jnp.zeros((), jnp.int32))
-    learner = make_learner(make_optimiser(config, UPDATES), begun.learner.policy)
+    learner = make_learner(make_optimiser(config, UPDATES, DECAY), begun.learner.policy)
     return ImitationState(learner, begun.env, begun.key, lessons)
 
 
@@ -140,7 +144,8 @@ def _learn(env: Env, learner: Learner, lessons: Lessons, known: Array, key: Arra
             return jnp.sqrt(off + SMOOTH).mean()
 
         error, gradient = jax.value_and_grad(loss)(policy.parameters)
-        change, state = make_optimiser(env.config, UPDATES).update(gradient, learner.optimiser)
+        optimiser, before = make_optimiser(env.config, UPDATES, DECAY), cast("optax.Params", policy.parameters)
+        change, state = optimiser.update(cast("optax.Updates", gradient), learner.optimiser, before)
         policy = replace(policy, parameters=jax.tree.map(jnp.add, policy.parameters, change))
         judged = {"heading_error": error, "gradient_norm": optax.tree.norm(gradient)}
         return replace(learner, policy=policy, optimiser=state), judged

@@ -53,17 +53,20 @@ def make_initial_policy(config: RunConfig, env: Env, key: Array) -> Policy:
     return make_policy(key, env.schema, box, settings.hidden, settings.initial_std, **more)
 
 
-def make_optimiser(config: RunConfig, updates: int) -> optax.GradientTransformation:
+def make_optimiser(config: RunConfig, updates: int, decay: float = 0.0) -> optax.GradientTransformation:
     """Adam on gradients clipped by their global norm, the step size falling on a straight line.
 
-    An iteration takes so many `updates`.
+    An iteration takes so many `updates`. With a `decay` of the weights (Loshchilov and Hutter, "Decoupled weight decay
+    regularization", ICLR 2019) an update needs to be given them.
     """
     settings = config.learner
     iterations = -(-settings.anneal_steps // config.loop.iteration_steps)
     schedule = optax.linear_schedule(settings.learning_rate, settings.final_learning_rate, updates * iterations)
     return optax.chain(
         optax.clip_by_global_norm(settings.max_grad_norm),
-        optax.adam(schedule, eps=ADAM_EPSILON),
+        optax.adamw(schedule, eps=ADAM_EPSILON, weight_decay=decay)
+        if decay
+        else optax.adam(schedule, eps=ADAM_EPSILON),
     )
 
 

@@ -29,7 +29,7 @@ IMITATED = Rule(
         "rollout_steps": 25,
         "total_steps": 60 * 48 * 25,
         "anneal_steps": 60 * 48 * 25,
-        "hidden": (384, 384, 384),
+        "hidden": (),
         "learning_rate": 1e-3,
         "final_learning_rate": 3e-5,
         "max_grad_norm": 1.0,

@@ -45,8 +45,8 @@ OBSERVATIONS: dict[str, Observation] = {
         needs=frozenset({"joints", "bodies"}),
     ),
     "ways": Observation(
-        "joints, tool, target, how far the joints are from where they have it, how near bodies are to each link there,"
-        " here and in between, and to points of a grid",
+        "joints, tool, target, how far the joints are from where they have it, and the bodies beside the arm, each by"
+        " its place, size and axes",
         WAYS,
         needs=frozenset({"joints", "bodies"}),
     ),

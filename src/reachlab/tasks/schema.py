@@ -34,6 +34,7 @@ class Term:
         bounds: of its numbers `[k]`.
         constant: which of them never change `[k]`; by default none.
         picture: it is the camera's picture.
+        row: of rows whose order means nothing, as of bodies, how many numbers one has.
     """
 
     name: str
@@ -42,6 +43,7 @@ class Term:
     bounds: Callable[[TaskSetup], Bounds]
     constant: Callable[[TaskSetup], np.ndarray] | None = None
     picture: bool = False
+    row: int = 0
 
 
 @dataclass(frozen=True)
@@ -58,6 +60,7 @@ class Field:
     high: tuple[float, ...]
     constant: tuple[bool, ...]
     picture: bool
+    row: int = 0
 
     @property
     def bounds(self) -> Bounds:
@@ -97,8 +100,13 @@ class Schema:
 
     @functools.cached_property
     def vectors(self) -> tuple[Field, ...]:
-        """Fields that are not."""
-        return tuple(field for field in self.fields if not field.picture)
+        """Fields that are neither pictures nor rows."""
+        return tuple(field for field in self.fields if not field.picture and not field.row)
+
+    @functools.cached_property
+    def row(self) -> int:
+        """Numbers of a row, where the last field is made of rows, of which there may be any number; else 0."""
+        return self.fields[-1].row
 
     @functools.cached_property
     def has_goals(self) -> bool:
@@ -120,15 +128,22 @@ class Schema:
         return _concatenated(parts)
 
     def split(self, observation: Observed) -> tuple[Any, Any]:
-        """Picture and vector `[..., k]` of an observation, each None where it has none."""
+        """Picture and vector `[..., k]` of an observation, each None where it has none; rows are left out."""
         if self.has_goals:
             return None, _concatenated([observation["observation"], *(observation[name] for name in GOALS)])
         if not self.pictures:
-            return None, observation
+            return None, observation[..., : self.vector_size] if self.row else observation
         if not self.vectors:
             return observation, None
         parts = [observation[field.name] for field in self.vectors]
         return observation[self.pictures[0].name], _concatenated(parts)
+
+    def rows(self, observation: Observed) -> Any:
+        """Rows `[..., K, row]` of an observation; None where it has none."""
+        if not self.row:
+            return None
+        numbers = observation[..., self.vector_size :]
+        return numbers.reshape(*numbers.shape[:-1], -1, self.row)
 
     @property
     def bounds(self) -> tuple[Any, Any]:
@@ -182,4 +197,5 @@ def _field(term: Term, setup: TaskSetup) -> Field:
         high=tuple(high.tolist()),
         constant=tuple(constant.tolist()),
         picture=term.picture,
+        row=term.row,
     )

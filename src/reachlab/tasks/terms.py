@@ -136,7 +136,7 @@ def _desired_constant(setup: TaskSetup) -> np.ndarray:
     return np.concatenate([_goal_constant(setup), np.zeros(4 * setup.rules.asks_orientation, bool)])
 
 
-def _axes(quaternion: Array) -> Array:
+def axes(quaternion: Array) -> Array:
     """First two axes `[..., 6]` of an orientation `[..., 4]`: the same for both quaternions of it, and continuous.
 
     Zhou et al., "On the continuity of rotation representations in neural networks", CVPR 2019.
@@ -147,7 +147,7 @@ def _axes(quaternion: Array) -> Array:
 
 def _goal_axes(setup: TaskSetup, now: Situation) -> Array:
     del setup
-    return _axes(now.goal.quaternion)
+    return axes(now.goal.quaternion)
 
 
 def _turn(setup: TaskSetup, now: Situation) -> Array:
@@ -171,7 +171,7 @@ def _goal_velocity_bounds(setup: TaskSetup) -> Bounds:
     return within(np.full(3, FASTEST * setup.rules.goal_speed[1]))
 
 
-def clearance(setup: TaskSetup, now: Situation) -> Array:
+def _clearance(setup: TaskSetup, now: Situation) -> Array:
     """Of each moving capsule the direction away from what is nearest, shorter the further away, `[B, 3 C]`."""
     near = CLOSE * setup.robot.scale
     around = surroundings(setup.robot, now.q, now.bodies)
@@ -183,16 +183,16 @@ def _clearance_bounds(setup: TaskSetup) -> Bounds:
     return within(np.ones(3 * np.count_nonzero(setup.robot.capsules.links)))
 
 
-def _basis_points(setup: TaskSetup, each: int) -> np.ndarray:
-    """Points `[each³, 3]` m on a grid in the arm's goal box and around it."""
+def _basis_points(setup: TaskSetup) -> np.ndarray:
+    """Points `[BASIS³, 3]` m on a grid in the arm's goal box and around it."""
     low, high = np.array(setup.robot.goal_box)
-    axes = [np.linspace(a, b, each) for a, b in zip(low, high, strict=True)]
-    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3).astype(np.float32)
+    lines = [np.linspace(a, b, BASIS) for a, b in zip(low, high, strict=True)]
+    return np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 3).astype(np.float32)
 
 
-def scene(setup: TaskSetup, now: Situation, each: int = BASIS) -> Array:
-    """Nearness `[B, each³]` of bodies to points about the goals."""
-    away = distance_from(now.bodies, _basis_points(setup, each))
+def _scene(setup: TaskSetup, now: Situation) -> Array:
+    """Nearness `[B, BASIS³]` of bodies to points about the goals."""
+    away = distance_from(now.bodies, _basis_points(setup))
     return CLOSE / (CLOSE + jnp.maximum(away / setup.robot.scale, 0.0))
 
 
@@ -245,7 +245,7 @@ STATE = (
 
 JOINT_WAY = Term("joint_way", "rad or m", _joint_way, _joint_way_bounds)
 
-TOOL_AXES = Term("tool_axes", "1", lambda _, now: _axes(now.tool_quaternion), lambda _: within(np.ones(6)))
+TOOL_AXES = Term("tool_axes", "1", lambda _, now: axes(now.tool_quaternion), lambda _: within(np.ones(6)))
 
 POSE = (
     *STATE,
@@ -260,11 +260,11 @@ POSE = (
 TRACK = (*STATE, Term("goal_velocity", "m/s", _goal_velocity, _goal_velocity_bounds, _goal_velocity_constant))
 """The same as `STATE`, and how fast the goal moves."""
 
-CLEARANCE = Term("clearance", "1", clearance, _clearance_bounds)
+CLEARANCE = Term("clearance", "1", _clearance, _clearance_bounds)
 
 AROUND = (
     CLEARANCE,
-    Term("scene", "1", scene, lambda _: (np.zeros(BASIS**3, np.float32), np.ones(BASIS**3, np.float32))),
+    Term("scene", "1", _scene, lambda _: (np.zeros(BASIS**3, np.float32), np.ones(BASIS**3, np.float32))),
 )
 """The bodies beside the arm.
 
