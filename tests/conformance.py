@@ -24,8 +24,9 @@ SOFT_LIMIT = 0.01
 """How far a joint stop gives way where it is a spring [rad]."""
 
 
-OF_OBSTACLES = ("clearance", "clearance_ahead", "scene", "scene_fine")
-"""Parts of observations of which some are still as long as no obstacle has come near a link, or a point of a grid."""
+OF_OBSTACLES = ("bodies", "clearance", "scene")
+"""Parts of observations of which some are still as long as no obstacle has come near a link, or a point of a grid; and
+of bodies, as upright ones, which numbers never change."""
 
 
 @dataclass(frozen=True)

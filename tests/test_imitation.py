@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,16 +12,21 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from reachlab.agents.acting import make_act
 from reachlab.control import dampers
+from reachlab.deploy.onnx_network import OnnxNetwork
+from reachlab.deploy.weights import onnx_model
 from reachlab.envs.core import Env
 from reachlab.envs.presets import configure
 from reachlab.envs.random_streams import env_keys
 from reachlab.learn.imitation import FRESH
+from reachlab.learn.learner import make_initial_policy
 from reachlab.learn.planned import ASIDE, LESSONS, Teacher
 from reachlab.learn.train import train
 from reachlab.robots.kinematics.forward import forward_kinematics
 from reachlab.settings.validation import InputError
 from reachlab.tasks.actions import AHEAD
+from reachlab.tasks.way_terms import ROW
 
 pytestmark = pytest.mark.usefixtures("few_scenes")
 
@@ -71,6 +77,28 @@ def test_an_arm_between_bodies_keeps_clear_of_those_that_are_not_the_nearest_and
             change = (dampers.approach(env.setup.robot, q, around) * way.T).sum(axis=1)
             assert (change > -rate * (around.distance - stop) - 6e-3)[around.distance > stop].all()
     env.close()
+
+
+def test_a_policy_of_ways_takes_bodies_in_any_number_and_order_and_is_the_same_in_onnx(tmp_path: Path) -> None:
+    walls, shelves = furnished(4), furnished(4, scene=("shelf",))
+    policy = make_initial_policy(configure("clutter", action="heading"), walls, jax.random.key(0))
+    policy = replace(policy, parameters=jax.tree.map(lambda x: 3 * x, policy.parameters))
+    state = shelves.init(env_keys(0, 4))
+    seen = np.asarray(shelves.observe(state, None))
+    rows = shelves.schema.rows(seen)
+    assert rows.shape[1:] == (shelves.setup.task.scene(shelves.setup).bodies, ROW)
+    shuffled = np.concatenate([seen[:, : shelves.schema.vector_size], rows[:, ::-1].reshape(4, -1)], axis=1)
+    action = policy.act(seen)
+    assert np.ptp(action) > 0.05
+    np.testing.assert_allclose(policy.act(shuffled), action, atol=1e-6)
+    moved, _, _ = make_act(shelves, "trained")(policy, state, jax.random.key(0))
+    np.testing.assert_allclose(moved.last_action, action, atol=1e-5)
+    file = tmp_path / "policy.onnx"
+    file.write_bytes(onnx_model(policy, walls.action_bounds, clips=True).SerializeToString())
+    few = np.asarray(walls.observe(walls.init(env_keys(1, 4)), None))
+    np.testing.assert_allclose(OnnxNetwork(file).act(few), np.clip(policy.act(few), -1, 1), atol=1e-5)
+    walls.close()
+    shelves.close()
 
 
 def test_a_training_plans_and_comes_nearer_to_what_was_planned(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from reachlab.control.situation import Drive, Situation
 from reachlab.robots.kinematics.forward import components, frames_at
 from reachlab.robots.kinematics.scalars import Vec
 from reachlab.robots.robot import Robot
-from reachlab.robots.shapes.clearance import capsules_at
+from reachlab.robots.shapes.clearance import capsules_at, pair_distances
 
 STOP = 0.03
 """Distance at which a capsule may come no nearer [m], in proportion to the arm's workspace."""
@@ -23,6 +23,9 @@ CLOSE = 0.012
 RATE, RATE_AMONG = 0.08, 0.2
 """Share of its way to that distance that a capsule may go in a step; the same for ways among furniture, whose narrow
 parts take too long otherwise."""
+
+OWN = 0.006
+"""Distance at which links come no nearer to each other [m], likewise: planned ways keep 3 mm."""
 
 SWEEPS = 6
 """Times that the displacement is made to obey each capsule's limit in turn."""
@@ -51,14 +54,15 @@ def damped(drive: Drive, now: Situation, step: Array) -> Array:
 def hemmed(drive: Drive, now: Situation, step: Array) -> Array:
     """The same with limits for each body, nearer to them and faster, for ways among furniture.
 
-    Where an arm reaches between boards, another than the nearest may be met next. And an arm that is late cuts the
-    corners of its commands: from where it is, all that is left to the next one may bring it no nearer either.
+    Where an arm reaches between boards, another than the nearest may be met next, and links of its own. And an arm that
+    is late cuts the corners of its commands: from where it is, all that is left to the next one may bring it no nearer
+    either.
     """
     robot, commanded = drive.robot, now.command[..., : drive.robot.chain.n]
     count = now.bodies.kind.shape[1]
     each = jax.tree.map(lambda x: jnp.concatenate([jnp.moveaxis(x[:, :, None], 1, 0)] * 2), now.bodies)
     where = jnp.stack([commanded] * count + [now.q] * count)
-    rate, back = (np.repeat(np.float32(both), count) for both in ((RATE_AMONG, 1.0), (CLOSE, 0.0)))
+    rate, back = (jnp.repeat(jnp.array(both, jnp.float32), count) for both in ((RATE_AMONG, 1.0), (CLOSE, 0.0)))
 
     def limit(_: None, one: tuple[Array, Bodies, Array, Array]) -> tuple[None, tuple[Array, Array]]:
         q, body, rate, back = one
@@ -68,7 +72,30 @@ def hemmed(drive: Drive, now: Situation, step: Array) -> Array:
         return None, (row, -rate * jnp.maximum(around.distance - CLOSE * robot.scale, -back) - left)
 
     rows, least = jax.lax.scan(limit, None, (where, each, rate, back))[1]
-    return obeyed(step, rows.reshape(-1, *rows.shape[2:]), least.reshape(-1, least.shape[-1]))
+    rows, least = [rows.reshape(-1, *rows.shape[2:])], [least.reshape(-1, least.shape[-1])]
+    for q, rate in ((commanded, RATE_AMONG), (now.q, 1.0)) if robot.capsules.pairs else ():
+        gap, gradient = apart(robot, q, OWN)
+        rows.append(gradient.T[None])
+        least.append((-rate * gap - (gradient * (commanded - q)).sum(axis=-1))[None])
+    return obeyed(step, jnp.concatenate(rows), jnp.concatenate(least))
+
+
+def apart(robot: Robot, q: Array, least: float) -> tuple[Array, Array]:
+    """How much further apart links are than they may be `[B]` m, and how that grows with joints `q [B, n]`.
+
+    They may be at the `least` distance [m], in proportion to the arm's workspace, or half of that at home.
+    """
+    capsules, chain = robot.capsules, robot.chain
+    with jax.ensure_compile_time_eval():
+        home = jnp.array(robot.home, jnp.float32)[None]
+        usual = np.asarray(pair_distances(capsules, capsules_at(chain, capsules, home), capsules.pairs))
+    kept = np.minimum(least * robot.scale, usual / 2)
+
+    def left(q: Array) -> Array:
+        return (pair_distances(capsules, capsules_at(chain, capsules, q), capsules.pairs) - kept).min(axis=0)
+
+    gap, pull = jax.vjp(left, q)
+    return gap, pull(jnp.ones_like(gap))[0]
 
 
 def obeyed(step: Array, rows: Array, least: Array) -> Array:

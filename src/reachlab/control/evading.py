@@ -10,10 +10,10 @@ import numpy as np
 from jax import Array
 
 from reachlab.control.bodies import Bodies, Nearest, beside
-from reachlab.control.dampers import RATE, STOP, approach, obeyed
+from reachlab.control.dampers import RATE, STOP, apart, approach, obeyed
 from reachlab.control.situation import Drive, Situation
 from reachlab.robots.robot import Robot
-from reachlab.robots.shapes.clearance import Segments, capsules_at, moving, pair_distances
+from reachlab.robots.shapes.clearance import Segments, capsules_at, moving
 
 AHEAD = (0.2, 0.4, 0.6)
 """Times at which is looked where bodies will be [s]: the one at which each would be nearest is the one that counts."""
@@ -54,8 +54,8 @@ def evaded(drive: Drive, now: Situation, step: Array) -> Array:
     rows = [approach(robot, commanded, one) for one in (*near, table)]
     least = [*passed, *kept, least_above]
     if robot.capsules.pairs:
-        apart, gradient = _apart(robot, commanded)
-        rows, least = [*rows, gradient.T[None]], [*least, -OWN_RATE * apart[None]]
+        gap, gradient = apart(robot, commanded, OWN)
+        rows, least = [*rows, gradient.T[None]], [*least, -OWN_RATE * gap[None]]
     return obeyed(step, jnp.concatenate(rows), jnp.concatenate(least))
 
 
@@ -89,18 +89,3 @@ def _above_table(robot: Robot, at: Segments) -> tuple[Nearest, Array]:
     zero, floors = jnp.zeros_like(point[2]), np.array(robot.capsules.floors, np.float32)[:, None]
     away, stop = point[2] - floors - radius, STOP * robot.scale
     return Nearest(away, (zero, zero, zero + 1.0), point), -RATE * jnp.maximum(away - stop, -stop)
-
-
-def _apart(robot: Robot, q: Array) -> tuple[Array, Array]:
-    """How far links are from the least distance between them `[B]` m, and how it grows with joints `q [B, n]`."""
-    capsules, chain = robot.capsules, robot.chain
-    with jax.ensure_compile_time_eval():
-        home = jnp.array(robot.home, jnp.float32)[None]
-        usual = np.asarray(pair_distances(capsules, capsules_at(chain, capsules, home), capsules.pairs))
-    least = np.minimum(OWN * robot.scale, usual / 2)
-
-    def left(q: Array) -> Array:
-        return (pair_distances(capsules, capsules_at(chain, capsules, q), capsules.pairs) - least).min(axis=0)
-
-    apart, pull = jax.vjp(left, q)
-    return apart, pull(jnp.ones_like(apart))[0]
