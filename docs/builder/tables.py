@@ -45,7 +45,7 @@ TERMS = {
     "joint_way": "from the joints to those at which the tool is at the target",
     "goal_velocity": "the target's velocity; zero where it is not told",
     "clearance": "for each capsule of the arm, the direction away from what is nearest to it, longer the nearer it is",
-    "bodies": "of each body whether it is there, its place, half sides, radius and first two axes, in proportion to the arm",
+    "bodies": "of each body whether it is there, place, half sides, radius, first two axes; in proportion to the arm",
     "scene": "how near obstacles are to the points of a grid of 4 × 4 × 4",
     "object_way": "from the tool to the object",
     "left": "from the object to the target, along the table",

@@ -24,7 +24,7 @@ RATE, RATE_AMONG = 0.08, 0.2
 """Share of its way to that distance that a capsule may go in a step; the same for ways among furniture, whose narrow
 parts take too long otherwise."""
 
-OWN = 0.006
+OWN = 0.003
 """Distance at which links come no nearer to each other [m], likewise: planned ways keep 3 mm."""
 
 SWEEPS = 6
@@ -76,7 +76,7 @@ def hemmed(drive: Drive, now: Situation, step: Array) -> Array:
     for q, rate in ((commanded, RATE_AMONG), (now.q, 1.0)) if robot.capsules.pairs else ():
         gap, gradient = apart(robot, q, OWN)
         rows.append(gradient.T[None])
-        least.append((-rate * gap - (gradient * (commanded - q)).sum(axis=-1))[None])
+        least.append((-rate * jnp.maximum(gap, 0.0) - (gradient * (commanded - q)).sum(axis=-1))[None])
     return obeyed(step, jnp.concatenate(rows), jnp.concatenate(least))
 
 
