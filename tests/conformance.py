@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -17,6 +18,7 @@ from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState, Transition
 from reachlab.envs.presets import configure
 from reachlab.envs.random_streams import env_keys
+from reachlab.tasks.schema import Schema
 
 NUM_ENVS, STEPS, EPISODE = 4, 60, 25
 
@@ -27,6 +29,11 @@ SOFT_LIMIT = 0.01
 OF_OBSTACLES = ("bodies", "clearance", "scene")
 """Parts of observations of which some are still as long as no obstacle has come near a link, or a point of a grid; and
 of bodies, as upright ones, which numbers never change."""
+
+
+def parts_of(schema: Schema, observation: Any) -> list[Any]:
+    """Picture, vector and rows of an observation, those that it has."""
+    return [part for part in (*schema.split(observation), schema.rows(observation)) if part is not None]
 
 
 @dataclass(frozen=True)
@@ -68,8 +75,9 @@ class Subject:
 
     def flat(self, observation: object) -> np.ndarray:
         """Observation `[B, k]`, the parts of one that has several joined."""
-        parts = [part for part in self.env.schema.split(observation) if part is not None]
-        return np.concatenate([np.asarray(part).reshape(NUM_ENVS, -1) for part in parts], axis=1)
+        return np.concatenate(
+            [np.asarray(part).reshape(NUM_ENVS, -1) for part in parts_of(self.env.schema, observation)], axis=1
+        )
 
     def start(self, seed: int = 0) -> EnvState:
         return self.init(env_keys(seed, NUM_ENVS))
@@ -121,9 +129,7 @@ def environments_differ(subject: Subject) -> None:
 
 def observations_are_finite_and_inside_the_bounds_of_their_schema(subject: Subject) -> None:
     schema = subject.env.schema
-    low, high = (
-        np.concatenate([part.ravel() for part in schema.split(side) if part is not None]) for side in schema.bounds
-    )
+    low, high = (np.concatenate([part.ravel() for part in parts_of(schema, side)]) for side in schema.bounds)
     for observation in (subject.seen.observation, subject.seen.first):
         assert observation.shape[1:] == (NUM_ENVS, len(low))
         assert np.isfinite(observation).all()
