@@ -85,11 +85,7 @@ def onnx_model(policy: Policy, bounds: Bounds, *, clips: bool) -> Any:
     if parts and policy.parameters.memory:
         parts = _known_to_have_come(parts[0], next(name for name, _, picture in given if picture), add, constants)
     if vectors:
-        vector = vectors[0] if len(vectors) == 1 else add("Concat", vectors, "vector", axis=1)
-        vector, rows = _without_rows(policy.schema, vector, add, constants, weights)
-        scaled = add("Div", [add("Sub", [vector, "normaliser.mean"], "shifted"), "normaliser.scale"], "scaled")
-        parts.append(add("Clip", [scaled, "clip.low", "clip.high"], "normalised"))
-        parts = _pooled(encoder, parts, rows, add)
+        parts.append(_observed(policy, vectors, weights, add, constants))
     x = parts[0] if len(parts) == 1 else add("Concat", parts, "features", axis=1)
     more = [(MEMORY, [policy.parameters.memory.size], False)] if policy.parameters.memory else []
     x = add("Concat", [x, _remembered(x, add)], "known", axis=1) if more else x
@@ -144,37 +140,46 @@ def _remembered(x: str, add: Any) -> str:
     return add("Add", [new, change], AFTER)
 
 
-def _without_rows(
-    schema: Schema, vector: str, add: Any, constants: dict[str, Any], weights: dict[str, np.ndarray]
-) -> tuple[str, str]:
-    """A vector without the rows that end it, and these `[batch, K, row]`, of `encoder.Pooled`; or no rows."""
-    if not schema.row:
-        return vector, ""
-    ends = {"nought": 0, "rows.begin": schema.vector_size, "rows.end": np.iinfo(np.int64).max, "rows.axis": 1}
-    constants |= {name: np.array([value], np.int64) for name, value in ends.items()}
-    constants |= {"rows.shape": np.array([0, -1, schema.row], np.int64)}
-    parts = np.split(weights["encoder.0.weight"], [schema.row])
-    constants |= dict(zip(("encoder.0.row", "encoder.0.beside"), parts, strict=True))
-    numbers = add("Slice", [vector, "rows.begin", "rows.end", "rows.axis"], "rows.numbers")
-    own = add("Slice", [vector, "nought", "rows.begin", "rows.axis"], "vector.own")
-    return own, add("Reshape", [numbers, "rows.shape"], "rows")
+def _observed(
+    policy: Policy, vectors: list[str], weights: dict[str, np.ndarray], add: Any, constants: dict[str, Any]
+) -> str:
+    """The normalised vector; where rows end it, the features of both."""
+    vector, rows, row = vectors[0], "", policy.schema.row
+    if len(vectors) > 1:
+        vector = add("Concat", vectors, "vector", axis=1)
+    if row:
+        ends = {
+            "nought": 0,
+            "rows.begin": policy.schema.vector_size,
+            "rows.end": np.iinfo(np.int64).max,
+            "rows.axis": 1,
+        }
+        constants |= {name: np.array([value], np.int64) for name, value in ends.items()}
+        constants |= {"rows.shape": np.array([0, -1, row], np.int64)}
+        first = np.split(weights["encoder.0.weight"], [row])
+        constants |= dict(zip(("encoder.0.row", "encoder.0.beside"), first, strict=True))
+        numbers = add("Slice", [vector, "rows.begin", "rows.end", "rows.axis"], "rows.numbers")
+        rows = add("Reshape", [numbers, "rows.shape"], "rows")
+        vector = add("Slice", [vector, "nought", "rows.begin", "rows.axis"], "vector.own")
+    scaled = add("Div", [add("Sub", [vector, "normaliser.mean"], "shifted"), "normaliser.scale"], "scaled")
+    normalised = add("Clip", [scaled, "clip.low", "clip.high"], "normalised")
+    encoder = policy.parameters.encoder
+    return _pooled(len(encoder.layers), normalised, rows, add) if encoder and rows else normalised
 
 
-def _pooled(encoder: Encoder, parts: list[str], rows: str, add: Any) -> list[str]:
-    """Features of a vector and rows, see `encoder.Pooled`; where there are no rows what was there before."""
-    if not rows:
-        return parts
-    given = add("Gemm", [*parts, "encoder.0.beside", "encoder.0.bias"], "rows.beside")
+def _pooled(layers: int, vector: str, rows: str, add: Any) -> str:
+    """Features of a vector and rows `[batch, K, row]`, see `encoder.Pooled`."""
+    given = add("Gemm", [vector, "encoder.0.beside", "encoder.0.bias"], "rows.beside")
     given = add("Unsqueeze", [given, "rows.axis"], "rows.every")
     each = add("Add", [add("MatMul", [rows, "encoder.0.row"], "rows.given"), given], "rows.sum")
     each = add("MatMul", [add("Relu", [each], "rows.out"), "encoder.1.weight"], "rows.kept")
     each = add("Add", [each, "encoder.1.bias"], "rows.each")
     x = add("Tanh", [add("ReduceMax", [each], "rows.most", axes=[1], keepdims=0)], "rows.pooled")
-    x = add("Concat", [*parts, x], "encoder.joined", axis=1)
-    for i in range(2, len(encoder.layers)):
+    x = add("Concat", [vector, x], "encoder.joined", axis=1)
+    for i in range(2, layers):
         x = add("Gemm", [x, f"encoder.{i}.weight", f"encoder.{i}.bias"], f"encoder.{i}.sum")
         x = add("Relu", [x], f"encoder.{i}.out")
-    return [x]
+    return x
 
 
 def _encoded(encoder: Encoder, name: str, add: Any, constants: dict[str, Any]) -> str:
