@@ -11,8 +11,8 @@ from reachlab.tasks.schema import Term
 from reachlab.tasks.task import Bounds, TaskSetup
 from reachlab.tasks.terms import ARM, GOAL, JOINT_WAY, TOOL, axes, within
 
-UNIT, THICK = 1.0, 0.2
-"""Lengths that stand for 1, in proportion to the arm's workspace: of places, and of sizes [m]."""
+THICK = 0.2
+"""Half side or radius that stands for 1, in proportion to the arm's workspace [m]; of a place it is 1 m."""
 
 LARGEST = 100.0
 """No number of a body is larger."""
@@ -26,7 +26,7 @@ def _bodies(setup: TaskSetup, now: Situation) -> Array:
     there, scale = now.bodies.present[..., None], setup.robot.scale
     parts = (
         jnp.ones_like(now.bodies.position[..., :1]),
-        now.bodies.position / (UNIT * scale),
+        now.bodies.position / scale,
         now.bodies.half / (THICK * scale),
         now.bodies.radius[..., None] / (THICK * scale),
         axes(now.bodies.quaternion),
@@ -44,5 +44,5 @@ BODIES = Term("bodies", "1", _bodies, _bodies_bounds, row=ROW)
 
 WAYS = (ARM[0], TOOL, GOAL, JOINT_WAY, BODIES)
 """The joints, where they have to be, and the bodies: without speeds, so that every state of a planned way is one to
-learn from. How near bodies are to each link follows from these; observed too, it was learnt from instead of what leads
-to a way, and a third more of what was learnt failed in other scenes."""
+learn from. How near bodies are to each link follows from these; where that was observed too, the headings learnt were
+further off in other scenes."""
