@@ -75,7 +75,20 @@ def test_an_arm_between_bodies_keeps_clear_of_those_that_are_not_the_nearest_and
         ):
             around = dampers.surroundings(env.setup.robot, q, one)
             change = (dampers.approach(env.setup.robot, q, around) * way.T).sum(axis=1)
-            assert (change > -rate * (around.distance - stop) - 6e-3)[around.distance > stop].all()
+            assert (change > -rate * (around.distance - stop) - 5e-3).all()
+    env.close()
+
+
+def test_links_of_an_arm_between_bodies_do_not_meet() -> None:
+    env = furnished(8)
+    now = env.situation(env.init(env_keys(0, 8)))
+    gap, gradient = dampers.apart(env.setup.robot, now.q, dampers.OWN)
+    step = -gap[:, None] * gradient / jnp.square(gradient).sum(axis=1, keepdims=True)  # all of the way
+    asked, moved = ((gradient * way).sum(axis=1) for way in (step, dampers.hemmed(env.setup, now, step)))
+    allowed = -dampers.RATE_AMONG * gap
+    assert (gap > 0.005).all()
+    assert (asked < allowed - 3e-3).all()
+    assert (moved > allowed - 1e-3).all()
     env.close()
 
 

@@ -36,8 +36,7 @@ def _bodies(setup: TaskSetup, now: Situation) -> Array:
 
 
 def _bodies_bounds(setup: TaskSetup) -> Bounds:
-    scene = setup.task.scene(setup)
-    return within(np.full(ROW * (scene.fixed + scene.moved + scene.objects), LARGEST))
+    return within(np.full(ROW * setup.task.scene(setup).bodies, LARGEST))
 
 
 BODIES = Term("bodies", "1", _bodies, _bodies_bounds, row=ROW)
