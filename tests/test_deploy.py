@@ -459,11 +459,11 @@ def test_a_command_that_is_lost_on_its_way_breaks_no_limit_and_one_that_is_too_f
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("task", ["precise", "push", "clutter"])
+@pytest.mark.parametrize("task", ["precise", "push", "clutter", "wrench"])
 def test_the_loop_runs_over_ros_2(task: str, precise: Path, tmp_path: Path) -> None:
     policy = precise if task == "precise" else tmp_path / "policy"
-    if task == "push":
-        written(policy, task, robot="panda", shaping=True)
+    if task in ("push", "wrench"):
+        written(policy, "push", robot="panda", shaping=True, wrench=task == "wrench")
     elif task == "clutter":
         export("panda/clutter", policy)
     began = time.monotonic()

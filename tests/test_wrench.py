@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import gymnasium
@@ -23,6 +24,8 @@ from reachlab.agents.acting import make_act
 from reachlab.cli import main as cli
 from reachlab.deploy.check import load_controller, start_controller
 from reachlab.deploy.export import write_files
+from reachlab.deploy.ros2 import PolicyNode
+from reachlab.deploy.topics import Topics
 from reachlab.emit.behaviour import rows_of
 from reachlab.envs.consistency import check
 from reachlab.envs.core import Env
@@ -346,6 +349,37 @@ def test_without_it_the_controller_brakes_and_says_why(exported: tuple[Path, Env
         controller.step(time=step * controller.period, wrench=given, **told(state))
     assert controller.braking
     assert controller.problem.startswith("the policy needs the wrench at the wrist, 6 finite numbers [N, Nm]")
+
+
+@pytest.mark.parametrize("age", [0.0, 0.3])
+def test_over_ros_2_it_has_a_topic_and_counts_as_long_as_it_is_new(
+    exported: tuple[Path, Env, Any], age: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("rclpy")
+    from geometry_msgs.msg import WrenchStamped
+    from sensor_msgs.msg import JointState
+
+    taken: dict[str, Any] = {}
+    node = SimpleNamespace(
+        create_publisher=lambda *_: SimpleNamespace(publish=lambda _: None),
+        create_subscription=lambda kind, topic, act, _: taken.update({topic: (kind, act)}),
+        create_timer=lambda *_: None,
+        get_logger=lambda: SimpleNamespace(warning=lambda _: None),
+    )
+    controller, told, now = load_controller(exported[0]).Controller(exported[0]), list[Any](), 100.0
+    monkeypatch.setattr(controller, "step", lambda *_, **beside: told.append(beside) or controller.home)
+    monkeypatch.setattr("reachlab.deploy.ros2.time", SimpleNamespace(monotonic=lambda: now))
+    policy = PolicyNode(node, controller, Topics(), trajectory=False, feels=True)
+    kind, felt = taken[Topics().wrenches]
+    assert kind is WrenchStamped
+    message = WrenchStamped()
+    force, torque = message.wrench.force, message.wrench.torque
+    force.x, force.y, force.z, torque.x, torque.y, torque.z = range(6)
+    felt(message)
+    now += age
+    home = controller.home.tolist()
+    policy._on_joints(JointState(name=controller.joints, position=home, velocity=[0.0] * len(home)))
+    assert told == [{"wrench": [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]} if age < 0.2 else {}]
 
 
 def test_who_does_not_measure_it_does_not_drive_an_arm_by_it(exported: tuple[Path, Env, Any]) -> None:

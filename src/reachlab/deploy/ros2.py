@@ -20,7 +20,7 @@ EARLY = 0.25
 """Share of a control period by which a measurement may come before its time and still begins a control step."""
 
 RECENT = 0.2
-"""Time between two poses of an object from which its velocity follows, at most [s]."""
+"""Time between two poses of an object from which its velocity follows, and age of a wrench, at most [s]."""
 
 TICKS = 8
 """How often in a control period the node looks whether it is time for a step without a new measurement."""
@@ -56,10 +56,11 @@ def run_node(folder: Path, topics: Topics, *, trajectory: bool) -> None:
     Raises:
         InputError: ROS 2 is missing, or the folder is none that was exported.
     """
-    controller, facts = start_controller(folder), read_facts(folder)
+    controller, facts = start_controller(folder, feels=True), read_facts(folder)
     sees = "bodies_kind" in facts["inputs"] and facts["inputs"]["bodies_kind"] != [len(facts.get("objects", []))]
+    needs = {"sees": sees, "feels": "wrench" in facts["inputs"]}
     with ros2() as rclpy:
-        node = PolicyNode(rclpy.create_node("reachlab_policy"), controller, topics, trajectory=trajectory, sees=sees)
+        node = PolicyNode(rclpy.create_node("reachlab_policy"), controller, topics, trajectory=trajectory, **needs)
         with contextlib.suppress(KeyboardInterrupt, rclpy.executors.ExternalShutdownException):
             rclpy.spin(node.node)
 
@@ -72,9 +73,18 @@ class PolicyNode:
     its own that the policy was not trained with.
     """
 
-    def __init__(self, node: Any, controller: Any, topics: Topics, *, trajectory: bool, sees: bool = False) -> None:
-        """The policy's side of a node of rclpy, of a policy that has to be told of obstacles, or has not."""
-        from geometry_msgs.msg import PoseStamped
+    def __init__(
+        self,
+        node: Any,
+        controller: Any,
+        topics: Topics,
+        *,
+        trajectory: bool,
+        sees: bool = False,
+        feels: bool = False,
+    ) -> None:
+        """The policy's side of a node of rclpy: of a policy that has to be told of obstacles or the wrench, or not."""
+        from geometry_msgs.msg import PoseStamped, WrenchStamped
         from rclpy.qos import qos_profile_sensor_data
         from sensor_msgs.msg import JointState
         from std_msgs.msg import Empty, Float64MultiArray
@@ -85,6 +95,7 @@ class PolicyNode:
         self._topics, self._objects = topics, list[dict[str, Any]]()
         self._obstacles: list[dict[str, Any]] | None = None if sees else []
         self._measured: tuple[np.ndarray, np.ndarray] | None = None
+        self._wrench: tuple[float, list[float]] | None = None
         self._due, self._told = 0.0, ""
         self._resets = True  # commands begin where the arm is
         kind, topic = (JointTrajectory, topics.trajectories) if trajectory else (Float64MultiArray, topics.commands)
@@ -96,6 +107,8 @@ class PolicyNode:
             from visualization_msgs.msg import MarkerArray
 
             node.create_subscription(MarkerArray, topics.obstacles, self._on_obstacles, qos_profile_sensor_data)
+        if feels:
+            node.create_subscription(WrenchStamped, topics.wrenches, self._on_wrench, qos_profile_sensor_data)
         node.create_subscription(Empty, topics.reset, self._on_reset, 1)
         node.create_subscription(Empty, topics.stop, lambda _: controller.stop(), 1)
         node.create_timer(controller.period / TICKS, self._on_tick)
@@ -124,6 +137,10 @@ class PolicyNode:
     def _on_obstacles(self, message: Any) -> None:
         self._obstacles = from_markers(message, time.monotonic())
 
+    def _on_wrench(self, message: Any) -> None:
+        force, torque = message.wrench.force, message.wrench.torque
+        self._wrench = time.monotonic(), [force.x, force.y, force.z, torque.x, torque.y, torque.z]
+
     def _on_joints(self, message: Any) -> None:
         try:
             rows = [message.name.index(name) for name in self._controller.joints]
@@ -150,6 +167,8 @@ class PolicyNode:
         beside: dict[str, Any] = {"objects": self._objects} if self._objects else {}
         if self._obstacles:
             beside["obstacles"] = self._obstacles
+        if self._wrench and now - self._wrench[0] < RECENT:
+            beside["wrench"] = self._wrench[1]
         command = controller.step(q, qd, None if self._obstacles is None else self._goal, now, **beside)
         missing = "" if self._goal else f"goal has come on '{self._topics.goals}'"
         missing = f"obstacles have come on '{self._topics.obstacles}'" if self._obstacles is None else missing

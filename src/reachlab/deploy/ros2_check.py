@@ -72,7 +72,7 @@ class RosLink:
 
     def __init__(self, node: Any, joints: list[str], topics: Topics) -> None:
         """The plant's side of a node of rclpy, whose messages come in another thread."""
-        from geometry_msgs.msg import PoseStamped
+        from geometry_msgs.msg import PoseStamped, WrenchStamped
         from sensor_msgs.msg import JointState
         from std_msgs.msg import Empty, Float64MultiArray
         from visualization_msgs.msg import MarkerArray
@@ -82,6 +82,7 @@ class RosLink:
         self._goals = node.create_publisher(PoseStamped, topics.goals, 1)
         self._objects = node.create_publisher(PoseStamped, topics.objects, 1)
         self._obstacles = node.create_publisher(MarkerArray, topics.obstacles, 1)
+        self._wrenches = node.create_publisher(WrenchStamped, topics.wrenches, 1)
         self._resets = node.create_publisher(Empty, topics.reset, 1)
         node.create_subscription(Float64MultiArray, topics.commands, self._on_command, 1)
         self._commands: list[np.ndarray] = []
@@ -120,7 +121,19 @@ class RosLink:
         for one in measurement.objects:
             self._objects.publish(self._pose([*one["position"], *one["quaternion"]]))
         self._obstacles.publish(to_markers(measurement.obstacles))
+        if measurement.wrench:
+            self._wrenches.publish(self._felt(measurement.wrench))
         self._publish(measurement.q, measurement.qd)
+
+    def _felt(self, numbers: list[float]) -> Any:
+        """A wrench [N, Nm] as a message."""
+        from geometry_msgs.msg import WrenchStamped
+
+        message = WrenchStamped()
+        force, torque = message.wrench.force, message.wrench.torque
+        force.x, force.y, force.z, torque.x, torque.y, torque.z = numbers
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        return message
 
     def _pose(self, numbers: list[float]) -> Any:
         """A position [m], and a quaternion wxyz where there is one, as a message."""

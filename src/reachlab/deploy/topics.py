@@ -17,6 +17,9 @@ class Topics:
     """Where the object is, `geometry_msgs/PoseStamped`, in the same frame; its header says when it was seen there."""
     obstacles: str = "reachlab/obstacles"
     """All obstacles, `visualization_msgs/MarkerArray`, in that frame: spheres, cubes, and cylinders for capsules."""
+    wrenches: str = "force_torque_sensor_broadcaster/wrench"
+    """What a sensor at the wrist measures, `geometry_msgs/WrenchStamped`: force and torque with which all that the last
+    joint holds acts on the arm, in the frame of the last moving link."""
     commands: str = "forward_position_controller/commands"
     """Joint commands, `std_msgs/Float64MultiArray`, in the order of the policy's joints."""
     reset: str = "reachlab/reset"

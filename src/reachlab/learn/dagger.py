@@ -27,7 +27,6 @@ from reachlab.learn.dagger_buffer import DaggerBuffer, Pictures, add, make_buffe
 from reachlab.learn.learner import Learner, make_initial_policy, make_learner, make_optimiser
 from reachlab.learn.load import load_policy
 from reachlab.learn.method import Finite, Method, Watched, all_finite
-from reachlab.robots.robot import Robot
 from reachlab.runs.shipped import find_run
 from reachlab.settings.config import DistilRunConfig, RunConfig
 from reachlab.settings.json_form import override
@@ -217,7 +216,7 @@ class _Lessons:
             inputs = inputs._replace(memory=buffer.memory[rows[:1]], begins=clock == 0)
         wanted = (label - policy.centre) / policy.half
         points = jnp.stack([goal.position, arm.tool_position, *jnp.moveaxis(arm.bodies.position, -2, 0)], axis=-2)
-        places = _in_workspace(self._env.setup.robot, points).reshape(*rows.shape, -1)
+        places = self._env.setup.robot.in_workspace(points).reshape(*rows.shape, -1)
 
         def loss(parameters: Parameters) -> tuple[Array, dict[str, Array]]:
             known = features(parameters, inputs)
@@ -241,12 +240,6 @@ class _Lessons:
         watched = errors | {"gradient_norm": optax.tree.norm(gradient)}
         new = replace(learner, policy=replace(policy, parameters=parameters), optimiser=state)
         return new, watched
-
-
-def _in_workspace(robot: Robot, point: Array) -> Array:
-    """Point `[..., 3]` m from the workspace's middle, in halves of its edges."""
-    low, high = (jnp.array(corner) for corner in robot.workspace)
-    return (2 * point - high - low) / (high - low)
 
 
 def _statistics(tally: Counter[str]) -> dict[str, Array]:

@@ -16,6 +16,9 @@ from reachlab.learn.learner import Learner, make_optimiser
 from reachlab.learn.rollout import Rollout
 from reachlab.settings.config import PPOConfig, RunConfig
 
+PLACE_WEIGHT = 1.0
+"""Weight of how far off what is remembered of a hidden target's place is."""
+
 Carry = tuple[Parameters, optax.OptState]
 
 
@@ -30,6 +33,7 @@ class Batch(NamedTuple):
     log_prob: Array
     advantage: Array
     returns: Array
+    target: Array | None
 
 
 def gae(
@@ -69,7 +73,11 @@ def loss(parameters: Parameters, batch: Batch, config: PPOConfig) -> tuple[Array
     value_loss = 0.5 * jnp.square(worth(parameters, known) - batch.returns).mean()
     entropy = head.entropy()
     total = policy_loss + config.value_weight * value_loss - config.entropy_weight * entropy
-    return total, {
+    watched = {}
+    if batch.target is not None and (memory := remembered(parameters, known)) is not None:
+        watched["place_error"] = jnp.square(memory[..., : batch.target.shape[-1]] - batch.target).mean()
+        total += PLACE_WEIGHT * watched["place_error"]
+    return total, watched | {
         "policy_loss": policy_loss,
         "value_loss": value_loss,
         "entropy": entropy,
@@ -160,7 +168,7 @@ def _samples(policy: Policy, rollout: Rollout, config: PPOConfig) -> Batch:
     after = None if memory is None else remembered(parameters, features(parameters, inputs))
     v_tp1 = _values(policy, policy.inputs(rollout.next_observation, after), config)
     advantage = gae(rollout.reward, v_t, v_tp1, rollout.terminated, rollout.done, config.gamma, config.gae_lambda)
-    samples = Batch(inputs, rollout.output, rollout.log_prob, advantage, advantage + v_t)
+    samples = Batch(inputs, rollout.output, rollout.log_prob, advantage, advantage + v_t, rollout.target)
     if memory is None:
         return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), samples)
     begins = jnp.concatenate([jnp.zeros_like(rollout.done[:1]), rollout.done[:-1]])

@@ -37,6 +37,8 @@ class Rollout:
         distance: tool to target after the step `[T, B]` [m].
         clock: number of the step in its episode `[T, B]`.
         memory: what the policy remembered before it `[T, B, M]`; None of one without memory.
+        target: where the target is `[T, B, 3]`, in halves of the workspace's edges from its middle; None where it is
+            always seen, or nothing remembered.
     """
 
     observation: Observed
@@ -50,6 +52,7 @@ class Rollout:
     distance: Array
     clock: Array
     memory: Memory = None
+    target: Array | None = None
 
     @property
     def done(self) -> Array:
@@ -75,7 +78,7 @@ def collect(env: Env, policy: Policy, state: EnvState, key: Array, config: LoopC
         noise = jax.random.normal(key, (env.num_envs, *policy.half.shape))
         choice = sample_action(policy, env.observe(state), state.memory, noise)
         state, transition = env.step(replace(state, memory=choice.after), choice.action, config.action_repeat)
-        row = _row(choice, state, transition, transition.observation)
+        row = _row(env, choice, state, transition, transition.observation)
         return env.reset(state, transition.done, config.chained_starts or None), row
 
     return jax.lax.scan(step, state, jax.random.split(key, config.rollout_steps))
@@ -102,7 +105,7 @@ def host_collector(first: int = 0, of: int | None = None) -> Collect:
             except FloatingPointError as error:
                 raise EngineError(str(error), _stacked(rows) if rows else None) from None
             observation = env.observe_now(state) if env.pictured else transition.observation
-            rows.append(_row(choice, state, transition, observation))
+            rows.append(_row(env, choice, state, transition, observation))
             if (done := np.asarray(transition.done)).any():
                 state = env.reset(state, done, config.chained_starts or None)
                 observation = EnvFunctions.merge(done, env.observe_now(state, done), observation, np)
@@ -137,7 +140,8 @@ def sample_action(policy: Policy, observation: Observed, memory: Memory, noise: 
     return Choice(observation, memory, output, policy.action(output), head.log_prob(output), after)
 
 
-def _row(choice: Choice, state: EnvState, transition: Transition, after: Observed) -> Rollout:
+def _row(env: Env, choice: Choice, state: EnvState, transition: Transition, after: Observed) -> Rollout:
+    hidden = choice.memory is not None and env.setup.rules.hides_goal
     return Rollout(
         observation=choice.observation,
         output=choice.output,
@@ -150,6 +154,7 @@ def _row(choice: Choice, state: EnvState, transition: Transition, after: Observe
         distance=transition.errors.distance,
         clock=state.clock,
         memory=choice.memory,
+        target=env.setup.robot.in_workspace(state.goal.position) if hidden else None,
     )
 
 

@@ -17,6 +17,8 @@ from reachlab.robots.files.model_file import ModelFile
 from reachlab.robots.kinematics.chain import Chain, significant
 
 if TYPE_CHECKING:
+    from jax import Array
+
     from reachlab.robots.shapes.clearance import Capsules
 
 Box = tuple[tuple[float, ...], tuple[float, ...]]
@@ -201,6 +203,11 @@ class Robot:
     def placed(self, point: tuple[float, ...] | np.ndarray) -> np.ndarray:
         """Where a point `[..., 3]` m of the tutorial's scene lies in this arm's: in proportion to their workspaces."""
         return np.asarray(point) * self.scale + (_ground(self.workspace) - self.scale * _ground(TUTORIAL_WORKSPACE))
+
+    def in_workspace(self, point: Array) -> Array:
+        """Point `[..., 3]` m from the workspace's middle, in halves of its edges."""
+        low, high = (np.array(corner, np.float32) for corner in self.workspace)
+        return (2 * point - high - low) / (high - low)
 
     def workspace_edges(self) -> list[tuple[np.ndarray, np.ndarray]]:
         """The twelve edges of the workspace box, each from one corner to another [m]."""
