@@ -14,6 +14,7 @@ import pytest
 
 from reachlab.agents.acting import make_act
 from reachlab.control import dampers
+from reachlab.control.contact_model import arm_of
 from reachlab.deploy.onnx_network import OnnxNetwork
 from reachlab.deploy.weights import onnx_model
 from reachlab.envs.core import Env
@@ -36,10 +37,16 @@ def furnished(count: int, **settings: Any) -> Env:
     return Env(configure("clutter", **settings), count)
 
 
+def teacher_of(env: Env) -> Teacher:
+    setup = env.setup
+    arm = arm_of(setup.robot, setup.lag, setup.period)
+    return Teacher(setup.robot, arm, setup.task.scene(setup).bodies)
+
+
 def test_headings_lead_along_planned_ways_there_and_back() -> None:
     env = furnished(4)
-    teacher = Teacher(env)
-    for start, goal, bodies in teacher.fresh(4, seed=1):
+    teacher = teacher_of(env)
+    for start, goal, bodies in teacher.fresh("wall", 4, seed=1):
         there, back = teacher.lessons(bodies, start, goal, np.random.default_rng(0))
         for lesson, ends in ((there, (start, goal)), (back, (goal, start))):
             assert lesson.q.shape == lesson.heading.shape == (LESSONS, len(start))
@@ -55,7 +62,7 @@ def test_headings_lead_along_planned_ways_there_and_back() -> None:
 def test_fresh_scenes_are_in_no_bank() -> None:
     env = furnished(4)
     known = {row.tobytes() for row in env.setup.prepared.joints[:, 0]}
-    assert not known & {goal.tobytes() for _, goal, _ in Teacher(env).fresh(4, seed=1)}
+    assert not known & {goal.tobytes() for _, goal, _ in teacher_of(env).fresh("wall", 4, seed=1)}
     env.close()
 
 

@@ -37,6 +37,7 @@ TERMS = {
     "lag": "how far each joint is behind its command",
     "way": "from the tool to the target",
     "way_near": "the same, divided by its length and 0.02 m: it tells the last millimetres apart",
+    "seen": "1 where the target is seen, or else 0",
     "last_action": "the action before this one",
     "tool_axes": "first two axes of the tool's frame",
     "goal_axes": "first two axes of the target's frame",

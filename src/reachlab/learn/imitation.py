@@ -5,8 +5,9 @@ As DAgger (Ross, Gordon, Bagnell, arXiv:1011.0686), and from all of the way that
 
 from __future__ import annotations
 
+import itertools
 import operator
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, cast
@@ -19,12 +20,13 @@ from jax import Array
 
 from reachlab.agents.policy import Inputs, Parameters, distribution
 from reachlab.control.bodies import Bodies
+from reachlab.control.planning.workers import Workers
 from reachlab.control.situation import Goal, Situation
 from reachlab.envs.core import Env
 from reachlab.jax_setup import jit
 from reachlab.learn.learner import Learner, make_learner, make_optimiser
 from reachlab.learn.method import Finite, Method, Watched, all_finite
-from reachlab.learn.planned import LESSONS, Teacher
+from reachlab.learn.planned import LESSONS, Asked, teachers
 from reachlab.learn.ppo_method import TrainState, initial_state
 from reachlab.learn.rollout import episode_statistics, host_collector
 from reachlab.robots.kinematics.forward import forward_kinematics
@@ -38,6 +40,9 @@ PLANS = 24_000
 
 FRESH = 80
 """Scenes in an iteration that are drawn to plan in: what is learnt of few of them fails in others."""
+
+PARTS = 8
+"""Parts of what is planned in an iteration, which processes share: each draws scenes of one kind."""
 
 UPDATES, BATCH = 100, 512
 """Gradient steps of an iteration, and joint vectors of a step."""
@@ -92,11 +97,11 @@ def _initial_state(env: Env, config: RunConfig, seed: int | Array, given: Any) -
 
 def _compile_iteration(env: Env, config: RunConfig, *_: Any) -> Callable[[ImitationState], tuple[Any, Watched]]:
     """See `Method.compile_iteration`: the policy acts, ways are planned from where it has come, and it learns them."""
-    teacher, act, learn = Teacher(env), host_collector(), jit(partial(_learn, env))
+    asked, act, learn = teachers(env), host_collector(), jit(partial(_learn, env))
 
     def iterate(state: ImitationState) -> tuple[ImitationState, Watched]:
         key, for_acting, for_planning, for_learning = jax.random.split(state.key, 4)
-        lessons, known = _planned(teacher, state, for_planning)
+        lessons, known = _planned(asked, env.setup.rules.scene, state, for_planning)
         learner, losses = learn(state.learner, lessons, min(max(known, 1), PLANS), for_learning)
         after, rollout = act(env, learner.policy, state.env, for_acting, config.loop)
         metrics = {**episode_statistics(rollout), **losses, "plans": jnp.asarray(known)}
@@ -111,19 +116,22 @@ def _compile_iteration(env: Env, config: RunConfig, *_: Any) -> Callable[[Imitat
     return iterate
 
 
-def _planned(teacher: Teacher, state: ImitationState, key: Array) -> tuple[Lessons, int]:
+def _planned(teachers: Workers, kinds: Sequence[str], state: ImitationState, key: Array) -> tuple[Lessons, int]:
     """Lessons with ways in fresh scenes and from where the arms are, and how many there have been by then."""
     lessons: Lessons = jax.tree.map(np.array, state.lessons)
     rng, known = np.random.default_rng(np.asarray(jax.random.key_data(key))), int(lessons.count)
     beside: Any = jax.tree.map(np.asarray, (state.env.arm.q, state.env.goal.joints, state.env.arm.bodies))
     arms = [jax.tree.map(lambda x, row=row: x[row], beside) for row in range(len(beside[0]))]
-    for start, goal, bodies in (*teacher.fresh(FRESH, int(rng.integers(1, 2**30))), *arms):
-        for q, heading, position, joints in teacher.lessons(bodies, start, goal, rng):
-            row = known % PLANS
-            lessons.q[row], lessons.heading[row] = q, heading
-            lessons.goal.position[row], lessons.goal.joints[row] = position, joints
-            jax.tree.map(lambda rows, one, row=row: operator.setitem(rows, row, one), lessons.bodies, bodies)
-            known += 1
+    asked = [
+        Asked(int(rng.integers(1, 2**30)), kinds[part % len(kinds)], FRESH // PARTS, arms[part::PARTS])
+        for part in range(PARTS)
+    ]
+    for lesson, bodies in itertools.chain.from_iterable(teachers.map(asked)):
+        row = known % PLANS
+        lessons.q[row], lessons.heading[row] = lesson.q, lesson.heading
+        lessons.goal.position[row], lessons.goal.joints[row] = lesson.position, lesson.joints
+        jax.tree.map(lambda rows, one, row=row: operator.setitem(rows, row, one), lessons.bodies, bodies)
+        known += 1
     return replace(lessons, count=jnp.asarray(known, jnp.int32)), known
 
 

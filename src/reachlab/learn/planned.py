@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import jax
@@ -11,20 +11,26 @@ from numpy.random import Generator
 
 from reachlab.control.bodies import Bodies
 from reachlab.control.contact_model import arm_of
+from reachlab.control.planning.arm import Arm
 from reachlab.control.planning.collision import CollisionChecker
 from reachlab.control.planning.planner import TRIES, Planner
 from reachlab.control.planning.search import Search
+from reachlab.control.planning.workers import Workers
 from reachlab.envs.core import Env
+from reachlab.robots.robot import Robot
 from reachlab.settings.validation import InputError, installing
 from reachlab.tasks.actions import AHEAD
 from reachlab.tasks.scenes.bank import Bank, drawn_scenes
-from reachlab.tasks.scenes.sampling import drawn_anew, room
+from reachlab.tasks.scenes.sampling import drawn_anew
 
 LESSONS = 24
 """Joint vectors of a way that are learnt from: the first, and random ones."""
 
 ASIDE = 0.03
 """Standard deviation of how far aside of the way half of these are put, to learn to come back to it [rad]."""
+
+TEACHERS = 8
+"""Processes that plan, at most."""
 
 ROUNDS = 1000
 """Rounds of a search after which none is found."""
@@ -39,36 +45,68 @@ class Lesson(NamedTuple):
     joints: np.ndarray
 
 
+def teachers(env: Env) -> Workers:
+    """Teachers for the arm of an environment, one a core.
+
+    Raises:
+        InputError: OMPL is not installed, or scenes are drawn as episodes begin.
+    """
+    setup = env.setup
+    if drawn_anew(setup.rules.scene):
+        raise InputError("an action 'heading' is learnt among furniture: choose --scene wall, or another.")
+    arm = arm_of(setup.robot, setup.lag, setup.period)
+    return Workers(Teacher, setup.robot, arm, setup.task.scene(setup).bodies, most=TEACHERS)
+
+
+class Asked(NamedTuple):
+    """What is to be planned: scenes of a kind that are drawn, so many, and beside them ways from where arms are.
+
+    Attributes:
+        seed: from which all of it follows.
+        kind: of scenes that are in no bank.
+        scenes: how many of it.
+        arms: start `[n]`, goal `[n]` and bodies of each of the others.
+    """
+
+    seed: int
+    kind: str
+    scenes: int
+    arms: Sequence[tuple[np.ndarray, np.ndarray, Bodies]]
+
+
 class Teacher:
     """Plans ways to the joints at goals, and tells what headings they have."""
 
-    def __init__(self, env: Env) -> None:
-        """Of the arm of an environment.
+    def __init__(self, robot: Robot, arm: Arm, bodies: int) -> None:
+        """Of an arm, and with room for so many bodies.
 
         Raises:
-            InputError: OMPL is not installed, or scenes are drawn as episodes begin.
+            InputError: OMPL is not installed.
         """
-        setup = env.setup
-        scene = setup.task.scene(setup)
-        if drawn_anew(setup.rules.scene):
-            raise InputError("an action 'heading' is learnt among furniture: choose --scene wall, or another.")
-        self._setup, self._arm = setup, arm_of(setup.robot, setup.lag, setup.period)
-        checker = CollisionChecker(self._arm, scene.bodies)
+        self._robot, self._arm, self._room = robot, arm, bodies
+        checker = CollisionChecker(self._arm, bodies)
         try:
             self._planner = Planner(checker, self._arm)
             self._search = Search(checker, self._arm.lower, self._arm.upper)
         except ModuleNotFoundError:
             raise InputError(f"an action 'heading' is learnt from OMPL's plans: {installing('planner')}.") from None
 
-    def fresh(self, count: int, seed: int) -> Iterator[tuple[np.ndarray, np.ndarray, Bodies]]:
-        """So many scenes of the task's kinds that are in no bank: joints at start and goal, and bodies."""
-        names = self._setup.rules.scene
-        for name in names:
-            drawn = drawn_scenes(self._setup.robot, name, count // len(names), seed)
-            start, joints, bodies = zip(*drawn, strict=True)
-            together: Bodies = jax.tree.map(lambda *rows: np.stack(rows), *bodies)
-            bank = Bank(np.array(start), np.array(joints), together).with_room(room(self._setup))
-            yield from (jax.tree.map(lambda x, row=row: x[row], tuple(bank)) for row in range(len(start)))
+    def __call__(self, asked: Asked) -> list[tuple[Lesson, Bodies]]:
+        """The lessons of all that is asked for, and the bodies of each."""
+        rng = np.random.default_rng(asked.seed)
+        scenes = self.fresh(asked.kind, asked.scenes, asked.seed) if asked.scenes else ()
+        return [
+            (lesson, bodies)
+            for start, goal, bodies in (*scenes, *asked.arms)
+            for lesson in self.lessons(bodies, start, goal, rng)
+        ]
+
+    def fresh(self, kind: str, count: int, seed: int) -> Iterator[tuple[np.ndarray, np.ndarray, Bodies]]:
+        """So many scenes of a kind that are in no bank: joints at start and goal, and bodies."""
+        start, joints, bodies = zip(*drawn_scenes(self._robot, kind, count, seed), strict=True)
+        together: Bodies = jax.tree.map(lambda *rows: np.stack(rows), *bodies)
+        bank = Bank(np.array(start), np.array(joints), together).with_room(self._room)
+        yield from (jax.tree.map(lambda x, row=row: x[row], tuple(bank)) for row in range(count))
 
     def lessons(self, bodies: Bodies, start: np.ndarray, goal: np.ndarray, rng: Generator) -> Iterator[Lesson]:
         """Those of a way from `start [n]` to `goal [n]`, and of the way back; none where no way is found."""

@@ -11,13 +11,14 @@ import jax.numpy as jnp
 import optax
 from jax import Array
 
+from reachlab.agents.memory import place_error
 from reachlab.agents.policy import Inputs, Parameters, Policy, features, gaussian, remembered, value, worth
 from reachlab.learn.learner import Learner, make_optimiser
 from reachlab.learn.rollout import Rollout
 from reachlab.settings.config import PPOConfig, RunConfig
 
-PLACE_WEIGHT = 1.0
-"""Weight of how far off what is remembered of a hidden target's place is."""
+PLACE_WEIGHT = 20.0
+"""Weight of how far off what is remembered of a hidden target's place is: it is small beside returns."""
 
 Carry = tuple[Parameters, optax.OptState]
 
@@ -33,7 +34,7 @@ class Batch(NamedTuple):
     log_prob: Array
     advantage: Array
     returns: Array
-    target: Array | None
+    target: Array | None = None
 
 
 def gae(
@@ -75,7 +76,7 @@ def loss(parameters: Parameters, batch: Batch, config: PPOConfig) -> tuple[Array
     total = policy_loss + config.value_weight * value_loss - config.entropy_weight * entropy
     watched = {}
     if batch.target is not None and (memory := remembered(parameters, known)) is not None:
-        watched["place_error"] = jnp.square(memory[..., : batch.target.shape[-1]] - batch.target).mean()
+        watched["place_error"] = place_error(memory, batch.target)
         total += PLACE_WEIGHT * watched["place_error"]
     return total, watched | {
         "policy_loss": policy_loss,

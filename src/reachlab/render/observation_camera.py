@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import operator
-import os
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
@@ -13,6 +12,7 @@ import mujoco
 import numpy as np
 
 from reachlab.control.bodies import Bodies
+from reachlab.control.planning.workers import cores
 from reachlab.render.marks import OBJECT, OBSTACLE, WAITING
 from reachlab.render.offscreen import gl_context
 from reachlab.render.scene import add_table, drawn_spec
@@ -79,7 +79,7 @@ class ObservationCamera:
         """
         self._robot, self._objects = robot, objects
         self._shape, self._colour = (size, size, 3)[: 2 + colour], colour
-        self._threads = threads or _cores()
+        self._threads = threads or cores()
         self._pools: list[ThreadPoolExecutor] = []
         self._painters: list[_Painter] = []
 
@@ -242,7 +242,3 @@ def _model(robot: Robot, *, objects: bool, size: int, colour: bool) -> mujoco.Mj
     model.geom_rgba[:, :3] = colours[:, :3] if colour else (colours[:, :3] @ np.array(LUMA))[:, None]
     model.geom_matid[:] = -1
     return model
-
-
-def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -21,8 +21,8 @@ class TaskSettings(Checked):
     tool: str | None = None
     """Tool frame, a site or body of the robot, that has to reach the target; by default its own for this task."""
     observation: str = "target+tool"
-    """What the policy observes: clutter, clutter_pose, goal, goal+state, image, image+tool, lift, pose, push, slide,
-    state, target, target+tool, track or ways; see `reachlab list`."""
+    """What the policy observes: clutter, clutter_pose, glimpse, goal, goal+state, image, image+tool, lift, pose, push,
+    slide, state, target, target+tool, track or ways; see `reachlab list`."""
     action: str = "tool_delta"
     """What the policy commands: heading, joint_delta, joint_residual, picture_points, tool_delta or tool_step; see
     `reachlab list`."""

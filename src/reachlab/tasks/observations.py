@@ -18,6 +18,7 @@ from reachlab.tasks.terms import (
     IMAGE,
     LAST_ACTION,
     POSE,
+    SEEN,
     STATE,
     TOOL,
     TRACK,
@@ -31,6 +32,7 @@ OBSERVATIONS: dict[str, Observation] = {
     "state": Observation(
         "joints, their speeds and lag, tool, target, the way between them far and near, and the last action", STATE
     ),
+    "glimpse": Observation("as state, and whether the target is seen", (*STATE, SEEN)),
     "pose": Observation(
         "as state, and the orientations of tool and target, the turn between them far and near, and how far the joints"
         " are from where they have the target",

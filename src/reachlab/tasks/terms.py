@@ -31,6 +31,9 @@ GRAVITY, RANGE, LEVER = 9.81, 2.0, 0.1
 """Gravity [m/s²]; up to how many times the weight of the arm with its payload a force at the wrist is measured, and the
 share of the arm's length that makes a torque of it. A UR5e's are 400 N and 52 Nm; Robotiq's FT 300 has 300 and 30."""
 
+APART = 1e-5
+"""Distance from the tool up to which a target counts as one that is not seen: it is observed where the tool is [m]."""
+
 NEAR = 0.02
 """Distance at which the near form of the way to the goal is half as long as a far one [m]."""
 
@@ -108,6 +111,10 @@ def _way(setup: TaskSetup, now: Situation) -> Array:
 def _way_near(setup: TaskSetup, now: Situation) -> Array:
     way = _way(setup, now)
     return way / (norm(way)[..., None] + NEAR)
+
+
+def _seen(setup: TaskSetup, now: Situation) -> Array:
+    return (norm(_way(setup, now)) > APART)[..., None].astype(jnp.float32)
 
 
 def _achieved(setup: TaskSetup, now: Situation) -> Array:
@@ -290,6 +297,9 @@ def _wrench(setup: TaskSetup, now: Situation) -> Array:
 
 WRIST = Term("wrench", "N and Nm", _wrench, _wrench_bounds)
 """Force [N] and torque [Nm] at the wrist, see `sims.wrench`."""
+
+SEEN = Term("seen", "1", _seen, lambda _: (np.zeros(1, np.float32), np.ones(1, np.float32)))
+"""1 where the target is seen, or else 0."""
 
 ACHIEVED_AND_DESIRED = (
     Term(GOALS[0], "m", _achieved, _or_pose(_tool_bounds)),

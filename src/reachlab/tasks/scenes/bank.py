@@ -22,6 +22,7 @@ from reachlab.control.contact_model import arm_of
 from reachlab.control.planning.branches import branches, free_branches
 from reachlab.control.planning.collision import CollisionChecker
 from reachlab.control.planning.search import Search
+from reachlab.control.planning.workers import Workers
 from reachlab.robots.robot import Robot
 from reachlab.settings.cache import cache_folder
 from reachlab.settings.validation import InputError, installing
@@ -132,36 +133,47 @@ def drawn_scenes(
     robot: Robot, scene: str, count: int, seed: int = 0
 ) -> Iterator[tuple[np.ndarray, np.ndarray, Bodies]]:
     """Scenes with joints at start and goal, as many as are asked for; those of the bank have seed 0."""
-    kind, rng, found = kind_of(scene, robot), np.random.default_rng(seed), 0
+    found = 0
     try:
-        finder = _Finder(robot, kind)
+        workers = Workers(Finder, robot, scene, seed, most=count // TOGETHER)
     except ModuleNotFoundError:
         raise InputError(f"scene {scene!r} needs OMPL: {installing('planner')}.") from None
-    for batch in itertools.count(1):
-        drawn = [kind.draw(rng) for _ in range(TOGETHER)]
-        ends = [finder.joints([one.goal for one in drawn], rng), finder.joints([one.start for one in drawn], rng)]
-        for one, goals, starts in zip(drawn, *ends, strict=True):
-            if (way := finder.way(one, starts, goals)) is None:
-                continue
-            yield way
-            found += 1
-            if found == count:
+    with contextlib.closing(workers.map(itertools.count())) as batches:
+        for batch, ways in enumerate(batches, 1):
+            yield from ways[: count - found]
+            found += len(ways)
+            if found >= count:
                 return
-        if batch * TOGETHER > MOST_DRAWN * (found + PATIENCE):
-            raise InputError(
-                f"scene {scene!r} does not fit robot {robot.name!r}: only {found} of {batch * TOGETHER:,} that were"
-                " drawn have a start, a goal and a way between them that is not straight: choose another scene or arm."
-            )
+            if batch * TOGETHER > MOST_DRAWN * (found + PATIENCE):
+                raise InputError(
+                    f"scene {scene!r} does not fit robot {robot.name!r}: only {found} of {batch * TOGETHER:,} that were"
+                    " drawn have a start, a goal and a way between them that is not straight: choose another scene or"
+                    " arm."
+                )
 
 
-class _Finder:
-    """Finds out which scenes have a start, a goal and a way between them."""
+class Finder:
+    """Draws scenes of a kind, and finds out which of them have a start, a goal and a way between them."""
 
-    def __init__(self, robot: Robot, kind: Kind) -> None:
-        self._arm, self._kind = arm_of(robot), kind
-        self._checker = CollisionChecker(self._arm, kind.bodies)
+    def __init__(self, robot: Robot, scene: str, seed: int) -> None:
+        """For an arm; which are drawn follows from the seed.
+
+        Raises:
+            InputError: the kind does not exist.
+            ModuleNotFoundError: OMPL is not installed.
+        """
+        self._arm, self._kind, self._seed = arm_of(robot), kind_of(scene, robot), seed
+        self._checker = CollisionChecker(self._arm, self._kind.bodies)
         self._checker.keep(CLEAR * robot.scale, OWN)
         self._search = Search(self._checker, self._arm.lower, self._arm.upper)
+
+    def __call__(self, batch: int) -> list[tuple[np.ndarray, np.ndarray, Bodies]]:
+        """Those of a batch of scenes that have all of that: joints at start and goal, and bodies."""
+        rng = np.random.default_rng([self._seed, batch])
+        drawn = [self._kind.draw(rng) for _ in range(TOGETHER)]
+        goals, starts = (self.joints([getattr(one, end) for one in drawn], rng) for end in ("goal", "start"))
+        ways = [self.way(*one) for one in zip(drawn, starts, goals, strict=True)]
+        return [way for way in ways if way is not None]
 
     def joints(self, places: Sequence[Place | None], rng: Generator) -> list[np.ndarray]:
         """Joint vectors `[k, n]` that have each place; home where there is none."""
