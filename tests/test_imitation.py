@@ -27,7 +27,7 @@ from reachlab.learn.train import train
 from reachlab.robots.kinematics.forward import forward_kinematics
 from reachlab.settings.validation import InputError
 from reachlab.tasks.actions import AHEAD
-from reachlab.tasks.way_terms import ROW
+from reachlab.tasks.body_terms import ROW
 
 pytestmark = pytest.mark.usefixtures("few_scenes")
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import operator
+import os
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 

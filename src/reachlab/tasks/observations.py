@@ -6,14 +6,13 @@ from dataclasses import replace
 from typing import Any
 
 from reachlab.control.situation import Situation
+from reachlab.tasks.body_terms import AROUND, CLUTTER, WAYS
 from reachlab.tasks.object_terms import GRIPPED, OBJECT, STRUCK
 from reachlab.tasks.schema import Observation, Observed
 from reachlab.tasks.task import TaskSetup
 from reachlab.tasks.terms import (
     ACHIEVED_AND_DESIRED,
     ARM,
-    AROUND,
-    CLUTTER,
     GOAL,
     IMAGE,
     LAST_ACTION,
@@ -24,7 +23,6 @@ from reachlab.tasks.terms import (
     TRACK,
     WRIST,
 )
-from reachlab.tasks.way_terms import WAYS
 
 OBSERVATIONS: dict[str, Observation] = {
     "target": Observation("the target's position [m]", (GOAL,)),

@@ -8,8 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from reachlab.control.bodies import distance_from
-from reachlab.control.dampers import surroundings
 from reachlab.control.situation import Situation
 from reachlab.robots.kinematics.forward import components, norm, stack
 from reachlab.robots.kinematics.inverse import MAX_JOINT_STEP, rotation_error
@@ -20,9 +18,6 @@ from reachlab.tasks.task import Bounds, TaskSetup
 
 LOWEST_GOAL = -0.05
 """Bottom of the observed box [m]: the tutorial's settled object lies just below the workspace."""
-
-CLOSE, BASIS = 0.1, 4
-"""Distance at which a body counts half as near as one that is touched [m], and points of the grid in a row."""
 
 FASTEST = 5
 """On a smooth path the goal is faster than its mean speed: at times 2.5 times as fast, and never so many times."""
@@ -178,31 +173,6 @@ def _goal_velocity_bounds(setup: TaskSetup) -> Bounds:
     return within(np.full(3, FASTEST * setup.rules.goal_speed[1]))
 
 
-def _clearance(setup: TaskSetup, now: Situation) -> Array:
-    """Of each moving capsule the direction away from what is nearest, shorter the further away, `[B, 3 C]`."""
-    near = CLOSE * setup.robot.scale
-    around = surroundings(setup.robot, now.q, now.bodies)
-    close = near / (near + jnp.maximum(around.distance, 0.0))
-    return jnp.concatenate([(close * x).T for x in around.normal], axis=-1)
-
-
-def _clearance_bounds(setup: TaskSetup) -> Bounds:
-    return within(np.ones(3 * np.count_nonzero(setup.robot.capsules.links)))
-
-
-def _basis_points(setup: TaskSetup) -> np.ndarray:
-    """Points `[BASIS³, 3]` m on a grid in the arm's goal box and around it."""
-    low, high = np.array(setup.robot.goal_box)
-    lines = [np.linspace(a, b, BASIS) for a, b in zip(low, high, strict=True)]
-    return np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 3).astype(np.float32)
-
-
-def _scene(setup: TaskSetup, now: Situation) -> Array:
-    """Nearness `[B, BASIS³]` of bodies to points about the goals."""
-    away = distance_from(now.bodies, _basis_points(setup))
-    return CLOSE / (CLOSE + jnp.maximum(away / setup.robot.scale, 0.0))
-
-
 def _goal_velocity_constant(setup: TaskSetup) -> np.ndarray:
     """It is always zero where it is not told, or nothing but jumps."""
     rules = setup.rules
@@ -266,22 +236,6 @@ POSE = (
 
 TRACK = (*STATE, Term("goal_velocity", "m/s", _goal_velocity, _goal_velocity_bounds, _goal_velocity_constant))
 """The same as `STATE`, and how fast the goal moves."""
-
-CLEARANCE = Term("clearance", "1", _clearance, _clearance_bounds)
-
-AROUND = (
-    CLEARANCE,
-    Term("scene", "1", _scene, lambda _: (np.zeros(BASIS**3, np.float32), np.ones(BASIS**3, np.float32))),
-)
-"""The bodies beside the arm.
-
-These are observed by what is nearest to each capsule of the arm, which is what a policy must not touch, and by how near
-they are to the points of a grid (Prokudin et al., "Efficient learning on point clouds with basis point sets", ICCV
-2019), which tells ways round apart. Neither depends on their order, number or kind.
-"""
-
-CLUTTER = (*STATE, JOINT_WAY, *AROUND)
-"""The same as `STATE`, how far the joints are from where they have the goal, and the bodies beside the arm."""
 
 
 def _wrench_bounds(setup: TaskSetup) -> Bounds:
