@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +13,8 @@ import numpy as np
 import pytest
 
 from reachlab.agents.acting import make_act
-from reachlab.agents.memory import Cell
-from reachlab.agents.policy import Inputs, Policy, features, gaussian
+from reachlab.agents.memory import SMALL, Cell
+from reachlab.agents.policy import Inputs, Policy, features, gaussian, remembered
 from reachlab.cli import train_command
 from reachlab.cli.flags import Distil
 from reachlab.deploy.check import load_controller
@@ -137,8 +138,8 @@ def test_a_cue_is_remembered_for_50_steps(tmp_path: Path, size: int, least: floa
 
 
 def test_a_target_is_seen_for_its_steps_and_lost_in_its_share() -> None:
-    config = configure("precise", goal_steps=20, goal_lost=0.25, action="joint_delta", robot="so101", num_envs=64)
-    env = Env(config, 64)
+    hidden = {"goal_steps": 20, "goal_lost": 0.25, "action": "joint_delta", "observation": "glimpse"}
+    env = Env(configure("precise", robot="so101", num_envs=64, **hidden), 64)
     state = env.init(env_keys(0, 64))
     shown, zero = [], np.zeros(state.last_action.shape, np.float32)
     for _ in range(40):
@@ -147,6 +148,7 @@ def test_a_target_is_seen_for_its_steps_and_lost_in_its_share() -> None:
         hidden = (np.asarray(now.goal.position) == np.asarray(now.tool_position)).all(axis=1)
         assert (there ^ hidden).all()
         assert there.tolist() == env.goal_seen(state.key, state.clock).tolist()
+        assert there.tolist() == np.asarray(env.observe(state))[:, -1].tolist()
         shown.append(there)
         state, _ = env.step(state, zero)
     low, high = env.schema.bounds
@@ -154,6 +156,36 @@ def test_a_target_is_seen_for_its_steps_and_lost_in_its_share() -> None:
     assert ((seen >= low) & (seen <= high)).all()
     assert np.mean(shown[:20]) == pytest.approx(0.75, abs=0.05)
     assert not np.any(shown[20:])
+    env.close()
+
+
+def test_where_a_hidden_target_is_belongs_to_what_is_learnt() -> None:
+    config = configure("tutorial", **SHORT, goal_lost=0.5)
+    env = Env(config, B)
+    state = env.compile_part(lambda seed: initial_state(env, config, seed))(np.uint32(0))
+    policy = untrained(config, env)
+    _, rollout = env.compile_whole(lambda one, key: collect(env, policy, one, key, config.loop))(
+        state.env, jax.random.key(1)
+    )
+    target, goal = np.asarray(rollout.target), np.asarray(state.env.goal.position)
+    low, high = np.array(env.setup.robot.workspace)
+    np.testing.assert_allclose(low + (target[0] + 1) / 2 * (high - low), goal, atol=1e-5)
+
+    def learnt(batch: ppo.Batch) -> dict[str, Any]:
+        gradient, watched = jax.grad(ppo.loss, has_aux=True)(policy.parameters, batch, config.ppo)
+        return watched | {"gates": gradient.memory, "actor": gradient.actor}
+
+    batch = ppo._samples(policy, rollout, config.ppo)
+    taught, untaught = (jit(learnt)(one) for one in (batch, batch._replace(target=None)))
+    memory = remembered(policy.parameters, features(policy.parameters, batch.inputs))
+    assert memory is not None
+    assert float(taught["place_error"]) == pytest.approx(
+        np.square(np.asarray(memory)[..., :3] / SMALL - target).mean(), rel=1e-4
+    )
+    assert "place_error" not in untaught
+    jax.tree.map(partial(np.testing.assert_allclose, atol=1e-6), taught["actor"], untaught["actor"])
+    change = jax.tree.map(lambda a, b: float(jnp.abs(a - b).max()), taught["gates"], untaught["gates"])
+    assert max(jax.tree.leaves(change)) > 0.1, "and the gates are moved by it"
     env.close()
 
 
@@ -181,8 +213,9 @@ def test_where_targets_are_always_seen_or_must_be_that_is_said() -> None:
 
 def test_the_controller_remembers_as_the_environment_does(tmp_path: Path) -> None:
     """Over episodes of 1,000 steps in all, with targets that are lost at times, and again after a reset."""
-    hidden = {"goal_lost": 0.3, "goal_steps": 400, "shaping": True, "randomise": (), "action": "joint_delta"}
-    config = configure("precise", robot="ur5e", memory=16, max_steps=500, hidden=(16,), num_envs=1, **hidden)
+    hidden = {"goal_lost": 0.3, "goal_steps": 400, "observation": "glimpse", "action": "joint_delta"}
+    still = {"shaping": True, "randomise": (), "max_steps": 500, "num_envs": 1}
+    config = configure("precise", robot="ur5e", memory=16, hidden=(16,), **hidden, **still)
     env = Env(config, 1)
     policy, act, key = untrained(config, env), make_act(env, "trained"), jax.random.key(0)
     write_files(tmp_path, env, policy, {"run": {}, "held_out": [], "versions": {}})

@@ -17,7 +17,7 @@ from reachlab.learn.learner import Learner, make_optimiser
 from reachlab.learn.rollout import Rollout
 from reachlab.settings.config import PPOConfig, RunConfig
 
-PLACE_WEIGHT = 20.0
+PLACE_WEIGHT = 80.0
 """Weight of how far off what is remembered of a hidden target's place is: it is small beside returns."""
 
 Carry = tuple[Parameters, optax.OptState]
