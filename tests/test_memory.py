@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from reachlab.agents.acting import make_act
-from reachlab.agents.memory import SMALL, Cell
+from reachlab.agents.memory import Cell
 from reachlab.agents.policy import Inputs, Policy, features, gaussian, remembered
 from reachlab.cli import train_command
 from reachlab.cli.flags import Distil
@@ -180,7 +180,7 @@ def test_where_a_hidden_target_is_belongs_to_what_is_learnt() -> None:
     memory = remembered(policy.parameters, features(policy.parameters, batch.inputs))
     assert memory is not None
     assert float(taught["place_error"]) == pytest.approx(
-        np.square(np.asarray(memory)[..., :3] / SMALL - target).mean(), rel=1e-4
+        np.square(np.asarray(memory)[..., :3] / ppo.SMALL - target).mean(), rel=1e-4
     )
     assert "place_error" not in untaught
     jax.tree.map(partial(np.testing.assert_allclose, atol=1e-6), taught["actor"], untaught["actor"])

@@ -16,9 +16,6 @@ LONGEST = 200
 """Steps over which the numbers are kept at the start: from one to so many (Tallec and Ollivier, "Can recurrent neural
 networks warp time?", ICLR 2018)."""
 
-SMALL = 0.3
-"""Number that stands for 1 in what is remembered of places: where the hyperbolic tangent is all but straight."""
-
 
 class Gate(NamedTuple):
     """Weights of the inputs `[k, M]` and of what is remembered `[M, M]`, and `bias [M]`, of a gate."""
@@ -85,9 +82,3 @@ class Cell:
         keep = jax.nn.sigmoid(weighted[1] + memory @ self.keep.kept)
         new = jnp.tanh(weighted[2] + reset * (memory @ self.new.kept + self.kept_bias))
         return new + keep * (memory - new)
-
-
-def place_error(memory: Array, places: Array) -> Array:
-    """Mean square by which the first of the numbers that are remembered `[..., M]` are not `places [..., k]`."""
-    size = min(memory.shape[-1], places.shape[-1])
-    return jnp.square(memory[..., :size] / SMALL - places[..., :size]).mean()

@@ -17,7 +17,6 @@ import optax
 from jax import Array
 
 from reachlab.agents.encoder import Keypoints
-from reachlab.agents.memory import place_error
 from reachlab.agents.policy import Inputs, Memory, Parameters, Policy, encoded, features, gaussian, remembered
 from reachlab.envs.core import Env
 from reachlab.envs.delays import goal_seen
@@ -230,7 +229,8 @@ class _Lessons:
                 off = jnp.square(encoded(parameters, inputs)[..., : places.shape[-1]] - places)
                 place = off.mean() if shown is None else (off * shown[..., None]).mean()
             if (memory := remembered(parameters, known)) is not None:  # where things are is worth remembering
-                place += place_error(memory, places)
+                size = min(memory.shape[-1], places.shape[-1])
+                place += jnp.square(memory[..., :size] - places[..., :size]).mean()
             errors = {"action_error": action, "place_error": place}
             return action + self._config.dagger.place_weight * place, errors
 
