@@ -122,8 +122,9 @@ def _planned(teachers: Workers, kinds: Sequence[str], state: ImitationState, key
     rng, known = np.random.default_rng(np.asarray(jax.random.key_data(key))), int(lessons.count)
     beside: Any = jax.tree.map(np.asarray, (state.env.arm.q, state.env.goal.joints, state.env.arm.bodies))
     arms = [jax.tree.map(lambda x, row=row: x[row], beside) for row in range(len(beside[0]))]
+    first = int(rng.integers(len(kinds)))
     asked = [
-        Asked(int(rng.integers(1, 2**30)), kinds[part % len(kinds)], FRESH // PARTS, arms[part::PARTS])
+        Asked(int(rng.integers(1, 2**30)), kinds[(first + part) % len(kinds)], FRESH // PARTS, arms[part::PARTS])
         for part in range(PARTS)
     ]
     for lesson, bodies in itertools.chain.from_iterable(teachers.map(asked)):
