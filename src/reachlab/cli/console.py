@@ -132,7 +132,7 @@ def _say_ends(reports: Sequence[dict[str, Any]]) -> None:
         if report["agent"] == "trained" and ends.get("outside", 0.0) > MANY:
             say(
                 "Leaving the workspace ends an episode: where each step costs more than leaving does, a policy learns"
-                " to leave. Choose another --reward, as dense; docs/reward.md says more."
+                " to leave. Train for more steps, or choose another --reward, as dense; docs/reward.md says more."
             )
 
 

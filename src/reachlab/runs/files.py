@@ -98,7 +98,9 @@ def read_json(path: Path) -> Any:
     try:
         return json.loads(read_bytes(path, JSON_LIMIT), parse_constant=_refuse)
     except FileNotFoundError:
-        raise InputError(f"'{path}' is missing: '{path.parent}' is not a complete run.") from None
+        raise InputError(
+            f"'{path}' is missing: '{path.parent}' is no complete run; name a folder that `reachlab train` wrote."
+        ) from None
     except (OSError, ValueError, RecursionError) as error:
         why = f" ({error})" if isinstance(error, InputError) else ""
         raise InputError(f"'{path}' is not JSON that can be read{why}.") from None

@@ -252,7 +252,13 @@ def _wrench(setup: TaskSetup, now: Situation) -> Array:
 WRIST = Term("wrench", "N and Nm", _wrench, _wrench_bounds)
 """Force [N] and torque [Nm] at the wrist, see `sims.wrench`."""
 
-SEEN = Term("seen", "1", _seen, lambda _: (np.zeros(1, np.float32), np.ones(1, np.float32)))
+SEEN = Term(
+    "seen",
+    "1",
+    _seen,
+    lambda _: (np.zeros(1, np.float32), np.ones(1, np.float32)),
+    lambda setup: np.full(1, not setup.rules.hides_goal),
+)
 """1 where the target is seen, or else 0."""
 
 ACHIEVED_AND_DESIRED = (

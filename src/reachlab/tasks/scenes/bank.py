@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import itertools
+import logging
 import os
 import sys
 from collections.abc import Iterator, Sequence
@@ -28,6 +29,8 @@ from reachlab.settings.cache import cache_folder
 from reachlab.settings.validation import InputError, installing
 from reachlab.tasks.scenes import kinds
 from reachlab.tasks.scenes.kinds import Body, Drawn, Kind, Place, kind_of
+
+log = logging.getLogger(__name__)
 
 TRAINING, HELD_OUT = 2000, 2000
 """Scenes to train in, and others to evaluate in."""
@@ -119,8 +122,10 @@ def _drawn(robot: Robot, scene: str) -> Bank:
 
     count = TRAINING + HELD_OUT
     about = f"{count} scenes {scene!r} for {robot.name}, kept for later"
-    console = Console(stderr=True)
-    scenes = track(drawn_scenes(robot, scene, count), about, count, console=console, disable=not sys.stderr.isatty())
+    console, seen = Console(stderr=True), sys.stderr.isatty()
+    if not seen:
+        log.warning("reachlab: drawing %s, in a minute or so.", about)
+    scenes = track(drawn_scenes(robot, scene, count), about, count, console=console, disable=not seen)
     start, joints, bodies = zip(*scenes, strict=True)
     together = jax.tree.map(lambda *rows: np.stack(rows), *bodies)
     return Bank(np.array(start, np.float32), np.array(joints, np.float32), together)
