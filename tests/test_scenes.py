@@ -180,8 +180,12 @@ def test_without_ompl_there_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> 
         scenes("gen3", "wall")
 
 
-def test_scenes_are_drawn_without_a_word_where_nobody_looks(caplog: pytest.LogCaptureFixture, capfd: Any) -> None:
+def test_where_there_is_no_terminal_one_sentence_says_what_is_waited_for_the_first_time(
+    caplog: pytest.LogCaptureFixture, capfd: Any
+) -> None:
     with caplog.at_level(logging.DEBUG, logger="reachlab"):
-        scenes("xarm7", "bin")[0].close()
-    assert not caplog.records
+        for _ in range(2):
+            scenes("xarm7", "bin")[0].close()
+    said = [record.getMessage() for record in caplog.records]
+    assert said == ["reachlab: drawing 16 scenes 'bin' for xarm7, kept for later, in a minute or so."]
     assert capfd.readouterr().out == ""
