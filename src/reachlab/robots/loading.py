@@ -202,7 +202,9 @@ def _derived(file: ModelFile, arm: Arm, speed: tuple[float, ...]) -> Derived:
     asked = (VERSION, file.digest, arm.tool, arm.isolation.joints, arm.chain, arm.home, speed)
 
     def find() -> Derived:
-        logger.warning("reachlab: finding home and workspace of %s: a few seconds, once.", file.file.name)
+        logger.warning(
+            "reachlab: finding home and workspace of %s, tool %s: a few seconds, once.", file.file.name, arm.tool
+        )
         return derive(arm.chain, np.array(speed), arm.base, arm.home, untouching(file, arm))
 
     return kept("robots", asked, find, Derived, Derived._asdict)
