@@ -17,6 +17,10 @@ SUITES: dict[str, Lazy] = {
         "Steps a second of Stable-Baselines3's PPO on a batch, and on its own vector of environments.",
         "benchmarks.learners:learners",
     ),
+    "memory": Lazy(
+        "Policies that remember beside those that observe one step or four, where arms and objects vary: a day.",
+        "benchmarks.memory:remembering",
+    ),
     "critic": Lazy(
         "What a critic explains, and training without one, by the tutorial's first two observations: five minutes.",
         "benchmarks.critic:critic",

@@ -92,6 +92,8 @@ def test_a_training_explains_what_its_lines_speak_of() -> None:
     assert "Training episodes explore with noise;" in tutorial
     assert f": {configure('precise').loop.total_steps:,} steps." in precise
     assert "noise and vary in dynamics" in precise
+    few = explained(configure(total_steps=50_000, num_envs=128, rollout_steps=64))
+    assert "at most 50,000 steps (57,344 in whole iterations), until" in few
 
 
 REPORT: dict[str, Any] = {

@@ -167,9 +167,12 @@ def test_where_a_hidden_target_is_belongs_to_what_is_learnt() -> None:
     _, rollout = env.compile_whole(lambda one, key: collect(env, policy, one, key, config.loop))(
         state.env, jax.random.key(1)
     )
-    target, goal = np.asarray(rollout.target), np.asarray(state.env.goal.position)
+    assert rollout.target is not None
+    place, way = map(np.asarray, rollout.target)
+    goal, tool = np.asarray(state.env.goal.position), np.asarray(state.env.arm.tool_position)
     low, high = np.array(env.setup.robot.workspace)
-    np.testing.assert_allclose(low + (target[0] + 1) / 2 * (high - low), goal, atol=1e-5)
+    np.testing.assert_allclose(low + (place[0] + 1) / 2 * (high - low), goal, atol=1e-5)
+    np.testing.assert_allclose(tool + way[0], goal, atol=1e-5, err_msg="of the tool before it moved")
 
     def learnt(batch: ppo.Batch) -> dict[str, Any]:
         gradient, watched = jax.grad(ppo.loss, has_aux=True)(policy.parameters, batch, config.ppo)
@@ -179,10 +182,10 @@ def test_where_a_hidden_target_is_belongs_to_what_is_learnt() -> None:
     taught, untaught = (jit(learnt)(one) for one in (batch, batch._replace(target=None)))
     memory = remembered(policy.parameters, features(policy.parameters, batch.inputs))
     assert memory is not None
-    assert float(taught["place_error"]) == pytest.approx(
-        np.square(np.asarray(memory)[..., :3] / ppo.SMALL - target).mean(), rel=1e-4
-    )
-    assert "place_error" not in untaught
+    off = np.asarray(memory)[..., :6] - np.concatenate([ppo.SMALL * place, np.tanh(way / ppo.CLOSE)], axis=-1)
+    for name, part in (("place_error", off[..., :3]), ("way_error", off[..., 3:])):
+        assert float(taught[name]) == pytest.approx(np.square(part).sum(axis=-1).mean(), rel=1e-4)
+        assert name not in untaught
     jax.tree.map(partial(np.testing.assert_allclose, atol=1e-6), taught["actor"], untaught["actor"])
     change = jax.tree.map(lambda a, b: float(jnp.abs(a - b).max()), taught["gates"], untaught["gates"])
     assert max(jax.tree.leaves(change)) > 0.1, "and the gates are moved by it"

@@ -14,7 +14,7 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeEl
 from rich.table import Column
 
 from reachlab.cli.console import note, notes, print_reports, say, task_and_success
-from reachlab.settings.config import RunConfig
+from reachlab.settings.config import LoopConfig, RunConfig
 
 if TYPE_CHECKING:
     from reachlab.learn.loop import Progress as TrainProgress
@@ -32,6 +32,9 @@ SHOWN_EPISODES = 100
 
 EVAL_INTERVAL = 10.0
 """Time between plain progress lines of an evaluation [s]."""
+
+ROUNDED = 0.01
+"""Share of the steps asked for, up to which nothing is said of the last iteration, which is a whole one."""
 
 WHOLE_SPEED = 1e4
 """Speed from which it is shown in thousands [steps/s]."""
@@ -138,14 +141,21 @@ class TrainDisplay(Bar):
             self._ended, self._validated = Counter(), {}
 
 
+def whole_steps(loop: LoopConfig) -> int:
+    """Steps of a training: only whole iterations are made."""
+    return -(-loop.total_steps // loop.iteration_steps) * loop.iteration_steps
+
+
 def explained(config: RunConfig) -> str:
     """Explanation of a training, and of what the numbers in its progress lines mean."""
     stop = config.loop
-    most = f"at most {stop.total_steps:,}" if stop.stop_early else f"{stop.total_steps:,}"
+    most = f"at most {stop.total_steps:,} steps" if stop.stop_early else f"{stop.total_steps:,} steps"
+    if (whole := whole_steps(stop)) > (1 + ROUNDED) * stop.total_steps:
+        most += f" ({whole:,} in whole iterations)"
     early = f", until {stop.stop_streak} validations in a row reach {100 * stop.stop_success:g} % success"
     varied = f" and vary in {' and '.join(config.randomise)}" if config.randomise else ""
     return (
-        f"The {config.task} task on {config.robot} in {config.sim}: {most} steps{early if stop.stop_early else ''}.\n"
+        f"The {config.task} task on {config.robot} in {config.sim}: {most}{early if stop.stop_early else ''}.\n"
         f"Success: {task_and_success(config)[1]}.\n"
         f"Training episodes explore with noise{varied}; validations and the report at the end are without noise,"
         f" on other targets{', the report without what varies' if config.randomise else ''}."
@@ -165,8 +175,7 @@ def train_line(
         timed: whether to give the time; a bar shows it itself.
     """
     now, seconds = progress.metrics, progress.elapsed_s
-    # Only whole iterations are made.
-    total = -(-progress.total_steps // config.loop.iteration_steps) * config.loop.iteration_steps
+    total = whole_steps(config.loop)
     of = "" if config.loop.stop_early else f" of {total / 1e6:.2f}M"
     parts = [f"{progress.steps / 1e6:.2f}M{of} steps", success]
     if "validation_success" in now:

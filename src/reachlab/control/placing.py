@@ -23,6 +23,9 @@ OPENED = 0.008
 AWAY = 0.1
 """Height above the object's place to which it goes [m]."""
 
+HIGH = 0.01
+"""So near to that height the hand rests: led by where it is measured, an arm that sags would creep on [m]."""
+
 MARGIN = 0.02
 """Room below what is carried over a wall [m]."""
 
@@ -45,7 +48,9 @@ def place(drive: Drive, now: Situation) -> Array:
     velocity = jnp.where(waits[:, None], 0.0, approach(drive, now, grip))
     velocity = jnp.where(grip.held[:, None], _over(now, grip, middle, goal), velocity)
     velocity = jnp.where(put[:, None], leaving, velocity)
-    return moved(drive, now, velocity, grip.turn, closes)
+    rests = jnp.arange(now.command.shape[-1]) < now.q.shape[-1]
+    rests &= (put & (jnp.abs(up) < HIGH))[:, None]
+    return jnp.where(rests, 0.0, moved(drive, now, velocity, grip.turn, closes))
 
 
 def _over(now: Situation, grip: Grip, middle: Array, goal: Array) -> Array:

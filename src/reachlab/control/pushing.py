@@ -46,6 +46,9 @@ LATCH, DONE, AGAIN = 0.015, 0.006, 0.009
 """Distances from the goal from which on the line of a push no longer turns to it, at which a push has ended, and at
 which a hand that rests begins another [m]."""
 
+LEAST = 0.003
+"""What may be left of a push when it ends [m]: friction in the joints holds a hand that has so little left to push."""
+
 DONE_SEEN = 0.012, 0.025
 """The last two of these where both are seen in a picture [m]: it shows them elsewhere as the hand moves."""
 
@@ -95,7 +98,7 @@ def push(drive: Drive, now: Situation, done: float = DONE, again: float = AGAIN)
     away = norm((now.goal.position - now.bodies.position[:, -1])[:, :2])
     # A hand that rests against the object lets it creep: it goes on resting.
     rests = jnp.abs(now.qd).max(axis=-1) < STILL
-    ends = (away < jnp.where(rests, again, done)) & (~state.ready | (state.left < 0.001))
+    ends = (away < jnp.where(rests, again, done)) & (~state.ready | (state.left < LEAST))
     turn = across(drive, now, jnp.arctan2(state.line[:, 1], state.line[:, 0]))
     return jnp.where(ends[:, None], 0.0, towards(drive, now, velocity, turn))
 

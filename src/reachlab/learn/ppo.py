@@ -13,14 +13,17 @@ from jax import Array
 
 from reachlab.agents.policy import Inputs, Parameters, Policy, features, gaussian, remembered, value, worth
 from reachlab.learn.learner import Learner, make_optimiser
-from reachlab.learn.rollout import Rollout
+from reachlab.learn.rollout import Rollout, Target
 from reachlab.settings.config import PPOConfig, RunConfig
 
 SMALL = 0.3
 """Number that stands for 1 in what is remembered of places: there the hyperbolic tangent is all but straight."""
 
-PLACE_WEIGHT = 80.0
-"""Weight of how far off what is remembered of a hidden target's place is: it is small beside returns."""
+CLOSE = 0.04
+"""Way to a hidden target that the memory tells as the hyperbolic tangent of 1 [m]: it draws near ones apart."""
+
+PLACE_WEIGHT, WAY_WEIGHT = 300.0, 13.0
+"""Weights of the squares by which what is remembered of a hidden target's place and of the way to it is off."""
 
 Carry = tuple[Parameters, optax.OptState]
 
@@ -36,7 +39,7 @@ class Batch(NamedTuple):
     log_prob: Array
     advantage: Array
     returns: Array
-    target: Array | None = None
+    target: Target | None = None
 
 
 def gae(
@@ -64,6 +67,17 @@ def gae(
     return jax.lax.scan(back, jnp.zeros_like(delta[0]), (delta, done), reverse=True)[1]
 
 
+def taught(memory: Array, target: Target) -> tuple[Array, Array]:
+    """Mean squares `[]` by which what is remembered `[..., M]` of a target's place and of the way to it is off.
+
+    The first three numbers tell the place. The next three tell the way, which one cell can compute of them and of where
+    the tool is: layers after it would have to tell millimetres apart in the difference of two places.
+    """
+    wanted = jnp.concatenate([SMALL * target.place, jnp.tanh(target.way / CLOSE)], axis=-1)
+    squares = jnp.square(memory[..., : wanted.shape[-1]] - wanted[..., : memory.shape[-1]])
+    return squares[..., :3].sum(axis=-1).mean(), squares[..., 3:].sum(axis=-1).mean()
+
+
 def loss(parameters: Parameters, batch: Batch, config: PPOConfig) -> tuple[Array, dict[str, Array]]:
     """Clipped surrogate loss `[]` of a batch, and scalars worth watching."""
     known = features(parameters, batch.inputs)
@@ -78,9 +92,8 @@ def loss(parameters: Parameters, batch: Batch, config: PPOConfig) -> tuple[Array
     total = policy_loss + config.value_weight * value_loss - config.entropy_weight * entropy
     watched = {}
     if batch.target is not None and (memory := remembered(parameters, known)) is not None:
-        size = min(memory.shape[-1], batch.target.shape[-1])
-        watched["place_error"] = jnp.square(memory[..., :size] / SMALL - batch.target[..., :size]).mean()
-        total += PLACE_WEIGHT * watched["place_error"]
+        watched = dict(zip(("place_error", "way_error"), taught(memory, batch.target), strict=True))
+        total += PLACE_WEIGHT * watched["place_error"] + WAY_WEIGHT * watched["way_error"]
     return total, watched | {
         "policy_loss": policy_loss,
         "value_loss": value_loss,

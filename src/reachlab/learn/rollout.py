@@ -21,6 +21,18 @@ from reachlab.settings.config import LoopConfig
 from reachlab.tasks.schema import Observed
 
 
+class Target(NamedTuple):
+    """Where a target is that is not always seen.
+
+    Attributes:
+        place: `[..., 3]`, in halves of the workspace's edges from its middle.
+        way: to it from the tool `[..., 3]` [m].
+    """
+
+    place: Array
+    way: Array
+
+
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Rollout:
@@ -37,8 +49,7 @@ class Rollout:
         distance: tool to target after the step `[T, B]` [m].
         clock: number of the step in its episode `[T, B]`.
         memory: what the policy remembered before it `[T, B, M]`; None of one without memory.
-        target: where the target is `[T, B, 3]`, in halves of the workspace's edges from its middle; None where it is
-            always seen, or nothing remembered.
+        target: where the target was then; None where it is always seen, or nothing remembered.
     """
 
     observation: Observed
@@ -52,7 +63,7 @@ class Rollout:
     distance: Array
     clock: Array
     memory: Memory = None
-    target: Array | None = None
+    target: Target | None = None
 
     @property
     def done(self) -> Array:
@@ -76,9 +87,9 @@ def collect(env: Env, policy: Policy, state: EnvState, key: Array, config: LoopC
 
     def step(state: EnvState, key: Array) -> tuple[EnvState, Rollout]:
         noise = jax.random.normal(key, (env.num_envs, *policy.half.shape))
-        choice = sample_action(policy, env.observe(state), state.memory, noise)
+        choice, target = sample_action(policy, env.observe(state), state.memory, noise), _target(env, state)
         state, transition = env.step(replace(state, memory=choice.after), choice.action, config.action_repeat)
-        row = _row(env, choice, state, transition, transition.observation)
+        row = replace(_row(choice, state, transition, transition.observation), target=target)
         return env.reset(state, transition.done, config.chained_starts or None), row
 
     return jax.lax.scan(step, state, jax.random.split(key, config.rollout_steps))
@@ -99,13 +110,13 @@ def host_collector(first: int = 0, of: int | None = None) -> Collect:
         rows, observation = [], env.observe_now(state)
         noise = np.asarray(draw(of or env.num_envs, *policy.half.shape)(jax.random.split(key, config.rollout_steps)))
         for now in noise[:, first : first + env.num_envs]:
-            choice = choose(policy, observation, state.memory, now)
+            choice, target = choose(policy, observation, state.memory, now), _target(env, state)
             try:
                 state, transition = env.step(replace(state, memory=choice.after), choice.action, config.action_repeat)
             except FloatingPointError as error:
                 raise EngineError(str(error), _stacked(rows) if rows else None) from None
             observation = env.observe_now(state) if env.pictured else transition.observation
-            rows.append(_row(env, choice, state, transition, observation))
+            rows.append(replace(_row(choice, state, transition, observation), target=target))
             if (done := np.asarray(transition.done)).any():
                 state = env.reset(state, done, config.chained_starts or None)
                 observation = EnvFunctions.merge(done, env.observe_now(state, done), observation, np)
@@ -140,8 +151,15 @@ def sample_action(policy: Policy, observation: Observed, memory: Memory, noise: 
     return Choice(observation, memory, output, policy.action(output), head.log_prob(output), after)
 
 
-def _row(env: Env, choice: Choice, state: EnvState, transition: Transition, after: Observed) -> Rollout:
-    hidden = choice.memory is not None and env.setup.rules.hides_goal
+def _target(env: Env, state: EnvState) -> Target | None:
+    """What a policy that remembers is taught."""
+    if state.memory is None or not env.setup.rules.hides_goal:
+        return None
+    goal = state.goal.position
+    return Target(env.setup.robot.in_workspace(goal), goal - state.arm.tool_position)
+
+
+def _row(choice: Choice, state: EnvState, transition: Transition, after: Observed) -> Rollout:
     return Rollout(
         observation=choice.observation,
         output=choice.output,
@@ -154,7 +172,6 @@ def _row(env: Env, choice: Choice, state: EnvState, transition: Transition, afte
         distance=transition.errors.distance,
         clock=state.clock,
         memory=choice.memory,
-        target=env.setup.robot.in_workspace(state.goal.position) if hidden else None,
     )
 
 
