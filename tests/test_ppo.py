@@ -151,7 +151,8 @@ def make_batch(policy, advantage, log_ratio: Any = 0.0):
     observed = Inputs(None, jnp.asarray(random.normal(size=(n, K)), jnp.float32))
     output, log_prob = sampled(policy.parameters, observed, jax.random.key(5))
     rest = np.asarray(log_prob) - np.asarray(log_ratio), np.asarray(advantage), random.normal(size=n)
-    return ppo.Batch(observed, output, *(jnp.asarray(numbers.astype(np.float32)) for numbers in rest))
+    log_prob, advantage, returns = (jnp.asarray(numbers.astype(np.float32)) for numbers in rest)
+    return ppo.Batch(observed, output, log_prob, advantage, returns)
 
 
 def test_loss_of_the_policy_that_sampled_the_batch(policy):
