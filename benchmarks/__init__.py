@@ -19,7 +19,7 @@ SUITES: dict[str, Lazy] = {
     ),
     "memory": Lazy(
         "Policies that remember beside those that observe one step or four, where arms and objects vary: a day.",
-        "benchmarks.memory:remembering",
+        "benchmarks.memory:memory",
     ),
     "critic": Lazy(
         "What a critic explains, and training without one, by the tutorial's first two observations: five minutes.",

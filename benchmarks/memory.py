@@ -74,7 +74,7 @@ class Stack:
         return jax.lax.scan(step, memory, (x, begins))[1]
 
 
-def remembering() -> Iterator[Row]:
+def memory() -> Iterator[Row]:
     """Success, errors and times of each task, kind and seed, and how long its training took."""
     for task in TRIED:
         for kind in OF:

@@ -141,16 +141,16 @@ class TrainDisplay(Bar):
             self._ended, self._validated = Counter(), {}
 
 
-def whole_steps(loop: LoopConfig) -> int:
-    """Steps of a training: only whole iterations are made."""
-    return -(-loop.total_steps // loop.iteration_steps) * loop.iteration_steps
+def whole_steps(total: int, loop: LoopConfig) -> int:
+    """Steps of a training of so many in all: only whole iterations are made."""
+    return -(-total // loop.iteration_steps) * loop.iteration_steps
 
 
 def explained(config: RunConfig) -> str:
     """Explanation of a training, and of what the numbers in its progress lines mean."""
     stop = config.loop
     most = f"at most {stop.total_steps:,} steps" if stop.stop_early else f"{stop.total_steps:,} steps"
-    if (whole := whole_steps(stop)) > (1 + ROUNDED) * stop.total_steps:
+    if (whole := whole_steps(stop.total_steps, stop)) > (1 + ROUNDED) * stop.total_steps:
         most += f" ({whole:,} in whole iterations)"
     early = f", until {stop.stop_streak} validations in a row reach {100 * stop.stop_success:g} % success"
     varied = f" and vary in {' and '.join(config.randomise)}" if config.randomise else ""
@@ -175,7 +175,7 @@ def train_line(
         timed: whether to give the time; a bar shows it itself.
     """
     now, seconds = progress.metrics, progress.elapsed_s
-    total = whole_steps(config.loop)
+    total = whole_steps(progress.total_steps, config.loop)
     of = "" if config.loop.stop_early else f" of {total / 1e6:.2f}M"
     parts = [f"{progress.steps / 1e6:.2f}M{of} steps", success]
     if "validation_success" in now:

@@ -27,7 +27,7 @@ PAGE = "page.html"
 def video(arguments: Video) -> None:
     """Run `reachlab video`."""
     prepare()
-    from reachlab.cli.console import note, say
+    from reachlab.cli.console import say
     from reachlab.envs.core import Env
     from reachlab.runs.shipped import is_shipped
     from reachlab.watch.page.shown import settings_shown
@@ -41,7 +41,6 @@ def video(arguments: Video) -> None:
     given = {name: vars(arguments)[name] for name in ("seed", "episodes", "fps", "speed")}
     with closing(Env(config, 1)) as env:
         acting, policy, _ = subject.acting(env, agent)
-        note(f"Filming {arguments.episodes} episode{'s'[: arguments.episodes > 1]}, some seconds each.")
         clip = write_video(env, acting, policy, arguments.out or usual, **given)
     if arguments.json:
         print(jsonlib.dumps(vars(clip)))
