@@ -17,7 +17,7 @@ from reachlab.cli.console import note
 
 FEW = {
     "train": {"--total-steps": "1", "--report-episodes": "4", "--max-steps": "60"},
-    "distil": {"--total-steps": "1", "--guided": "0", "--report-episodes": "2"},
+    "distil": {"--total-steps": "1", "--guided": "0", "--updates": "2", "--report-episodes": "2"},
     "sweep": {"--total-steps": "1", "--report-episodes": "4", "--max-steps": "60", "--trials": "2"},
     "eval": {"--episodes": "4"},
     "video": {"--episodes": "1", "--fps": "4"},
@@ -29,11 +29,13 @@ FEW = {
 REACHLAB = """
 import sys
 from reachlab.cli.main import main
+from reachlab.evaluation import episodes
 from reachlab.tasks.scenes import bank
 bank.TRAINING = bank.HELD_OUT = 8
+episodes.BATCH = 16
 sys.exit(main())
 """
-"""`python -m reachlab`, with few scenes to draw."""
+"""`python -m reachlab`, with few scenes to draw, and few episodes at a time."""
 
 ENDLESS = {("view",): 60.0, ("deploy", "ros2"): 8.0}
 """Commands that run until they are interrupted, and after how long they are at the latest [s]."""

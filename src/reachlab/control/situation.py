@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import jax
@@ -26,11 +26,13 @@ class Drive:
         robot: the arm.
         period: time from one command to the next [s].
         lag: time by which each joint follows its command `[n]` [s].
+        late: mean age of what is measured of the joints [s].
     """
 
     robot: Robot
     period: float
     lag: tuple[float, ...]
+    late: float = field(default=0.0, kw_only=True)
 
 
 def shaped_within(drive: Drive) -> MotionLimits:

@@ -43,6 +43,11 @@ class Sensed:
     past_qd: Array
 
 
+def age(period: float) -> float:
+    """Mean age of a measurement of the joints [s], where it comes late."""
+    return period + min(JITTER, period) / 2
+
+
 def sense(before: Sensed, arm: SimState, keys: Array, clock: Array, period: float) -> Sensed:
     """Joints as known after a step `[B]` of the episodes with `keys [B]`, before which the arms were as `arm` says.
 

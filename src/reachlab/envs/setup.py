@@ -8,6 +8,7 @@ import logging
 from typing import Any
 
 from reachlab.envs.consistency import check, check_names
+from reachlab.envs.delays import age
 from reachlab.envs.presets import configure, in_simulator, of_other_tasks, preset
 from reachlab.robots.kinematics.chain import significant
 from reachlab.robots.loading import load_robot
@@ -57,7 +58,9 @@ def make_setup(config: RunConfig) -> TaskSetup:
         grips=config.rules.grips,
     )
     lag = (0.0,) * robot.chain.n
-    setup = TaskSetup(robot, config.physics.control_period, lag, task, on_arm(config.rules, robot))
+    period = config.physics.control_period
+    late = age(period) if "delay" in config.randomise else 0.0
+    setup = TaskSetup(robot, period, lag, task, on_arm(config.rules, robot), late=late)
     task.check(setup)
     return setup
 
