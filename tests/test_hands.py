@@ -12,6 +12,7 @@ import pytest
 from params import tried
 from reachlab.agents.acting import make_act
 from reachlab.control.bodies import Shape
+from reachlab.control.situation import up_to_date
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState
 from reachlab.envs.presets import configure
@@ -27,7 +28,7 @@ from reachlab.tasks.walls import LET_GO
 
 EPISODES = 128
 
-LEAST = {"lift": 0.97, "place": 0.96, "slide": 0.8}
+LEAST = {"lift": 0.97, "place": 0.96, "slide": 0.87}
 """Least share of successes of each script, nominal."""
 
 
@@ -64,6 +65,25 @@ def test_scripts_do_it_with_arms_that_differ(task: str) -> None:
     """Friction holds a hand that has little left to go, and one that is led by where it is creeps under a payload."""
     *_, success = played(task, randomise=("dynamics",))
     assert success.mean() >= 0.98
+
+
+def test_a_puck_is_struck_where_joints_are_measured_late() -> None:
+    *_, success = played("slide", randomise=("delay",))
+    assert success.mean() >= 0.65
+
+
+def test_a_controller_knows_where_joints_have_come_to_since_they_were_measured() -> None:
+    env = Env(configure("track", robot="panda", randomise=("delay",)), EPISODES)
+    state, act, key = env.init(episode_keys(3, REPORT_STREAM, 0, EPISODES)), make_act(env, "ik"), jax.random.key(0)
+    for _ in range(40):
+        state, _, key = act(None, state, key)
+    now = env.situation(state)
+    off, measured = (
+        np.linalg.norm(np.asarray(one.tool_position - state.arm.tool.position), axis=1)
+        for one in (up_to_date(env.setup, now), now)
+    )
+    assert np.median(off) < 0.35 * np.median(measured), "the target goes on meanwhile"
+    assert env.setup.late == pytest.approx(0.025), "a control period of 20 ms, and up to 10 ms more"
 
 
 def test_a_puck_is_drawn_round_and_its_goal_is_in_the_picture() -> None:

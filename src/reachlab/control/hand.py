@@ -30,15 +30,6 @@ TINY = 1e-6
 """Added to a length that divides [m]."""
 
 
-def up_to_date(drive: Drive, now: Situation) -> Situation:
-    """The situation with the joints where they have come to since they were measured."""
-    if not drive.late:
-        return now
-    q = now.q + drive.late * now.qd
-    pose = forward_kinematics(drive.robot.chain, q)
-    return now._replace(q=q, tool_position=pose.position, tool_quaternion=pose.quaternion)
-
-
 def velocity_to(way: Array) -> Array:
     """Velocity `[B, 3]` m/s along a way `[B, 3]` m, at whose end the tool rests."""
     far = norm(way)[:, None] + TINY

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from reachlab.control.bodies import Bodies
 from reachlab.control.motion_limits import MotionLimits
-from reachlab.robots.kinematics.forward import Pose, norm
+from reachlab.robots.kinematics.forward import Pose, forward_kinematics, norm
 from reachlab.robots.robot import Robot
+
+RESPONSE = 0.025
+"""Time constant with which a joint takes the speed that is commanded [s]: of a servo's damping and its inertia."""
 
 WRENCH = 6
 """Numbers of a wrench: a force [N] and a torque [Nm]."""
@@ -113,3 +118,18 @@ class Situation(NamedTuple):
     opening: Array
     picture: Array | None = None
     wrench: Array | None = None
+
+
+def up_to_date(drive: Drive, now: Situation) -> Situation:
+    """The situation with the joints where they have come to since they were measured.
+
+    Their speed goes over to the one at which they lag behind the command by `lag`.
+    """
+    if not drive.late:
+        return now
+    chain, lag = drive.robot.chain, np.maximum(drive.lag, drive.late)
+    share = 1 - math.exp(-drive.late / RESPONSE)
+    qd = now.qd + share * ((now.command[..., : chain.n] - now.q) / lag.astype(np.float32) - now.qd)
+    q = now.q + drive.late * now.qd
+    pose = forward_kinematics(chain, q)
+    return now._replace(q=q, qd=qd, tool_position=pose.position, tool_quaternion=pose.quaternion)

@@ -8,9 +8,9 @@ from typing import Any
 import jax.numpy as jnp
 from jax import Array
 
-from reachlab.control.hand import across, swing, towards, up_to_date
+from reachlab.control.hand import across, swing, towards
 from reachlab.control.pushing import planned, run_up
-from reachlab.control.situation import Situation
+from reachlab.control.situation import RESPONSE, Situation
 from reachlab.robots.kinematics.forward import norm
 
 GRAVITY = 9.81
@@ -25,9 +25,6 @@ STEER, SIDLE = 0.8, 0.15
 
 DRIFT = 4.0
 """And of the puck's drift so many times."""
-
-RESPONSE = 0.025
-"""Time constant with which the hand takes the speed that is commanded [s]: of a servo's damping and its inertia."""
 
 LEAD = 0.3
 """So much faster than the puck the hand is commanded at most [m/s]: what it gains in a servo's lag."""
@@ -65,7 +62,6 @@ def slide(setup: Any, now: Situation) -> Array:
     The hand pushes it until it is so fast that friction will bring it to rest at the goal, v² = 2 µ g × way, and stops.
     The speed is corrected in every step by what the puck is measured to have, so that the last step makes it.
     """
-    now = up_to_date(setup, now)
     state = planned(now)
     moving = now.bodies.velocity[:, -1, :2]
     speed = (moving * state.line).sum(axis=-1)

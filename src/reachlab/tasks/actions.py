@@ -13,7 +13,7 @@ from reachlab.control import CONTROLLERS
 from reachlab.control.bodies import Bodies
 from reachlab.control.dampers import damped, hemmed
 from reachlab.control.evading import evaded
-from reachlab.control.situation import Goal, Situation
+from reachlab.control.situation import Goal, Situation, up_to_date
 from reachlab.robots.kinematics.forward import norm
 from reachlab.robots.kinematics.inverse import ik_displace
 from reachlab.tasks.camera import in_picture, on_table
@@ -117,7 +117,7 @@ def _move_joints(setup: TaskSetup, now: Situation, action: Array, give_way: Give
 def _joints_towards(setup: TaskSetup, now: Situation, believed: Situation) -> Array:
     """What the task's controller would do in the situation as it is believed."""
     del now
-    step = CONTROLLERS[setup.task.control.controller].load()(setup, believed)
+    step = CONTROLLERS[setup.task.control.controller].load()(setup, up_to_date(setup, believed))
     return jnp.clip(step / joint_scale(setup), *_joint_box(setup))
 
 
@@ -175,7 +175,7 @@ def _picture_box(setup: TaskSetup) -> Bounds:
 
 def _at_points(setup: TaskSetup, now: Situation, action: Array) -> Array:
     """Joint command of the task's controller, where goal and object lie on the table as the action says."""
-    step = CONTROLLERS[setup.task.control.seen].load()(setup, _seen(setup, now, action))
+    step = CONTROLLERS[setup.task.control.seen].load()(setup, up_to_date(setup, _seen(setup, now, action)))
     return _move_joints(setup, now, jnp.clip(step / joint_scale(setup), *_joint_box(setup)))
 
 
