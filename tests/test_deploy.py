@@ -44,6 +44,7 @@ from reachlab.envs.presets import configure
 from reachlab.envs.random_streams import REPORT_STREAM, episode_keys
 from reachlab.envs.setup import in_evaluation
 from reachlab.learn.load import load_policy
+from reachlab.robots.loading import load_robot
 from reachlab.runs.directory import RunDirectory
 from reachlab.settings.json_form import override
 from reachlab.settings.validation import InputError
@@ -183,6 +184,23 @@ def test_what_a_user_adds_is_exported_by_itself(name: str, tmp_path: Path, monke
     monkeypatch.setitem(OBSERVATIONS if setting == "observation" else ACTIONS, "own", entry)
     done = export(lively_run(tmp_path / "run", "tutorial", **{setting: "own"}), tmp_path / "policy")
     assert done.differences["step.py"] < SAME
+
+
+def test_an_export_counts_on_measurements_as_late_as_they_were_in_training(tmp_path: Path) -> None:
+    commands = {}
+    for varied in (("dynamics",), ("dynamics", "delay")):
+        run = lively_run(tmp_path / f"run-{len(varied)}", "precise", robot="panda", randomise=varied)
+        done = export(run, tmp_path / f"policy-{len(varied)}")
+        assert done.differences["step.py"] < SAME
+        controller = load_controller(done.folder).Controller(done.folder)
+        home = np.array(load_robot("panda").home)
+        for speed in (0.0, 0.5):
+            controller.reset(home)
+            command = controller.step(home, np.full(7, speed), np.array([0.5, 0.1, 0.4]), 0.0)
+            assert controller.problem == ""
+            commands[varied[-1], speed] = np.array(command)
+    assert commands["delay", 0.0] == pytest.approx(commands["dynamics", 0.0], abs=SAME)
+    assert np.abs(commands["delay", 0.5] - commands["dynamics", 0.5]).max() > 10 * SAME
 
 
 def test_what_cannot_be_printed_is_refused_by_name_and_place(

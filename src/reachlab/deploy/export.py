@@ -7,7 +7,7 @@ import json
 import shutil
 import tempfile
 from collections import defaultdict
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +39,7 @@ from reachlab.runs.directory import RunDirectory
 from reachlab.runs.files import read_json
 from reachlab.runs.shipped import find_run
 from reachlab.runs.versions import versions
+from reachlab.settings.json_form import override
 from reachlab.settings.validation import InputError, choose, installing
 
 SITUATIONS, TOGETHER = 1000, 50
@@ -93,7 +94,9 @@ def export(run: RunDirectory | str | Path, out: str | Path, agent: str | None = 
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError(f"'{out}' exists and is not empty: choose another --out, or remove it.")
     trained = run.read_config()
-    env = Env(in_evaluation(trained, trained.sim, **goals), TOGETHER)
+    # Its controller counts on measurements as late as they were in training.
+    late = tuple({"delay"} & set(trained.randomise))
+    env = Env(override(in_evaluation(trained, trained.sim, **goals), randomise=late), TOGETHER)
     try:
         saved, planner = load_saved(run, env), _planner(env, agent)
         more = {"run": saved.checkpoint, "held_out": _held_out(run), "versions": versions()} | planner
@@ -192,6 +195,7 @@ def compare(folder: Path, env: Env, policy: Policy, situations: int = SITUATIONS
     size, worst = env.action_bounds[1] - low, defaultdict[str, float](float)
 
     def expected(state: EnvState, picture: Any) -> tuple[Any, Any, Any, Any]:
+        state = replace(state, sensed=None)  # it is given joints as they are
         seen = functions.observe(state, picture)
         action, memory = policy.decide(seen, state.memory)
         action, command, _ = functions.command(state, action, None)
