@@ -367,7 +367,7 @@ def test_held_out_scenes_are_solved(robot: str, scene: str, tmp_path: Path) -> N
             measured = plant.measure()
             given = measured.q, measured.qd, measured.goal, step * plant.period
             command = controller.step(*given, obstacles=measured.obstacles)
-            time.sleep(plant.period * (mode(controller) == "wait"))
+            time.sleep(10 * plant.period * (mode(controller) == "wait"))  # a slow machine's plans come as early
             done, success = plant.step(command)
             if done:
                 break
