@@ -86,6 +86,11 @@ def test_a_controller_knows_where_joints_have_come_to_since_they_were_measured()
     assert env.setup.late == pytest.approx(0.025), "a control period of 20 ms, and up to 10 ms more"
 
 
+def test_joints_without_lag_are_where_they_were_commanded() -> None:
+    *_, success = played("precise", sim="kinematic", randomise=("delay",))
+    assert success.all()
+
+
 def test_a_puck_is_drawn_round_and_its_goal_is_in_the_picture() -> None:
     env = Env(configure("slide", robot="panda", randomise=()), EPISODES)
     state = env.init(episode_keys(0, REPORT_STREAM, 0, EPISODES))

@@ -123,13 +123,13 @@ class Situation(NamedTuple):
 def up_to_date(drive: Drive, now: Situation) -> Situation:
     """The situation with the joints where they have come to since they were measured.
 
-    Their speed goes over to the one at which they lag behind the command by `lag`.
+    Their speed goes over to the one at which they lag behind the command by `lag`. Joints without lag are there.
     """
     if not drive.late:
         return now
     chain, lag = drive.robot.chain, np.maximum(drive.lag, drive.late)
     share = 1 - math.exp(-drive.late / RESPONSE)
     qd = now.qd + share * ((now.command[..., : chain.n] - now.q) / lag.astype(np.float32) - now.qd)
-    q = now.q + drive.late * now.qd
+    q = jnp.where(np.array(drive.lag) > 0, now.q + drive.late * now.qd, now.command[..., : chain.n])
     pose = forward_kinematics(chain, q)
     return now._replace(q=q, qd=qd, tool_position=pose.position, tool_quaternion=pose.quaternion)
