@@ -152,7 +152,12 @@ def _settled(config: RunConfig) -> RunConfig:
 
 
 def _check_shared(env: Env, method: Method) -> None:
-    if env.traced or not method.shares:
+    if not method.shares:
+        raise InputError(
+            f"what action {env.config.rules.action!r} is learnt from is planned on all cores here, and shared with no"
+            " worker: leave --workers out."
+        )
+    if env.traced:
         raise InputError(
             f"simulator {env.config.sim!r} is compiled with what learns from it, and shared with no worker: leave"
             " --workers out, or use --sim mujoco or pybullet."
