@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import re
 import shutil
 import subprocess
 from collections.abc import Callable
@@ -166,6 +167,18 @@ def test_what_a_result_does_not_need_is_not_printed() -> None:
     assert len(whole.body) == 0
     twice = trace("f", lambda a, b: {"result": jnp.sin(a) * jnp.sin(a) + b}, {"a": shape, "b": shape})
     assert to_python([twice]).count("= sin(") == 3
+
+
+def test_names_that_are_read_no_more_are_given_again() -> None:
+    def waves(a: Any, b: Any) -> dict[str, Any]:
+        for _ in range(50):
+            a, b = jnp.sin(a) + b, a
+        return {"result": a}
+
+    shape = ShapeDtypeStruct((3,), jnp.float32)
+    text = to_python([trace("f", waves, {"a": shape, "b": shape})])
+    assert text.count("= sin(") == 150
+    assert len(set(re.findall(r"\bv\d+", text))) < 15
 
 
 # --- the C sources of an export -------------------------------------------------------------------
