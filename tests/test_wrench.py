@@ -245,8 +245,8 @@ def test_without_the_setting_nothing_is_measured() -> None:
 @pytest.mark.parametrize(
     ("task", "sim", "sentence"),
     [
-        ("push", "kinematic", "observation 'push' needs a wrench that is measured, as in simulator mujoco, or in"),
-        ("precise", "kinematic", "observation 'state' needs a wrench that is measured, as in simulator mujoco, or in"),
+        ("push", "kinematic", "setting wrench needs a wrench that is measured, as in simulator mujoco, or in"),
+        ("precise", "kinematic", "setting wrench needs a wrench that is measured, as in simulator mujoco, or in"),
     ],
 )
 def test_a_simulator_that_cannot_measure_it_is_refused(task: str, sim: str, sentence: str) -> None:

@@ -175,6 +175,15 @@ HOSTILE: dict[str, tuple[dict[str, Content], str]] = {
     ),
     "is a loop": ({"arm.urdf": urdf(JOINT.format("arm", "base", "fixed", "1 0 0", "1"))}, "not found"),
     "has two links of a name": ({"arm.urdf": urdf(LINK.format("arm", ""))}, "repeated"),
+    "has two joints of a name": (
+        {
+            "arm.urdf": urdf(
+                LINK.format("x", ""),
+                JOINT.format("arm", "x", "revolute", "1 0 0", "1").replace("arm_x", "base_arm"),
+            )
+        },
+        "has several joints of the name 'base_arm': give each its own.",
+    ),
     "has no links": ({"arm.urdf": "<robot/>"}, "has no links."),
     "has a thousand links in a chain": ({"arm.urdf": chain(1000)}, "held by more than 200 others"),
     "has thousands of links": ({"arm.urdf": urdf('<link name="x"/>' * 2100)}, "repeated"),

@@ -6,6 +6,7 @@ import json as jsonlib
 import re
 from collections.abc import Mapping
 from pathlib import Path
+from shlex import quote
 
 from reachlab.cli.deploy_flags import Deploy, Export
 from reachlab.cli.preparation import prepare
@@ -41,7 +42,7 @@ def export(arguments: Export) -> None:
     if "planner.py" in done.files:
         say("The controller starts a planner, which needs mujoco, ompl and toppra on the robot; or --agent trained.")
     _say_unshaped(done.folder)
-    say(f"Next: reachlab deploy check {done.folder}")
+    say(f"Next: reachlab deploy check {quote(str(done.folder))}")
 
 
 def deploy(arguments: Deploy) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json as jsonlib
 import time
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING
 
 from reachlab.cli.console import note, print_table, say
@@ -50,7 +51,7 @@ def sweep(arguments: Sweep) -> None:
         pictures = ", ".join(picture.name for picture in result.pictures)
         say(f"Written: {out}: trials.csv, best.json{', ' + pictures if pictures else ''}, and a run for each trial.")
     if result.config:
-        note(f"Next: reachlab train --config {out / 'best.json'}")
+        note(f"Next: reachlab train --config {quote(str(out / 'best.json'))}")
     elif all(trial.state == "fail" for trial in result.trials):
         raise InputError(f"every trial failed: '{out / 'trials.csv'}' says why.")
     else:

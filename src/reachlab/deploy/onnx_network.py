@@ -55,7 +55,8 @@ class OnnxNetwork:
             options.log_severity_level = 4
             self._session: Any = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
         except Exception as error:  # its own errors have no common class
-            why = " ".join(str(error).split())
+            said = error.strerror if isinstance(error, OSError) else None
+            why = said or " ".join(str(error).split())
             raise InputError(f"'{self.file}' cannot be read as a policy in ONNX: {why}.") from None
         self._inputs = {one.name: one for one in self._session.get_inputs()}
         self._remembers = int(self._inputs.pop(MEMORY).shape[1]) if MEMORY in self._inputs else 0

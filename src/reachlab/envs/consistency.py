@@ -64,8 +64,10 @@ def _contradictions(config: RunConfig, changed: set[str]) -> Iterator[str]:
         yield sentence
     action = ACTIONS[rules.action]
     given = rules.gives | SIMULATORS[sim].gives | action.gives | observation.gives
+    asked = frozenset({"wrench"} if rules.wrench else ())
     needs = {
-        f"observation {rules.observation!r}": observation.needs,
+        "setting wrench": asked,
+        f"observation {rules.observation!r}": observation.needs - asked,
         f"task {config.task!r}": task.needs,
         f"action {rules.action!r}": action.needs,
     }
@@ -141,9 +143,9 @@ def check(config: RunConfig, base: RunConfig | None = None) -> None:
     for name, choice in sorted(unused(settings).items()):
         if name not in changed:
             continue
-        sentence = f"{name} has an effect only with {users(name, choice)}: leave it out, or choose that."
+        sentence = f"{name} has an effect only with {users(name, choice)}"
         if choice not in MILD:
-            raise InputError(sentence)
-        log.warning("reachlab: %s", sentence)
+            raise InputError(f"{sentence}: leave it out, or choose that.")
+        log.warning("reachlab: %s, and has none here.", sentence)
     for sentence in _consequences(config, changed):
         log.warning("reachlab: %s", sentence)

@@ -186,7 +186,7 @@ def _absolute(package: str) -> str:
 
 def is_robot_file(robot: str) -> bool:
     """Whether a robot is named by the path of its model file, rather than by its name in the table."""
-    return Path(robot).suffix in (".xml", ".urdf")
+    return Path(robot).suffix.lower() in (".xml", ".urdf")
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from dataclasses import dataclass
 from xml.etree.ElementTree import SubElement
 
@@ -35,10 +35,13 @@ def rewrite_urdf(root: Element, pictures: PictureFiles) -> tuple[str, dict[str, 
     """Text for MuJoCo, facts on the joints, and one sentence on each change.
 
     Raises:
-        InputError: there are no links, or a limit of speed or torque makes no sense.
+        InputError: there are no links, two joints have one name, or a limit of speed or torque makes no sense.
     """
     if root.find("link") is None:
         raise InputError("has no links.")
+    names = Counter(joint.get("name") for joint in root.findall("joint"))
+    if twice := [repr(name) for name, count in names.items() if name and count > 1]:
+        raise InputError(f"has several joints of the name {' and '.join(twice)}: give each its own.")
     noted: dict[str, list[str]] = defaultdict(list)
     facts = {joint.get("name", ""): _rewrite_joint(joint, noted) for joint in root.findall("joint")}
     folder = _rewrite_compiler(root)
