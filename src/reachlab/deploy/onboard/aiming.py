@@ -62,13 +62,14 @@ class Aim:
             self.goal, self._given = UNSEEN if hidden else None, None
             return ""
         joints = joints if self._facts["joints"] else None
-        if wrong := self._wrong(goal, velocity, joints):
+        given = tuple(one if one is None or isinstance(one, str) else one.tobytes() for one in (goal, joints))
+        # One that is asked for again was found right when it came.
+        if (given != self._given or velocity is not None) and (wrong := self._wrong(goal, velocity, joints)):
             return wrong
         if self._facts["moves"]:
             known = self._seen_velocity(goal[:3], time) if velocity is None else velocity
             self.goal, self._time = {"position": goal[:3].tolist(), "velocity": known.tolist()}, time
             return ""
-        given = (*goal.tolist(), None if joints is None else tuple(joints.tolist()))
         if given != self._given:
             self._given, self._search, self._refused = given, None, ""
             self.goal = self._set(goal, joints, near)
