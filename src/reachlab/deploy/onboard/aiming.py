@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Generator
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -84,11 +85,12 @@ class Aim:
         for name, (numbers, size) in wanted.items():
             if isinstance(numbers, str):
                 return f"the {name} must be {size} finite numbers, and is {numbers}"
-            if numbers is not None and (numbers.shape != (size,) or not np.isfinite(numbers).all()):
+            if numbers is not None and (numbers.shape != (size,) or not all(map(isfinite, numbers.tolist()))):
                 return f"the {name} must be {size} finite numbers, got {in_words(numbers)}"
-        low, high = self.box
-        if (goal[:3] < low - NEARBY).any() or (goal[:3] > high + NEARBY).any():
-            return f"the goal {in_words(goal[:3])} is out of the workspace, {in_words(low)} to {in_words(high)} m"
+        low, high = self.box.tolist()
+        if not all(a - NEARBY <= one <= b + NEARBY for one, a, b in zip(goal.tolist(), low, high)):
+            near = f"{in_words(self.box[0])} to {in_words(self.box[1])} m"
+            return f"the goal {in_words(goal[:3])} is out of the workspace, {near}"
         if self.poses and abs(np.linalg.norm(goal[3:]) - 1) > UNIT:
             return f"the goal's quaternion must have length 1, got {in_words(goal[3:])}"
         return ""

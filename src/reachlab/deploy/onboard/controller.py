@@ -180,17 +180,17 @@ class Controller:
         before = self.motion.position
         problem, brake = self._watch.look(q, qd, seconds, before)
         wanted, refused = before, self._stopped
-        at_rest = bool((self.motion.stop_step >= self.limits.steps).all())
+        was = self.braking and not bool((self.motion.stop_step >= self.limits.steps).all())
         if not refused and seconds is not None:
             try:
                 refused = self._aim.take(goal, seconds, velocity, joints, before)
                 # An arm that rests because it has to finds out in every step whether it still has to.
-                if self._aim.goal is not None and not (refused or brake or (self.braking and not at_rest)):
+                if self._aim.goal is not None and not (refused or brake or was):
                     bodies = around or [], things or [], seconds
                     wanted, refused = self._command(self._aim.goal, bodies, picture, wrench)
             except Exception as error:  # whatever it is, an arm in motion is brought to rest
                 refused = f"{type(error).__name__}: {error}"
-        was, aimless = self.braking and not at_rest, goal is None and self._aim.goal is None
+        aimless = goal is None and self._aim.goal is None
         self.problem = refused or problem or (self.problem if was else "") or (NO_GOAL if aimless else "")
         self.braking = bool(refused or brake) or was
         self.motion = self.limits.advance(self.motion, wanted, self.braking)

@@ -128,7 +128,7 @@ class Watch:
         return ""
 
     def _frozen(self, q: np.ndarray, qd: np.ndarray, command: np.ndarray) -> str:
-        if (q == self.q).all() and (qd == self.qd).all():
+        if q.tobytes() == self.q.tobytes() and qd.tobytes() == self.qd.tobytes():
             self._same += 1
         else:
             self._same, self._command = 0, command.copy()
