@@ -46,7 +46,7 @@ class PythonPrinter:
         self._program, self._pauses = program, pauses
         self._names = {one: one.name for one in program.inputs}
         self._names |= {one.variable: f"{program.name}_k{number}" for number, one in enumerate(program.constants)}
-        self._free, self._count = list[str](), len(self._names)
+        self._free, self._fresh = list[str](), (f"v{number}" for number in itertools.count(len(self._names)))
         self._tables: dict[str, str] = {}
         self._lists, self._arrays = set[Variable](), set[Variable]()
         self._look(program.body)
@@ -100,8 +100,7 @@ class PythonPrinter:
 
     def _name(self, variable: Variable) -> str:
         if variable not in self._names:
-            self._names[variable] = self._free.pop() if self._free else f"v{self._count}"
-            self._count += 1
+            self._names[variable] = self._free.pop() if self._free else next(self._fresh)
         return self._names[variable]
 
     def _list(self, atoms: Sequence[Any]) -> str:
