@@ -181,8 +181,7 @@ def test_joints_of_an_own_file_need_no_names(write):
     assert nameless.chain.frames == named.chain.frames
 
 
-def test_urdf_loads(write):
-    urdf = """
+ONE_JOINT = """
     <robot name="one">
       <link name="base"/>
       <link name="arm">
@@ -190,12 +189,17 @@ def test_urdf_loads(write):
       </link>
       <joint name="turn" type="revolute"><parent link="base"/><child link="arm"/><origin xyz="0.1 0.2 0.3"/>
         <axis xyz="0 0 1"/><limit lower="-1" upper="2" effort="5" velocity="3"/></joint>
+      <link name="tip"/>
+      <joint name="end" type="fixed"><parent link="arm"/><child link="tip"/><origin xyz="0.5 0 0"/></joint>
     </robot>"""
-    robot = load_robot(write(text=urdf, name="one.urdf"), "arm")
+
+
+def test_urdf_loads(write):
+    robot = load_robot(write(text=ONE_JOINT, name="one.urdf"), "tip")
     assert robot.joint_names == ("turn",)
     assert (robot.speed, robot.torque) == ((3.0,), (5.0,))
     np.testing.assert_allclose((robot.chain.lower[0], robot.chain.upper[0]), (-1, 2))
-    np.testing.assert_allclose(forward_kinematics(robot.chain, jnp.ones(1)).position, [0.1, 0.2, 0.3], atol=1e-7)
+    np.testing.assert_allclose(forward_kinematics(robot.chain, jnp.zeros(1)).position, [0.6, 0.2, 0.3], atol=1e-7)
 
 
 # --- refusals ----------------------------------------------------------------------------------------
@@ -232,6 +236,11 @@ def test_arm_that_cannot_move_its_tool_is_refused(write):
         load_robot(file, "base")
     with pytest.raises(InputError, match="nothing in it has a name that is moved by a joint"):
         load_robot(file)
+
+
+def test_tool_on_the_axis_of_the_only_joint_is_refused(write):
+    with pytest.raises(InputError, match="the arm's tool stays where it is when joints move"):
+        load_robot(write(text=ONE_JOINT, name="one.urdf"), "arm")
 
 
 def test_an_arm_that_ends_at_an_earlier_tool_takes_the_first_speed_limits():

@@ -113,10 +113,17 @@ def figures(page: Page, run: str, number: int, episodes: int) -> list[Row]:
     there = in_page(page, first, number, "trained", env.setup.period)
     passed = time.perf_counter() - began
     apart = np.abs(native.states - there.states).max(axis=1)
+    apart = apart[np.isfinite(apart)]
+    steps = min(len(native.tools), len(there.tools))
+    ways = np.linalg.norm(native.tools[:steps] - there.tools[:steps], axis=-1)
     told = {"episodes": episodes}
     return [
-        row(f"page_apart_median/{run}", float(np.nanmedian(apart)), "rad or m", **told),
-        row(f"page_apart_99/{run}", float(np.nanpercentile(apart, 99)), "rad or m", **told),
+        row(f"page_tools_apart_worst/{run}", 1000 * float(np.nanmax(ways)), "mm", **told),
+        *(
+            row(f"page_apart_{q}/{run}", float(np.percentile(apart, q)), "rad or m", **told)
+            for q in (50, 99)
+            if len(apart)
+        ),
         row(f"page_same_end/{run}", float((native.success == there.success).mean()), "share", **told),
         row(f"success/{run}", float(native.success.mean()), "share", **told),
         row(f"page_success/{run}", float(there.success.mean()), "share", **told),

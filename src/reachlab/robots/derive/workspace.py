@@ -15,6 +15,7 @@ from reachlab.robots.derive.home import Candidates, rounded
 from reachlab.robots.derive.reaching import NODES, PROBES, programs_of
 from reachlab.robots.kinematics.chain import Chain, significant
 from reachlab.robots.robot import TUTORIAL_WORKSPACE, Box
+from reachlab.settings.validation import InputError
 
 SHARE = 0.999
 """A derived box holds at most one point in a thousand that the tool cannot reach."""
@@ -232,9 +233,15 @@ how much larger the box is, so that the plane is not a face [m]."""
 
 
 def _around(chain: Chain, base: np.ndarray, home: np.ndarray) -> Derived:
-    """Of an arm that reaches no box: that around the middle of the points it reaches above its base, and home."""
+    """Of an arm that reaches no box: that around the middle of the points it reaches above its base, and home.
+
+    Raises:
+        InputError: all of them are one point.
+    """
     random = np.random.default_rng(0).uniform(chain.lower, chain.upper, (PROBES, chain.n))
     low, high = np.quantile([chain.tool_at(q)[0] for q in random], QUANTILES, axis=0)
+    if (high - low).max() < MARGIN:
+        raise InputError("the arm's tool stays where it is when joints move: choose another frame as --tool.")
     there = chain.tool_at(home)[0]
     low, high = np.minimum(low, there) - MARGIN, np.maximum(high, there) + MARGIN
     low[2] = min(max(low[2], base[2]), there[2] - MARGIN)
