@@ -12,7 +12,7 @@ STARTS = 24
 """Joint vectors from which those of a pose are looked for: home, and random ones."""
 
 ITERATIONS = 25
-"""Steps from each of them."""
+"""Steps from each of them at most."""
 
 REACHED = 1e-5, 1e-4
 """Largest errors of what has the pose [m, rad]."""
@@ -30,7 +30,9 @@ TINY = 1e-9
 """Divides in place of a smaller number."""
 
 
-def branches(arm: Arm, position: np.ndarray, rotation: np.ndarray, rng: Generator) -> list[np.ndarray]:
+def branches(
+    arm: Arm, position: np.ndarray, rotation: np.ndarray, rng: Generator, iterations: int = ITERATIONS
+) -> list[np.ndarray]:
     """Joint vectors `[k, n]` that have each of poses, `[b, 3]` m and `[b, 3, 3]`: those that are found.
 
     By steps damped by the square of the error (Sugihara, "Solvability-unconcerned inverse kinematics by the
@@ -40,7 +42,7 @@ def branches(arm: Arm, position: np.ndarray, rotation: np.ndarray, rng: Generato
     q[:, 0] = arm.home
     q, whose = q.reshape(-1, arm.n), np.repeat(np.arange(len(position)), STARTS)
     left, reached = np.arange(len(q)), np.zeros(len(q), bool)
-    for _ in range(ITERATIONS):
+    for _ in range(iterations):
         error, jacobian, found = _errors(arm, q[left], position[whose[left]], rotation[whose[left]])
         reached[left[found]] = True
         left, error, jacobian = left[~found], error[~found], jacobian[~found]

@@ -116,10 +116,10 @@ class CollisionChecker:
         mujoco.mj_collision(self._model, data)
         return data.ncon == 0
 
-    def straight(self, start: np.ndarray, end: np.ndarray) -> bool:
-        """Whether the arm is free on the straight way between joints `[n]`."""
+    def straight(self, start: np.ndarray, end: np.ndarray, resolution: float = RESOLUTION) -> bool:
+        """Whether the arm is free on the straight way between joints `[n]`, at points so far apart [rad]."""
         way = end - start
-        return all(self.free(start + share * way) for share in _shares(int(np.linalg.norm(way) / RESOLUTION)))
+        return all(self.free(start + share * way) for share in _shares(int(np.linalg.norm(way) / resolution)))
 
     def distances(self, q: np.ndarray) -> tuple[float, float]:
         """Distance of the arm at joints `q [n]` from bodies and the table, and of its links from each other [m]."""

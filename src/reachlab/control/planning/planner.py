@@ -29,6 +29,9 @@ other [m]; or what there is at its ends."""
 KEPT = 0.7
 """Share of them that is kept on the smooth motion along it."""
 
+COARSE = 0.05
+"""Distance between the points of a path that have to be free [rad]: the motion along it is looked at in every step."""
+
 ROUNDING = 1e-4
 """Distance by which the same point may seem nearer when it is computed again [m]."""
 
@@ -59,7 +62,7 @@ class Planner:
             ModuleNotFoundError: OMPL is not installed.
         """
         self.checker, self._arm = checker, arm
-        self._search = Search(checker, arm.lower, arm.upper)
+        self._search = Search(checker, arm.lower, arm.upper, COARSE)
         self._clear = CLEAR * arm.scale
         self._speed, self._acceleration = SPEED * arm.speed, ACCELERATION * arm.acceleration
 

@@ -18,6 +18,9 @@ TILTED = (3, 0.35), (24, 2.0)
 """Where any orientation of the tool will do, poses beside the goal's own to which is planned, and how far they are
 turned about each axis at random [rad]; and the same again where there is no way to them."""
 
+BRIEF = 18
+"""Steps in which the joints of a goal are looked for: in more of them few are found, and none that are nearer."""
+
 NUDGE = 0.01
 """Length of a first motion [rad]."""
 
@@ -77,7 +80,7 @@ class Plans:
         rng, tool = np.random.default_rng(0), self._arm.links_at(goal)[-1]
         turns = rng.normal(0.0, tilt, (count, 3))
         rotation = np.stack([tool[:3, :3], *(_turned(turn) @ tool[:3, :3] for turn in turns)])
-        found = branches(self._arm, np.tile(tool[:3, 3], (len(rotation), 1)), rotation, rng)
+        found = branches(self._arm, np.tile(tool[:3, 3], (len(rotation), 1)), rotation, rng, BRIEF)
         return free_branches(self.checker, self._arm, np.concatenate([goal[None], *found]), start)
 
 

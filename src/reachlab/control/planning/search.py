@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from reachlab.control.planning.collision import CollisionChecker
+from reachlab.control.planning.collision import RESOLUTION, CollisionChecker
 
 
 class Search:
@@ -19,8 +19,10 @@ class Search:
         checker: it says where the arm is free.
     """
 
-    def __init__(self, checker: CollisionChecker, lower: np.ndarray, upper: np.ndarray) -> None:
-        """Of an arm whose joints have these limits `[n]`.
+    def __init__(
+        self, checker: CollisionChecker, lower: np.ndarray, upper: np.ndarray, resolution: float = RESOLUTION
+    ) -> None:
+        """Of an arm whose joints have these limits `[n]`, looked at in points so far apart [rad].
 
         Raises:
             ModuleNotFoundError: OMPL is not installed.
@@ -29,7 +31,7 @@ class Search:
 
         util.setLogLevel(util.LogLevel.LOG_NONE)
         self._base, self._geometric, self._util = base, geometric, util
-        self.checker, self._limits = checker, np.array([lower, upper])
+        self.checker, self._limits, self._resolution = checker, np.array([lower, upper]), resolution
 
     def path(
         self, start: np.ndarray, goals: np.ndarray, given_up: Callable[[], bool], *, short: bool = True, seed: int = 0
@@ -43,7 +45,7 @@ class Search:
         if not len(goals) or not self.checker.free(start):
             return None
         for goal in goals:
-            if self.checker.straight(start, goal):
+            if self.checker.straight(start, goal, self._resolution):
                 return np.stack([start, goal]).astype(float)
         base, n = self._base, len(start)
         self._util.RNG.setSeed(seed + 1)
@@ -74,11 +76,11 @@ class Search:
         return np.stack([_joints(state, n) for state in path.getStates()])
 
     def _motions(self, information: Any, n: int) -> Any:
-        straight = self.checker.straight
+        straight, resolution = self.checker.straight, self._resolution
 
         class Motions(self._base.MotionValidator):
             def checkMotion(self, one: Any, other: Any, *_: Any) -> bool:  # noqa: N802 (OMPL's name)
-                return straight(_joints(one, n), _joints(other, n))
+                return straight(_joints(one, n), _joints(other, n), resolution)
 
         return Motions(information)
 

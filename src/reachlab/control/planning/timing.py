@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import logging
 from typing import Any
 
@@ -56,7 +57,6 @@ def timed(
     """
     from toppra import SplineInterpolator
     from toppra.algorithm import TOPPRA
-    from toppra.constraint import JointAccelerationConstraint, JointVelocityConstraint
 
     logging.getLogger("toppra").setLevel(logging.ERROR)
     lengths = np.linalg.norm(np.diff(path, axis=0), axis=1)
@@ -65,13 +65,18 @@ def timed(
     if len(path) == 1:
         return path, np.zeros_like(path)
     spline = SplineInterpolator(along, path, bc_type="natural")
-    limits = [
-        JointVelocityConstraint(np.stack([-speed, speed], axis=1)),
-        JointAccelerationConstraint(np.stack([-acceleration, acceleration], axis=1)),
-    ]
+    limits = _limits(tuple(speed), tuple(acceleration))
     points = np.linspace(0.0, along[-1], max(int(along[-1] / STEP), FEWEST))
     motion: Any = TOPPRA(limits, spline, gridpoints=points, solver_wrapper="seidel").compute_trajectory(0.0, 0.0)
     if motion is None:
         return None
     times = np.minimum(np.arange(0.0, motion.duration + period, period), motion.duration)
     return motion(times), motion(times, 1)
+
+
+@functools.cache
+def _limits(speed: tuple[float, ...], acceleration: tuple[float, ...]) -> list[Any]:
+    from toppra.constraint import JointAccelerationConstraint, JointVelocityConstraint
+
+    both = (np.array(speed), JointVelocityConstraint), (np.array(acceleration), JointAccelerationConstraint)
+    return [kind(np.stack([-most, most], axis=1)) for most, kind in both]
