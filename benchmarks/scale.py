@@ -141,7 +141,7 @@ def _trials() -> Iterator[Row]:
     for workers, trials in ((1, 1), *((workers, TRIALS) for workers in WORKERS)):  # once for what is compiled
         with tempfile.TemporaryDirectory() as folder:
             begun = time.perf_counter()
-            sweep(config, SweepConfig(space, validations=0), Path(folder) / "sweep", trials=trials, workers=workers)
+            sweep(config, SweepConfig(space, validations=0, trials=trials), Path(folder) / "sweep", workers=workers)
             rates[workers] = HOUR * trials / (time.perf_counter() - begun)
     for workers, rate in rates.items():
         yield row(

@@ -266,7 +266,7 @@ def test_several_seeds_count_as_the_poorer_end_of_the_interval_of_their_mean() -
 def swept(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("sweep") / "sweep"
     seen: list[SweepProgress] = []
-    result = sweep(configure(**TINY), SweepConfig(SPACE, seeds=2), out, seen.append, trials=2, workers=2)
+    result = sweep(configure(**TINY), SweepConfig(SPACE, seeds=2, trials=2), out, seen.append, workers=2)
     assert len(result.trials) == 2
     assert seen[-1].total == 2
     assert {len(one.running) for one in seen} <= {0, 1, 2}
@@ -317,7 +317,7 @@ def test_the_best_settings_are_trained_with_and_flags_change_them(swept: Path, t
 
 def test_a_trial_with_settings_that_contradict_each_other_fails_with_the_sentence(tmp_path: Path) -> None:
     space = {"minibatches": [3, 5]}
-    result = sweep(configure(**TINY), SweepConfig(space), tmp_path / "sweep", trials=2)
+    result = sweep(configure(**TINY), SweepConfig(space, trials=2), tmp_path / "sweep")
     assert result.config is None
     assert [trial.state for trial in result.trials] == ["fail", "fail"]
     assert all("cannot be divided among" in trial.why for trial in result.trials)
@@ -439,14 +439,14 @@ def test_an_interrupted_sweep_says_how_it_continues(tmp_path: Path) -> None:
             signal.raise_signal(signal.SIGTERM)
 
     with pytest.raises(Interrupted, match=r"reachlab sweep --resume .*sweep` continues from there"):
-        sweep(configure(**TINY), SweepConfig(SPACE), tmp_path / "sweep", interrupt, trials=2)
-    assert len(sweep(configure(**TINY), SweepConfig(SPACE), tmp_path / "sweep", trials=2, resume=True).trials) == 2
+        sweep(configure(**TINY), SweepConfig(SPACE, trials=2), tmp_path / "sweep", interrupt)
+    assert len(sweep(configure(**TINY), SweepConfig(SPACE, trials=2), tmp_path / "sweep", resume=True).trials) == 2
 
 
 def test_trials_on_ray_are_those_of_processes(swept: Path, tmp_path: Path, ray: Any) -> None:
     del ray
-    config, settings = configure(**TINY), SweepConfig(SPACE, seeds=1)
-    sweep(config, settings, tmp_path / "sweep", trials=1, engine="ray")
+    config, settings = configure(**TINY), SweepConfig(SPACE, seeds=1, trials=1)
+    sweep(config, settings, tmp_path / "sweep", engine="ray")
     assert newest_weights(tmp_path / "sweep" / "trials" / "0000-0") == newest_weights(swept / "trials" / "0000-0")
 
 

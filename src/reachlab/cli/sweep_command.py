@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json as jsonlib
 import time
+from dataclasses import replace
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from reachlab.cli.console import note, print_table, say
 from reachlab.cli.preparation import prepare
@@ -33,14 +34,14 @@ def sweep(arguments: Sweep) -> None:
     if arguments.resume and (arguments.out or arguments.space):
         raise InputError("--resume names the sweep's directory, which holds its space: leave --out and the space out.")
     out = arguments.resume or arguments.out or Path("runs") / f"{time.strftime('%Y%m%d-%H%M%S')}-sweep"
-    settings = read_sweep(out) if arguments.resume else _settings(arguments)
+    settings = _resumed(arguments, read_sweep(out)) if arguments.resume else _settings(arguments)
     with SweepDisplay(settings.goal) as display:
         result = run_sweep(
             arguments.run,
             settings,
             out,
             display,
-            **{name: vars(arguments)[name] for name in ("trials", "workers", "engine", "address")},
+            **{name: vars(arguments)[name] for name in ("workers", "engine", "address")},
             resume=arguments.resume is not None,
             base=read_config(arguments.config) if arguments.config else None,
         )
@@ -48,8 +49,8 @@ def sweep(arguments: Sweep) -> None:
         print(jsonlib.dumps(result.to_json()))
     else:
         _print(result, settings.goal)
-        pictures = ", ".join(picture.name for picture in result.pictures)
-        say(f"Written: {out}: trials.csv, best.json{', ' + pictures if pictures else ''}, and a run for each trial.")
+        files = ["trials.csv", *["best.json"] * bool(result.config), *(picture.name for picture in result.pictures)]
+        say(f"Written: {out}: {', '.join(files)}, and a run for each trial.")
     if result.config:
         note(f"Next: reachlab train --config {quote(str(out / 'best.json'))}")
     elif all(trial.state == "fail" for trial in result.trials):
@@ -65,7 +66,25 @@ def _settings(arguments: Sweep) -> SweepConfig:
     if arguments.space is None:
         raise InputError("sweep needs a space: name a TOML file with the settings to vary, see docs/scale.md.")
     space = read_space(arguments.space, arguments.run)
-    return SweepConfig(space, arguments.goal, arguments.seeds, arguments.validations)
+    return SweepConfig(space, **_said(arguments))
+
+
+def _resumed(arguments: Sweep, begun: SweepConfig) -> SweepConfig:
+    """Settings of a sweep that is resumed: its own, but for more trials."""
+    for name, value in _said(arguments).items():
+        if value != (before := vars(begun)[name]) and (name != "trials" or value < before):
+            more = " (more are allowed)" if name == "trials" else ""
+            raise InputError(
+                f"'{arguments.resume}' was begun with {name} {before} and cannot be resumed with {value}{more}: leave"
+                " it out, or begin another sweep."
+            )
+    return replace(begun, **_said(arguments))
+
+
+def _said(arguments: Sweep) -> dict[str, Any]:
+    """What of a sweep's own settings was said."""
+    named = {name: vars(arguments)[name] for name in ("trials", "goal", "seeds", "validations")}
+    return {name: value for name, value in named.items() if value is not None}
 
 
 class SweepDisplay(Bar):

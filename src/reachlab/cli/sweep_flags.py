@@ -12,6 +12,8 @@ from reachlab.cli.flags import Address, Engine, Optional
 from reachlab.settings.config import RunConfig
 from reachlab.settings.validation import Checked, Count, NonNegativeInt
 
+_UNSAID = tyro.conf.arg(metavar="INT", help_behavior_hint="")
+
 
 @dataclass(frozen=True)
 class Sweep(Checked):
@@ -21,16 +23,16 @@ class Sweep(Checked):
     """TOML file with the settings that vary, see docs/scale.md."""
     # Without a name, its own settings are in the first group of flags, and its parts are groups under their own names.
     run: Annotated[RunConfig, tyro.conf.arg(name="")] = field(default_factory=RunConfig)
-    trials: Count = 20
-    """Settings that are tried."""
+    trials: Annotated[Count | None, _UNSAID] = None
+    """Settings that are tried, by default 20."""
     workers: Count = 2
     """Trainings at a time, of one thread each."""
-    goal: str = "success_rate"
-    """Figure of the report that is sought, as final_error_mm.median; `reachlab list` shows them all."""
-    seeds: Count = 1
-    """Trainings of each setting; it counts as the poorer end of the interval of their mean."""
-    validations: NonNegativeInt = 7
-    """Validations of each training on the way, by which poor settings are given up; with 0 none is."""
+    goal: Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")] = None
+    """Figure of the report that is sought, by default success_rate; `reachlab list` shows them all."""
+    seeds: Annotated[Count | None, _UNSAID] = None
+    """Trainings of each setting, by default one; it counts as the poorer end of the interval of their mean."""
+    validations: Annotated[NonNegativeInt | None, _UNSAID] = None
+    """Validations of each training on the way, by default 7, by which poor settings are given up; with 0 none is."""
     engine: Engine = "local"
     address: Address = None
     out: Annotated[Path | None, Optional] = None

@@ -88,7 +88,6 @@ def sweep(
     out: str | Path,
     watch: Callable[[SweepProgress], None] = lambda _: None,
     *,
-    trials: int,
     workers: int = 1,
     engine: str = "local",
     address: str | None = None,
@@ -104,7 +103,6 @@ def sweep(
         settings: what varies, and what is sought.
         out: directory, made here; with `resume` one that is there.
         watch: called now and then.
-        trials: how many in all.
         workers: trainings at a time, of one thread each.
         engine: name of `ENGINES`.
         address: of a Ray cluster that runs.
@@ -126,13 +124,13 @@ def sweep(
     with Interrupts() as interrupts, contextlib.closing(carrier):
         if not resume:
             run.create(config)
-            write_json(run.path / SETTINGS, vars(settings))
+        write_json(run.path / SETTINGS, vars(settings))
         folder = run.path / "trials"
         folder.mkdir(exist_ok=True)
         with locked(run.path):
             study = Study(run.path / "study.journal", space, goal, config)
             under_way = Trials(settings, config, folder, study, carrier)
-            left = True
+            left, trials = True, settings.trials
             while left:
                 left = under_way.advance(trials, workers)
                 watch(SweepProgress(study.trials, trials, under_way.shares, next(iter(study.ranked), None)))

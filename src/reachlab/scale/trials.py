@@ -36,12 +36,14 @@ class SweepConfig(Checked):
         goal: name of the figure that is sought, see `goals.GOALS`.
         seeds: trainings of each setting, whose seeds follow each other.
         validations: how often a training is validated on the way; by these trials are pruned, with 0 none.
+        trials: how many settings are tried in all.
     """
 
     space: dict[str, Any]
     goal: str = "success_rate"
     seeds: Count = 1
     validations: NonNegativeInt = 7
+    trials: Count = 20
 
 
 class Pruned(Exception):  # noqa: N818 (no error)

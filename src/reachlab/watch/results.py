@@ -15,6 +15,7 @@ from reachlab.envs import presets
 from reachlab.envs.presets import preset
 from reachlab.evaluation.intervals import student_half_width
 from reachlab.runs.directory import RunDirectory
+from reachlab.settings.extensions import import_remembered
 from reachlab.settings.json_form import flatten, to_json
 from reachlab.settings.validation import InputError
 
@@ -112,6 +113,7 @@ def _usual(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Settings that those of `CHOICES` bring with them; none where one of these is missing."""
     if not settings.keys() >= {*CHOICES}:
         return {}
+    import_remembered(tuple(settings.get("imports", ())))
     return flatten(to_json(preset(**{choice: settings[choice] for choice in CHOICES})))
 
 
