@@ -278,6 +278,22 @@ def test_what_is_odd_brakes_the_arm_raises_nothing_and_is_replayed(
     assert Controller(precise).replay(tmp_path / "log.jsonl") == 0.0
 
 
+def test_a_log_that_has_grown_too_long_is_replayed_from_a_later_reset_or_refused(precise: Path, tmp_path: Path) -> None:
+    controller, file = Controller(precise), tmp_path / "log.jsonl"
+    play(controller, 20)
+    controller.save_log(file)
+    kept = file.read_text().splitlines()[1:]
+    file.write_text("\n".join(kept))
+    with pytest.raises(ValueError, match=r"log\.jsonl' has no reset, from which on steps could be taken again"):
+        Controller(precise).replay(file)
+    controller = Controller(precise)
+    controller.reset(controller.home)
+    play(controller, 20)
+    controller.save_log(file)
+    file.write_text("\n".join([*kept, *file.read_text().splitlines()[1:]]))
+    assert Controller(precise).replay(file) == 0.0
+
+
 def test_reset_refuses_what_is_odd(precise: Path) -> None:
     controller = Controller(precise)
     for odd in (*ODD, None, np.zeros(6), np.full(7, np.nan)):

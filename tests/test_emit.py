@@ -220,6 +220,29 @@ def test_the_example_in_c_prints_the_commands_of_a_log(folder: Path, tmp_path: P
 
 
 @needs_compiler
+@pytest.mark.parametrize(
+    ("task", "told"), [("precise", "is no log of Controller.save_log"), ("clutter", "does not read bodies_kind, ")]
+)
+def test_the_example_in_c_refuses_what_it_cannot_read(task: str, told: str, folder: Path, tmp_path: Path) -> None:
+    folder = folder if task == "precise" else written(tmp_path / "policy", task)
+    sources = [str(folder / name) for name in ("main.c", "reachlab_policy.c")]
+    words = [
+        str(compiler()),
+        "-Wall",
+        "-Wextra",
+        "-Werror",
+        "-std=c99",
+        "-pedantic",
+        "-o",
+        str(tmp_path / "policy.out"),
+    ]
+    subprocess.run([*words, *sources, "-lm"], check=True)
+    done = subprocess.run([str(tmp_path / "policy.out"), __file__], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert told in done.stderr
+
+
+@needs_compiler
 def test_the_header_is_one_of_cpp_too(folder: Path, tmp_path: Path) -> None:
     if (cpp := shutil.which("c++")) is None:
         pytest.skip("needs a C++ compiler")

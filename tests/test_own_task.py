@@ -69,6 +69,7 @@ def test_a_file_is_imported_and_runs_remember_it(folder: Path) -> None:
     assert [report["task"] for report in json.loads(told.stdout)] == ["rail", "rail"]
     assert reachlab_command("video", "run", "--episodes", "1").returncode == 0
     assert reachlab_command("view", "run", "--out", "page.html").returncode == 0
+    assert reachlab_command("plot", "run").returncode == 0
     (folder / "space.toml").write_text("[space]\nrail_speed = [0.05, 0.2]\n")
     swept = reachlab_command(
         *["sweep", "space.toml", "--import", "rail.py", "--task", "rail", "--trials", "2", "--out", "sweep"],

@@ -443,6 +443,18 @@ def test_an_interrupted_sweep_says_how_it_continues(tmp_path: Path) -> None:
     assert len(sweep(configure(**TINY), SweepConfig(SPACE, trials=2), tmp_path / "sweep", resume=True).trials) == 2
 
 
+@pytest.mark.parametrize(
+    ("words", "refused"),
+    [("--trials 1", "with trials 2 and"), ("--seeds 3", "with seeds 1 and"), ("--goal time_to_reach_s", "with goal")],
+)
+def test_a_sweep_is_resumed_with_its_own_settings(words: str, refused: str, tmp_path: Path, capsys: Any) -> None:
+    config = configure(**TINY)
+    RunDirectory(tmp_path / "sweep").create(config)
+    write_json(tmp_path / "sweep" / "sweep.json", vars(SweepConfig(SPACE, trials=2)))
+    assert main(["sweep", "--resume", str(tmp_path / "sweep"), *words.split()]) == 2
+    assert f"was begun {refused}" in capsys.readouterr().err
+
+
 def test_trials_on_ray_are_those_of_processes(swept: Path, tmp_path: Path, ray: Any) -> None:
     del ray
     config, settings = configure(**TINY), SweepConfig(SPACE, seeds=1, trials=1)

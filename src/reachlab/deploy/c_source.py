@@ -23,6 +23,10 @@ FILES = ("reachlab_policy.h", "reachlab_policy.c", "main.c")
 """What is written; `main.c` is an example of how it is called."""
 
 
+READ = frozenset({"q", "qd", "goal_position", "goal_quaternion", "goal_joints", "goal_velocity", "wrench"})
+"""Inputs that it takes from a log."""
+
+
 def motion_program(limits: MotionLimits) -> Program:
     """The program of `MotionLimits.advance` for one arm, in double precision."""
     with jax.enable_x64(True):
@@ -71,6 +75,7 @@ def c_sources(facts: dict[str, Any], limits: MotionLimits, step: Behaviour) -> d
         "moved": ", ".join(moved),
         "place": _placing(step.place, ";\n"),
         "placing": _placing(step.place, f"\n{{\n{_placed(step.place)}\n}}"),
+        "refused": _refused([one.name for one in inputs if one.name not in READ]),
         "goal": "\n".join(" " * 8 + line for line in _example([one.name for one in inputs])),
     }
     return {name: _filled(name, text) for name in FILES}
@@ -94,6 +99,14 @@ def _placed(place: Program | None) -> str:
         "reached" if one.name == "reached" else one.name.replace("placed_", "input->goal_") for one in place.outputs
     ]
     return f"    int reached[1];\n    place({', '.join([*names, *results])});\n    return reached[0];"
+
+
+def _refused(names: Sequence[str]) -> str:
+    """What the example does where a log does not have these inputs as they are."""
+    if not names:
+        return ""
+    told = f"this example does not read {', '.join(names)}: fill them into reachlab_input in a loop of your own"
+    return f'    fprintf(stderr, "{told}\\n");\n    return 2;\n'
 
 
 def _example(names: Sequence[str]) -> list[str]:

@@ -32,18 +32,21 @@ int main(int count, char **words)
     static char line[65536];
     static reachlab_state state;
     static reachlab_input input;
+    int begun = 0;
     FILE *log = count == 2 ? fopen(words[1], "r") : NULL;
     if (!log) {
         fprintf(stderr, "usage: policy LOG, of Controller.save_log\n");
         return 2;
     }
-    while (fgets(line, sizeof line, log)) {
+{{refused}}    while (fgets(line, sizeof line, log)) {
         reachlab_real q[REACHLAB_COMMANDS], goal[7] = { 0 }, command[REACHLAB_COMMANDS];
         if (numbers(line, "reset", q, REACHLAB_COMMANDS) == REACHLAB_COMMANDS) {
             reachlab_reset(&state, q);
+            begun = 1;
             continue;
         }
-        if (strstr(line, "\"reset\"") || strstr(line, "\"stop\"")) continue;
+        begun |= strstr(line, "\"reset\"") != NULL;
+        if (!begun || strstr(line, "\"reset\"") || strstr(line, "\"stop\"")) continue;
         numbers(line, "q", input.q, (int) (sizeof input.q / sizeof *input.q));
         numbers(line, "qd", input.qd, (int) (sizeof input.qd / sizeof *input.qd));
         int brake = !numbers(line, "goal", goal, 7);
@@ -52,5 +55,6 @@ int main(int count, char **words)
         for (int i = 0; i < REACHLAB_COMMANDS; ++i) printf("%.17g%c", command[i], i + 1 < REACHLAB_COMMANDS ? ' ' : '\n');
     }
     fclose(log);
-    return 0;
+    if (!begun) fprintf(stderr, "%s is no log of Controller.save_log that has a reset\n", words[1]);
+    return begun ? 0 : 2;
 }

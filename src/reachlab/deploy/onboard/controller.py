@@ -280,10 +280,10 @@ class Controller:
         self._log.save(Path(file))
 
     def replay(self, file: str | Path) -> float:
-        """Take the control steps of a log again, and give the largest difference of a command [rad or m].
+        """Take a log's control steps again, from its first `reset` on; the largest difference of a command [rad or m].
 
-        The log has to begin with a `reset`, as it does unless it has grown too long. What a planner answered is taken
-        from it: from then on this controller has none.
+        What a planner answered is taken from it: from then on this controller has none. Without a reset, as in a log
+        that has grown too long, ValueError is raised.
         """
         worst, told = 0.0, Told()
         if self._way:

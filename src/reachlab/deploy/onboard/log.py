@@ -37,5 +37,16 @@ class Log:
 
 
 def read_log(file: Path) -> list[dict[str, Any]]:
-    """Entries of a log that was saved."""
-    return [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()]
+    """Entries of a log that was saved, from the first reset in it on.
+
+    Raises:
+        ValueError: it has none.
+    """
+    entries = [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()]
+    first = next((number for number, entry in enumerate(entries) if "reset" in entry), None)
+    if first is None:
+        raise ValueError(
+            f"'{file}' has no reset, from which on steps could be taken again: a log holds the last {KEPT:,} of them,"
+            " so save it sooner after one."
+        )
+    return entries[first:]
