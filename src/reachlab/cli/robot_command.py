@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from reachlab.cli.flags import ShowRobot
 from reachlab.cli.preparation import prepare
 from reachlab.envs.presets import preset
+from reachlab.runs.files import written
 from reachlab.settings.config import RunConfig
 from reachlab.settings.json_form import override
 from reachlab.settings.validation import InputError, choose
@@ -59,7 +60,8 @@ def robot(arguments: ShowRobot) -> None:
 
         from reachlab.render.offscreen import portrait
 
-        Image.fromarray(portrait(shown, PICTURE_WIDTH, PICTURE_HEIGHT)).save(arguments.out)
+        with written("the picture", arguments.out) as part:
+            Image.fromarray(portrait(shown, PICTURE_WIDTH, PICTURE_HEIGHT)).save(part)
     if arguments.json:
         print(jsonlib.dumps(facts))
         return
@@ -189,7 +191,13 @@ def _tasks(arguments: ShowRobot, arm: RunConfig) -> dict[str, dict[str, Any]]:
     tasks = {}
     for name in (arguments.task,) if arguments.task else TASKS:
         named = {"robot": arm.robot, "tool": arm.rules.tool, "base": arm.base, "package": arm.package}
-        setup = make_setup(override(preset(name), **named))
+        try:
+            setup = make_setup(override(preset(name), **named))
+        except InputError as error:
+            if arguments.task:
+                raise
+            tasks[name] = {"refused": str(error)}
+            continue
         tasks[name] = {
             "tool": setup.robot.tool,
             "asks": setup.task.asks(setup.rules, setup.period),
@@ -244,6 +252,9 @@ def _print(facts: dict[str, Any]) -> None:
         say(f"{name}: {_point(box['low'])} to {_point(box['high'])} m, {box['source']}{share}.")
     say(f"Size: {facts['scale']:.3g} times the tutorial's arm, and so are the lengths of its task.")
     for name, task in facts["tasks"].items():
+        if "refused" in task:
+            say(f"Task {name} is not for it: {task['refused']}")
+            continue
         say(f"Task {name}, with {task['tool']}: {task['asks']}.")
         if name == "tutorial":
             say(f"  An action of 1 displaces the tool by {1000 * task['tool_scale']:.3g} mm.")

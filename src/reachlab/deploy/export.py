@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import shutil
@@ -112,12 +113,31 @@ def export(run: RunDirectory | str | Path, out: str | Path, agent: str | None = 
                         f"nothing is exported: {what} differs from the policy by {difference:.1e} {unit}, and"
                         f" {allowed:.0e} are allowed."
                     )
-            out.mkdir(parents=True, exist_ok=True)
-            for file in folder.iterdir():
-                shutil.copyfile(file, out / file.name)
+            _copy(folder, out)
     finally:
         env.close()
     return Export(out, {file.name: file.stat().st_size for file in sorted(out.iterdir())}, differences)
+
+
+def _copy(folder: Path, out: Path) -> None:
+    """Copy the files of a folder, all or none.
+
+    Raises:
+        InputError: there is no room for them, or they may not be written.
+    """
+    there, copied = out.is_dir(), list[Path]()
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        for file in folder.iterdir():
+            copied.append(out / file.name)
+            shutil.copyfile(file, copied[-1])
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            for file in copied:
+                file.unlink(missing_ok=True)
+            if not there:
+                out.rmdir()
+        raise InputError(f"the export cannot be written to '{out}': {error.strerror or error}.") from None
 
 
 def _planner(env: Env, agent: str | None) -> dict[str, Any]:

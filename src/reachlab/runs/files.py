@@ -8,6 +8,7 @@ import os
 import secrets
 import shutil
 import stat
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -43,15 +44,41 @@ def write_whole(path: Path, data: bytes) -> None:
     Raises:
         OSError: it cannot be written; the old file is as it was.
     """
-    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
-    try:
+    with whole(path) as temporary:
         write_synced(temporary, data)
+    sync(path.parent)
+
+
+@contextlib.contextmanager
+def whole(path: Path, ending: str = "") -> Iterator[Path]:
+    """A file beside another, there and empty, that takes its place when all is written; its name has an `ending`.
+
+    Raises:
+        OSError: it cannot be written; the old file is as it was.
+    """
+    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp{ending}")
+    try:
+        temporary.touch(MODE)
+        yield temporary
         temporary.replace(path)
     except BaseException:
         with contextlib.suppress(OSError):
             temporary.unlink()
         raise
-    sync(path.parent)
+
+
+@contextlib.contextmanager
+def written(what: str, path: Path) -> Iterator[Path]:
+    """The same for what is named by its ending: the picture, the video.
+
+    Raises:
+        InputError: it cannot be written.
+    """
+    try:
+        with whole(path, path.suffix) as part:
+            yield part
+    except OSError as error:
+        raise InputError(f"{what} cannot be written to '{path}': {error.strerror or error}.") from None
 
 
 def write_synced(path: Path, data: bytes) -> None:

@@ -14,6 +14,7 @@ from jax import Array
 from reachlab.control.bodies import Bodies, Shape
 from reachlab.control.situation import Goal, Situation
 from reachlab.robots.kinematics.forward import norm
+from reachlab.settings.validation import InputError
 from reachlab.tasks import reach
 from reachlab.tasks.tabletop import working_box
 from reachlab.tasks.task import Bounds, Control, Errors, Scene, Task, TaskSetup
@@ -60,12 +61,27 @@ def handled(asked: str, control: Control, **parts: Any) -> Task:
         "begin": reach.begin,
         "update": update,
         "counted": reach.counted,
-        "check": lambda setup: goal_box(setup) and None,
+        "check": check,
         "asks": functools.partial(asks, asked),
         "succeeds": succeeds,
         "needs": frozenset({"objects"}),
     }
     return Task("flange", control, **(usual | parts))
+
+
+def check(setup: TaskSetup) -> None:
+    """Make sure that there is room for an object to be away from its goal.
+
+    Raises:
+        InputError: the arm's hand works in too small a part of the table.
+    """
+    low, high = goal_box(setup)
+    if (wide := float(np.linalg.norm((high - low)[:2]))) < APART:
+        raise InputError(
+            f"an object has to begin {1000 * APART:.0f} mm from its goal, and the hand of robot {setup.robot.name!r},"
+            f" which has {setup.robot.chain.n} joint{'s'[: setup.robot.chain.n > 1]}, works in a part of the table"
+            f" {1000 * wide:.0f} mm wide: choose another arm or task."
+        )
 
 
 def scene(setup: TaskSetup) -> Scene:

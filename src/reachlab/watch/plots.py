@@ -9,6 +9,7 @@ from typing import Any, cast
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
+from reachlab.runs.files import written
 from reachlab.settings.validation import InputError
 from reachlab.watch.curves import draw_learning
 from reachlab.watch.errors import Evaluated, draw_errors, error_lines
@@ -66,10 +67,11 @@ def plot(runs: str | Path | Sequence[str | Path], out: str | Path) -> list[str]:
             draw_errors(errors, lines, limits.pop() if len(limits) == 1 else None)
             row.legend(*errors.get_legend_handles_labels(), loc="outside lower center", ncols=MOST_COLUMNS)
             draw_maps(places, maps)
-        try:
-            figure.savefig(out, dpi=DOTS_PER_INCH)
-        except (OSError, ValueError) as error:
-            raise InputError(f"the picture cannot be written to '{out}': {error}.") from None
+        with written("the picture", out) as part:
+            try:
+                figure.savefig(part, dpi=DOTS_PER_INCH)
+            except ValueError as error:
+                raise InputError(f"the picture cannot be drawn: {error}.") from None
     return _left_out(found, len(maps))
 
 

@@ -18,6 +18,7 @@ from reachlab.agents import AGENTS
 from reachlab.agents.acting import Function, name_of
 from reachlab.agents.policy import Policy
 from reachlab.envs.core import Env
+from reachlab.runs.files import written
 from reachlab.settings.validation import InputError, choose, installing
 from reachlab.watch.captions import Caption, captioned, inset
 from reachlab.watch.player import Player, played
@@ -110,10 +111,8 @@ def write_video(
                 yield Frame(captioned(_picture(env, player), caption), seconds)
             tally.update(successes=player.success)
 
-    try:
-        encode(out, film(), 1 / interval)
-    except OSError as error:
-        raise InputError(f"the video cannot be written to '{out}': {error}.") from None
+    with written("the video", out) as part:
+        encode(part, film(), 1 / interval)
     seconds = tally["milliseconds"] / 1000
     return Clip(str(out), episodes, tally["successes"], tally["frames"], seconds, out.stat().st_size)
 

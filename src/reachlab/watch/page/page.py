@@ -12,6 +12,7 @@ from typing import Any
 from reachlab.emit.braced import JAVASCRIPT_HEAD, javascript_function
 from reachlab.emit.program import Program
 from reachlab.render import marks
+from reachlab.runs.files import write_whole
 from reachlab.settings.validation import InputError
 from reachlab.watch.page.document import page_head, part_of, text_of
 from reachlab.watch.page.remote import Message, record
@@ -48,7 +49,7 @@ def write_parts(shown: Sequence[Shown], body: str, out: Path) -> int:
     engine = any(one.env.config.sim == ENGINES[1] for one in shown if one.functions)
     page = (page_head(f"{shown[0].title} · {shown[0].env.config.task}", engine=engine) + body).encode()
     try:
-        out.write_bytes(page)
+        write_whole(out, page)
     except OSError as error:
         raise InputError(f"page '{out}' cannot be written: {error.strerror}.") from None
     return len(page)
