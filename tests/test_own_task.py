@@ -112,6 +112,22 @@ def test_an_extension_that_cannot_be_imported_is_refused_in_one_sentence(
     assert said.count("\n") == 1
 
 
+@pytest.mark.parametrize(
+    ("name", "place", "why"),
+    [
+        ("mytask.py", "rail:Rail", "there is no module 'rail': it has the name of its file, without .py"),
+        ("rail.py", "rail:Rial", "module 'rail' has no 'Rial'"),
+    ],
+)
+def test_an_entry_that_names_nothing_is_refused_in_one_sentence(folder: Path, name: str, place: str, why: str) -> None:
+    text = (folder / "rail.py").read_text().replace("rail:Rail", place)
+    (folder / "rail.py").unlink()
+    (folder / name).write_text(text)
+    done = reachlab_command("train", "--import", name, "--task", "rail", *TINY.split())
+    assert (done.returncode, done.stdout) == (cli.WRONG_INPUT, "")
+    assert done.stderr == f"reachlab: the table's entry {place!r} cannot be loaded: {why}.\n"
+
+
 def test_a_file_that_is_called_as_a_module_in_use_is_refused(folder: Path) -> None:
     (folder / "json.py").write_text("NUMBER = 1")
     with pytest.raises(InputError, match=r"'json\.py' is called as module 'json' is, which is in use: rename it"):

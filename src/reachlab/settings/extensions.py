@@ -36,7 +36,7 @@ def import_installed() -> None:
         try:
             entry.load()
             INSTALLED.append(entry.value)
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             raise InputError(f"extension {entry.value!r} cannot be imported: {_why(error)}.") from error
 
 
@@ -106,7 +106,7 @@ def _import(spec: ModuleSpec, name: str) -> None:
         try:
             if spec.loader:
                 spec.loader.exec_module(module)
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             del sys.modules[spec.name]
             raise InputError(f"extension '{name}' cannot be imported: {_why(error)}.") from error
     path = str(Path(name).absolute()) if name.endswith(".py") else name
@@ -114,7 +114,7 @@ def _import(spec: ModuleSpec, name: str) -> None:
         IMPORTED.append(path)
 
 
-def _why(error: Exception) -> str:
+def _why(error: BaseException) -> str:
     return f"{type(error).__name__}: {' '.join(str(error).split())}".rstrip(".")
 
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from pkgutil import resolve_name
 from typing import Any
+
+from reachlab.settings.validation import InputError
 
 
 @dataclass(frozen=True)
@@ -24,6 +27,17 @@ class Lazy:
 
         Raises:
             ImportError: the module does not load, for example where an extra is not installed.
-            AttributeError: the module has no such name.
+            InputError: there is no such module, or it has no such name.
         """
-        return resolve_name(self.place)
+        module, _, name = self.place.partition(":")
+        try:
+            return resolve_name(self.place)
+        except ModuleNotFoundError as error:
+            if error.name is None or not f"{module}.".startswith(f"{error.name}."):
+                raise
+            why = f"there is no module {module!r}: it has the name of its file, without .py"
+        except AttributeError:
+            if hasattr(sys.modules.get(module), name):
+                raise
+            why = f"module {module!r} has no {name!r}"
+        raise InputError(f"the table's entry {self.place!r} cannot be loaded: {why}.")
