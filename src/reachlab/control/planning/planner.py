@@ -26,7 +26,7 @@ CLEAR, OWN = 0.014, 0.003
 """Least distances on a path from bodies and the table, in proportion to the arm's workspace, and of links from each
 other [m]; or what there is at its ends."""
 
-KEPT = 0.7
+KEPT = 0.9
 """Share of them that is kept on the smooth motion along it."""
 
 COARSE = 0.05
