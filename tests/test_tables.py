@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from pathlib import Path
 
 import pytest
 
 from reachlab.settings.tables import Lazy
+from reachlab.settings.validation import InputError
 
 
 def test_an_entry_is_imported_only_when_it_is_loaded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -23,8 +25,19 @@ def test_an_entry_is_imported_only_when_it_is_loaded(tmp_path: Path, monkeypatch
 
 
 @pytest.mark.parametrize(
-    ("place", "error"), [("reachlab.nowhere:name", ImportError), ("reachlab.settings.tables:Lasy", AttributeError)]
+    ("place", "why"),
+    [
+        ("reachlab.nowhere:name", "there is no module 'reachlab.nowhere': it has the name of its file, without .py"),
+        ("reachlab.settings.tables:Lasy", "module 'reachlab.settings.tables' has no 'Lasy'"),
+    ],
 )
-def test_a_place_that_holds_nothing_is_told_when_it_is_loaded(place: str, error: type[Exception]) -> None:
-    with pytest.raises(error, match=place.rpartition(".")[2].partition(":")[0 if error is ImportError else 2]):
+def test_a_place_that_holds_nothing_is_told_when_it_is_loaded(place: str, why: str) -> None:
+    with pytest.raises(InputError, match=re.escape(f"entry {place!r} cannot be loaded: {why}.")):
         Lazy("Nothing.", place).load()
+
+
+def test_a_module_that_lacks_another_says_which(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "lacking.py").write_text("import nothing_of_this_name")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(ModuleNotFoundError, match="nothing_of_this_name"):
+        Lazy("Nothing.", "lacking:name").load()

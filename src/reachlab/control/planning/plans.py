@@ -19,7 +19,7 @@ TILTED = (3, 0.35), (24, 2.0)
 turned about each axis at random [rad]; and the same again where there is no way to them."""
 
 BRIEF = 18
-"""Steps in which the joints of a goal are looked for: in more of them few are found, and none that are nearer."""
+"""Steps in which the joints of a goal are looked for: with more of them a few are found, and motions get no shorter."""
 
 NUDGE = 0.01
 """Length of a first motion [rad]."""
