@@ -29,7 +29,7 @@ from reachlab.learn.load import load_policy
 from reachlab.learn.ppo_method import TrainState, initial_state
 from reachlab.runs.checkpoint import seal
 from reachlab.runs.directory import RunDirectory
-from reachlab.runs.files import write_json
+from reachlab.runs.files import write_json, written
 from reachlab.settings.config import RunConfig
 from reachlab.settings.validation import InputError
 
@@ -321,3 +321,25 @@ def test_a_directory_that_cannot_be_made_is_refused(tmp_path: Path, config: RunC
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match=f"cannot be made: {why}"):
         RunDirectory(tmp_path / name).create(config)
+
+
+# --- pictures and films ---------------------------------------------------------------------------
+
+
+def _half_written(file: Path) -> None:
+    file.write_text("half")
+    raise OSError("full")
+
+
+def test_a_film_is_the_old_file_or_the_new_one(tmp_path: Path) -> None:
+    file = tmp_path / "film.mp4"
+    for content in ("old", "new"):
+        with written("the video", file) as part:
+            assert part.suffix == ".mp4"
+            part.write_text(content)
+        with pytest.raises(InputError, match="full"), written("the video", file) as part:
+            _half_written(part)
+        assert file.read_text() == content
+    assert list(tmp_path.iterdir()) == [file]
+    with pytest.raises(InputError, match="the video cannot be written to"), written("the video", file / "a.mp4"):
+        pytest.fail("filmed for nothing")

@@ -6,6 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from reachlab.envs.presets import configure
+from reachlab.envs.setup import make_setup
 from reachlab.robots.catalogue import ROBOTS
 from reachlab.robots.kinematics.forward import forward_kinematics
 from reachlab.robots.loading import load_robot
@@ -239,8 +241,15 @@ def test_arm_that_cannot_move_its_tool_is_refused(write):
 
 
 def test_tool_on_the_axis_of_the_only_joint_is_refused(write):
-    with pytest.raises(InputError, match="the arm's tool stays where it is when joints move"):
+    with pytest.raises(InputError, match="the arm's tool stays within a centimetre"):
         load_robot(write(text=ONE_JOINT, name="one.urdf"), "arm")
+
+
+def test_an_object_is_refused_where_the_hand_has_no_room_for_it(write):
+    text = ONE_JOINT.replace('axis xyz="0 0 1"', 'axis xyz="0 1 0"').replace('"-1" upper="2"', '"-0.2" upper="0.2"')
+    file = write(text=text, name="one.urdf")
+    with pytest.raises(InputError, match="begin 80 mm from its goal, and the hand of robot 'one', which has 1 joint,"):
+        make_setup(configure("push", robot=file))
 
 
 def test_an_arm_that_ends_at_an_earlier_tool_takes_the_first_speed_limits():

@@ -236,12 +236,14 @@ def _around(chain: Chain, base: np.ndarray, home: np.ndarray) -> Derived:
     """Of an arm that reaches no box: that around the middle of the points it reaches above its base, and home.
 
     Raises:
-        InputError: all of them are one point.
+        InputError: hardly any two of them differ.
     """
     random = np.random.default_rng(0).uniform(chain.lower, chain.upper, (PROBES, chain.n))
     low, high = np.quantile([chain.tool_at(q)[0] for q in random], QUANTILES, axis=0)
     if (high - low).max() < MARGIN:
-        raise InputError("the arm's tool stays where it is when joints move: choose another frame as --tool.")
+        raise InputError(
+            "the arm's tool stays within a centimetre, however its joints move: choose another frame as --tool."
+        )
     there = chain.tool_at(home)[0]
     low, high = np.minimum(low, there) - MARGIN, np.maximum(high, there) + MARGIN
     low[2] = min(max(low[2], base[2]), there[2] - MARGIN)
