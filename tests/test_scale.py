@@ -445,7 +445,11 @@ def test_an_interrupted_sweep_says_how_it_continues(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("words", "refused"),
-    [("--trials 1", "with trials 2 and"), ("--seeds 3", "with seeds 1 and"), ("--goal time_to_reach_s", "with goal")],
+    [
+        ("--validations 3", "with validations 7 and"),
+        ("--seeds 3", "with seeds 1 and"),
+        ("--goal time_to_reach_s", "with goal"),
+    ],
 )
 def test_a_sweep_is_resumed_with_its_own_settings(words: str, refused: str, tmp_path: Path, capsys: Any) -> None:
     config = configure(**TINY)
@@ -453,6 +457,23 @@ def test_a_sweep_is_resumed_with_its_own_settings(words: str, refused: str, tmp_
     write_json(tmp_path / "sweep" / "sweep.json", vars(SweepConfig(SPACE, trials=2)))
     assert main(["sweep", "--resume", str(tmp_path / "sweep"), *words.split()]) == 2
     assert f"was begun {refused}" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("words", "trials"), [([], 2), (["--trials", "9"], 9)])
+def test_a_sweep_is_resumed_with_its_own_trials_or_others(
+    words: list[str], trials: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = []
+
+    def stopped(_: Any, settings: SweepConfig, *__: Any, **___: Any) -> None:
+        asked.append(settings)
+        raise InputError("far enough")
+
+    monkeypatch.setattr("reachlab.scale.sweep.sweep", stopped)
+    RunDirectory(tmp_path / "sweep").create(configure(**TINY))
+    write_json(tmp_path / "sweep" / "sweep.json", vars(SweepConfig(SPACE, seeds=3, trials=2)))
+    assert main(["sweep", "--resume", str(tmp_path / "sweep"), *words]) == 2
+    assert [(one.trials, one.seeds) for one in asked] == [(trials, 3)]
 
 
 def test_trials_on_ray_are_those_of_processes(swept: Path, tmp_path: Path, ray: Any) -> None:

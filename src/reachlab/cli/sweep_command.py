@@ -70,13 +70,12 @@ def _settings(arguments: Sweep) -> SweepConfig:
 
 
 def _resumed(arguments: Sweep, begun: SweepConfig) -> SweepConfig:
-    """Settings of a sweep that is resumed: its own, but for more trials."""
+    """Settings of a sweep that is resumed: its own, but for the number of trials."""
     for name, value in _said(arguments).items():
-        if value != (before := vars(begun)[name]) and (name != "trials" or value < before):
-            more = " (more are allowed)" if name == "trials" else ""
+        if name != "trials" and value != (before := vars(begun)[name]):
             raise InputError(
-                f"'{arguments.resume}' was begun with {name} {before} and cannot be resumed with {value}{more}: leave"
-                " it out, or begin another sweep."
+                f"'{arguments.resume}' was begun with {name} {before} and cannot be resumed with {value}: leave it out,"
+                " or begin another sweep."
             )
     return replace(begun, **_said(arguments))
 

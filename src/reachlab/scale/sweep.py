@@ -124,10 +124,10 @@ def sweep(
     with Interrupts() as interrupts, contextlib.closing(carrier):
         if not resume:
             run.create(config)
-        write_json(run.path / SETTINGS, vars(settings))
         folder = run.path / "trials"
         folder.mkdir(exist_ok=True)
         with locked(run.path):
+            write_json(run.path / SETTINGS, vars(settings))
             study = Study(run.path / "study.journal", space, goal, config)
             under_way = Trials(settings, config, folder, study, carrier)
             left, trials = True, settings.trials
