@@ -197,13 +197,12 @@ def checked_actions(given: Any, shape: tuple[int, ...]) -> np.ndarray:
     Raises:
         InputError: another shape, or a number that is not finite; names environment and index.
     """
-    wanted = f"action must have shape {shape[1:]} in each of {shape[0]} environments"
     try:
         actions = np.asarray(given)
     except ValueError:
-        raise InputError(f"{wanted}, got a ragged one.") from None
+        raise _misshapen("a ragged one", shape) from None
     if actions.shape != shape:
-        raise InputError(f"{wanted}, got {actions.shape}.")
+        raise _misshapen(str(actions.shape), shape)
     if actions.dtype != np.float32:
         if actions.dtype.kind not in "fiub":
             raise InputError(f"action must be numbers, got {actions.dtype}.")
@@ -213,3 +212,7 @@ def checked_actions(given: Any, shape: tuple[int, ...]) -> np.ndarray:
         env, index = (int(i) for i in np.argwhere(~np.isfinite(actions))[0])
         raise InputError(f"action of environment {env} is {actions[env, index]} at index {index}: it must be finite.")
     return actions
+
+
+def _misshapen(got: str, shape: tuple[int, ...]) -> InputError:
+    return InputError(f"action must have shape {shape[1:]} in each of {shape[0]} environments, got {got}.")

@@ -77,6 +77,7 @@ class Packed:
             (slice(start, end) if len(shape) > 1 else start, leaf.shape, leaf.dtype)
             for start, end, shape, leaf in zip([0, *ends], ends, shapes, leaves, strict=False)
         ]
+        self._types = {leaf.dtype for leaf in leaves if jnp.issubdtype(leaf.dtype, np.number)}
         self.zeros: Any = np.zeros((shapes[0][0], ends[-1]), np.uint32)
         self._in_jax = jit(self.unpack)
 
@@ -97,12 +98,14 @@ class Packed:
         """See `AsTheyAre`; numbers are of 32 bits, or truths."""
         if not in_numpy:
             return self._in_jax(packed)
-        bits = np.asarray(packed)
+        alone = len(packed) == 1  # what is a row's part is in one piece, and need not be copied again
+        bits = np.array(packed) if alone else np.asarray(packed)
+        views = {dtype: bits.view(dtype) for dtype in self._types}
         leaves = [
-            bits[:, columns] != 0 if dtype.kind == "b" else bits.view(dtype)[:, columns].copy()
+            bits[:, columns] != 0 if (view := views.get(dtype)) is None else view[:, columns]
             for columns, _, dtype in self._leaves
         ]
-        return jax.tree.unflatten(self._structure, leaves)
+        return jax.tree.unflatten(self._structure, leaves if alone else map(np.copy, leaves))
 
 
 def _bits(leaf: Array) -> Array:
