@@ -197,6 +197,9 @@ def _passed(limit: Range | Length, value: Any) -> Range | Length:
 
 def _type_name(hint: Any) -> str:
     names = {int: "a whole number", float: "a number", str: "a name", bool: "true or false"}
-    if typing.get_origin(hint) in UNIONS:
-        return " or ".join(_type_name(arg) for arg in typing.get_args(hint) if arg is not type(None))
-    return names.get(hint, str(hint))
+    kind, parts = typing.get_origin(hint), typing.get_args(hint)
+    if kind in UNIONS:
+        return " or ".join(_type_name(arg) for arg in parts if arg is not type(None))
+    if kind is tuple:
+        return f"a tuple{'' if parts[-1] is Ellipsis else f' of {len(parts)}'}, each entry {_type_name(parts[0])}"
+    return _type_name(parts[0]) if hasattr(hint, "__metadata__") else names.get(hint, str(hint))
