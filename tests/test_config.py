@@ -7,7 +7,7 @@ from importlib import metadata
 
 import pytest
 
-from reachlab.envs.formats import from_json
+from reachlab.envs.earlier_configs import from_json
 from reachlab.envs.presets import configure, in_simulator, preset
 from reachlab.settings.config import LearnerConfig, LoopConfig, PPOConfig, RunConfig, SimConfig
 from reachlab.settings.json_form import flatten, to_json

@@ -15,7 +15,7 @@ import pytest
 
 import reachlab
 from reachlab.cli import main as cli
-from reachlab.envs.formats import from_json
+from reachlab.envs.earlier_configs import from_json
 from reachlab.envs.presets import preset
 from reachlab.runs.directory import RunDirectory
 from reachlab.settings.json_form import to_json

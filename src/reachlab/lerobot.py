@@ -15,7 +15,7 @@ from typing import Any
 from reachlab.deploy.check import read_facts
 from reachlab.deploy.lerobot_env import LeRobotVectorEnv
 from reachlab.deploy.lerobot_policy import LeRobotPolicy
-from reachlab.envs.formats import from_json
+from reachlab.envs.earlier_configs import from_json
 from reachlab.envs.setup import configure_env, in_evaluation
 from reachlab.tasks import TASKS
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from reachlab.agents.acting import Function
-from reachlab.envs.formats import from_json
+from reachlab.envs.earlier_configs import from_json
 from reachlab.envs.gymnasium_shared import SETTINGS
 from reachlab.settings.config import RunConfig
 from reachlab.settings.reading import MOST_MODEL, read_regular

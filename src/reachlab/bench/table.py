@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from reachlab.runs.versions import versions
+from reachlab.runs.provenance import versions
 
 Row = dict[str, Any]
 """A measurement: name, value, unit, config."""

@@ -8,7 +8,7 @@ import inspect
 from collections import Counter
 from collections.abc import Mapping
 
-from reachlab.runs.versions import versions
+from reachlab.runs.provenance import versions
 
 CONTROLLER, PLANNER = "reachlab.deploy.onboard.controller", "reachlab.deploy.onboard.planning"
 """Modules that the files are made for; those that they import come before them."""

@@ -17,7 +17,7 @@ from reachlab.emit.behaviour import AFTER, Behaviour
 from reachlab.emit.braced import c_declarations, c_function, c_numbers
 from reachlab.emit.program import Program
 from reachlab.emit.tracing import trace
-from reachlab.runs.versions import versions
+from reachlab.runs.provenance import versions
 
 FILES = ("reachlab_policy.h", "reachlab_policy.c", "main.c")
 """What is written; `main.c` is an example of how it is called."""

@@ -17,7 +17,7 @@ import numpy as np
 from reachlab.deploy.onboard.folder import read_folder
 from reachlab.deploy.plant import Measurement, Outcome, Plant, drive
 from reachlab.deploy.plant_faults import Faults
-from reachlab.envs.formats import from_json
+from reachlab.envs.earlier_configs import from_json
 from reachlab.envs.setup import in_evaluation
 from reachlab.settings.config import RunConfig
 from reachlab.settings.validation import InputError

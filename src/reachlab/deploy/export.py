@@ -38,8 +38,8 @@ from reachlab.envs.setup import in_evaluation
 from reachlab.learn.load import load_saved
 from reachlab.runs.directory import RunDirectory
 from reachlab.runs.files import read_json
+from reachlab.runs.provenance import versions
 from reachlab.runs.shipped import find_run
-from reachlab.runs.versions import versions
 from reachlab.settings.json_form import override
 from reachlab.settings.validation import InputError, choose, installing
 

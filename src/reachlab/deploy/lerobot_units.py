@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from reachlab.envs.formats import from_json
+from reachlab.envs.earlier_configs import from_json
 from reachlab.envs.setup import make_setup
 from reachlab.robots.robot import Robot
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from reachlab.deploy.check import read_facts
 from reachlab.emit.behaviour import MEMORY
-from reachlab.envs.formats import from_json
+from reachlab.envs.earlier_configs import from_json
 from reachlab.envs.presets import configure
 from reachlab.settings.config import RunConfig
 from reachlab.settings.reading import MOST_MODEL, MOST_TEXT, read_regular

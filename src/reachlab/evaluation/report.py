@@ -18,7 +18,7 @@ from reachlab.envs.random_streams import REPORT_STREAM
 from reachlab.evaluation.episodes import Episodes, Runner, Watch, ignore, make_runner, run_episodes
 from reachlab.evaluation.intervals import quantiles, wilson_interval
 from reachlab.evaluation.tracking import followed
-from reachlab.runs.versions import versions
+from reachlab.runs.provenance import versions
 from reachlab.settings.validation import LAST_SEED, whole_number
 
 QUANTILES = {"median": 0.5, "p95": 0.95, "p99": 0.99, "max": 1.0}

@@ -13,8 +13,8 @@ import numpy as np
 import safetensors.numpy
 from safetensors import safe_open
 
+from reachlab.runs.earlier_states import FORMAT, upgraded
 from reachlab.runs.files import open_plain
-from reachlab.runs.formats import FORMAT, upgraded
 from reachlab.settings.validation import InputError
 
 SIZE_LIMIT = 2**30

@@ -14,9 +14,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from reachlab.envs.formats import from_json
+from reachlab.envs.earlier_configs import from_json
+from reachlab.runs.earlier_states import FORMAT
 from reachlab.runs.files import UNREADABLE, read_json, remove, sync, write_json, write_synced
-from reachlab.runs.formats import FORMAT
 from reachlab.settings.config import RunConfig
 from reachlab.settings.json_form import difference
 from reachlab.settings.validation import Checked, Count, Fraction, InputError, NonNegative, NonNegativeInt
@@ -140,7 +140,7 @@ def write(checkpoints: Path, state: object, counters: Counters, config: dict[str
 def _fill(folder: Path, state: object, counters: Counters, config: dict[str, Any]) -> None:
     from reachlab.jax_setup import threads
     from reachlab.runs.arrays import to_bytes
-    from reachlab.runs.versions import versions
+    from reachlab.runs.provenance import versions
 
     data = to_bytes(state)
     folder.mkdir()

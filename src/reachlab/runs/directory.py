@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from reachlab.envs.formats import from_json
+from reachlab.envs.earlier_configs import from_json
 from reachlab.runs import checkpoint
 from reachlab.runs.checkpoint import Counters, Manifest
 from reachlab.runs.files import read_json, remove, sync, write_json

@@ -10,7 +10,7 @@ import threading
 from pathlib import Path
 from typing import Any
 
-from reachlab.envs.formats import from_json
+from reachlab.envs.earlier_configs import from_json
 from reachlab.jax_setup import use_compilation_cache
 from reachlab.learn.interrupts import Interrupted, end_if_deaf, raise_on_termination
 from reachlab.learn.loop import Progress

@@ -1,4 +1,4 @@
-"""Training states as they were saved, by this version and by earlier ones; of settings see `reachlab.envs.formats`."""
+"""Training states as they were saved, by this version and by earlier ones; of settings see `envs.earlier_configs`."""
 
 from __future__ import annotations
 
