@@ -15,6 +15,8 @@ import pytest
 from reachlab.agents.acting import make_act
 from reachlab.control import dampers
 from reachlab.control.contact_model import arm_of
+from reachlab.control.planning.collision import CollisionChecker
+from reachlab.control.planning.planner import CLEAR, OWN
 from reachlab.deploy.onnx_network import OnnxNetwork
 from reachlab.deploy.weights import onnx_model
 from reachlab.envs.core import Env
@@ -22,11 +24,11 @@ from reachlab.envs.presets import configure
 from reachlab.envs.random_streams import env_keys
 from reachlab.learn.imitation import FRESH
 from reachlab.learn.learner import make_initial_policy
-from reachlab.learn.planned import ASIDE, LESSONS, Teacher
+from reachlab.learn.planned import ASIDE, BESIDE, LESSONS, Teacher
 from reachlab.learn.train import train
 from reachlab.robots.kinematics.forward import forward_kinematics
 from reachlab.settings.validation import InputError
-from reachlab.tasks.actions import AHEAD
+from reachlab.tasks.actions import AHEAD, command
 from reachlab.tasks.body_terms import ROW
 
 pytestmark = pytest.mark.usefixtures("few_scenes")
@@ -56,6 +58,41 @@ def test_headings_lead_along_planned_ways_there_and_back() -> None:
             np.testing.assert_allclose(lesson.position, tool, atol=1e-4)
             assert (np.linalg.norm(lesson.heading, axis=1) < 1 + 6 * ASIDE * np.sqrt(len(start)) / AHEAD).all()
         assert not list(teacher.lessons(bodies, goal, goal, np.random.default_rng(0)))
+    env.close()
+
+
+def test_joints_beside_a_goal_are_free_and_near_it_and_the_way_to_it_is_not_straight() -> None:
+    env = furnished(4, scene=("shelf",))
+    setup, teacher, found = env.setup, teacher_of(env), 0
+    checker = CollisionChecker(arm_of(setup.robot, setup.lag, setup.period), setup.task.scene(setup).bodies)
+    for _, goal, bodies in teacher.fresh("shelf", 4, seed=1):
+        rng = np.random.default_rng(0)
+        if (q := teacher.beside(bodies, goal, rng)) is None:
+            continue
+        found += 1
+        checker.place(bodies)
+        least = np.minimum((CLEAR * setup.robot.scale, OWN), checker.distances(goal)) - 1e-6
+        checker.keep(*least.tolist())
+        assert checker.free(q)
+        assert not checker.straight(q, goal.astype(float))
+        assert BESIDE[0] - 1e-5 < np.linalg.norm(q - goal) < BESIDE[1] + 1e-5
+        assert len(list(teacher.lessons(bodies, q, goal, rng))) in (0, 2)
+    assert found > 1
+    env.close()
+
+
+def test_a_heading_near_the_goal_is_followed_where_it_does_not_lead_there() -> None:
+    env = furnished(8)
+    now = env.situation(env.init(env_keys(0, 8)))
+    there, across = np.eye(now.q.shape[1])[-2:]
+    for left, heading, wanted, other in (
+        (0.2, there, there, across),
+        (0.2, across, across, there),
+        (0.03, across, there, across),
+    ):
+        aimed = now._replace(goal=replace(now.goal, joints=now.q + left * there))
+        moved = command(env.setup, aimed, jnp.tile(heading, (8, 1)).astype(jnp.float32)) - now.command
+        assert (moved @ wanted > jnp.maximum(2 * jnp.abs(moved @ other), 1e-3)).all()
     env.close()
 
 

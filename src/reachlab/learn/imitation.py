@@ -38,13 +38,13 @@ from reachlab.tasks.task import TaskSetup
 PLANS = 24_000
 """Planned ways that are kept to learn from."""
 
-FRESH = 80
-"""Scenes in an iteration that are drawn to plan in: what is learnt of few of them fails in others."""
+FRESH = 128
+"""Scenes in an iteration that are drawn to plan in, at least: what is learnt of few of them fails in others."""
 
 PARTS = 8
 """Parts of what is planned in an iteration, which processes share: each draws scenes of one kind."""
 
-UPDATES, BATCH = 100, 512
+UPDATES, BATCH = 200, 512
 """Gradient steps of an iteration, and joint vectors of a step."""
 
 DECAY = 0.5

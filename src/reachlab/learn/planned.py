@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
@@ -13,18 +14,27 @@ from reachlab.control.bodies import Bodies
 from reachlab.control.contact_model import arm_of
 from reachlab.control.planning.arm import Arm
 from reachlab.control.planning.collision import CollisionChecker
-from reachlab.control.planning.planner import TRIES, Planner
+from reachlab.control.planning.planner import STRAIGHT, TRIES, Planner
 from reachlab.control.planning.search import Search
 from reachlab.control.planning.workers import Workers
 from reachlab.envs.core import Env
 from reachlab.robots.robot import Robot
 from reachlab.settings.validation import InputError, installing
 from reachlab.tasks.actions import AHEAD
-from reachlab.tasks.scenes.bank import Bank, drawn_scenes
+from reachlab.tasks.scenes.bank import Bank, Finder
 from reachlab.tasks.scenes.sampling import drawn_anew
 
 LESSONS = 24
 """Joint vectors of a way that are learnt from: the first, and random ones."""
+
+FIRST = 1.0
+"""Length of the beginning of a way from which half of these are [rad]."""
+
+BESIDE, DRAWN = (0.1, 0.9), 24
+"""How far from a goal joints are from which it cannot be reached straight [rad], and how many are drawn to find some.
+
+Without ways from there a policy learns that the way to a goal that is near is straight, and stands where it is not.
+"""
 
 ASIDE = 0.03
 """Standard deviation of how far aside of the way half of these are put, to learn to come back to it [rad]."""
@@ -64,7 +74,7 @@ class Asked(NamedTuple):
     Attributes:
         seed: from which all of it follows.
         kind: of scenes that are in no bank.
-        scenes: how many of it.
+        scenes: how many of it, at least.
         arms: start `[n]`, goal `[n]` and bodies of each of the others.
     """
 
@@ -94,30 +104,52 @@ class Teacher:
     def __call__(self, asked: Asked) -> list[tuple[Lesson, Bodies]]:
         """The lessons of all that is asked for, and the bodies of each."""
         rng = np.random.default_rng(asked.seed)
-        scenes = self.fresh(asked.kind, asked.scenes, asked.seed) if asked.scenes else ()
+        scenes = [*self.fresh(asked.kind, asked.scenes, asked.seed)] if asked.scenes else []
+        beside = [(self.beside(bodies, goal, rng), goal, bodies) for _, goal, bodies in scenes[::2]]
         return [
             (lesson, bodies)
-            for start, goal, bodies in (*scenes, *asked.arms)
+            for start, goal, bodies in (*scenes, *beside, *asked.arms)
+            if start is not None
             for lesson in self.lessons(bodies, start, goal, rng)
         ]
 
     def fresh(self, kind: str, count: int, seed: int) -> Iterator[tuple[np.ndarray, np.ndarray, Bodies]]:
-        """So many scenes of a kind that are in no bank: joints at start and goal, and bodies."""
-        start, joints, bodies = zip(*drawn_scenes(self._robot, kind, count, seed), strict=True)
+        """So many scenes of a kind that are in no bank, or some more: joints at start and goal, and bodies."""
+        found, finder, batches = [], Finder(self._robot, kind, seed), itertools.count()
+        while len(found) < count:
+            found += finder(next(batches))
+        start, joints, bodies = zip(*found, strict=True)
         together: Bodies = jax.tree.map(lambda *rows: np.stack(rows), *bodies)
         bank = Bank(np.array(start), np.array(joints), together).with_room(self._room)
-        yield from (jax.tree.map(lambda x, row=row: x[row], tuple(bank)) for row in range(count))
+        yield from (jax.tree.map(lambda x, row=row: x[row], tuple(bank)) for row in range(len(found)))
+
+    def beside(self, bodies: Bodies, goal: np.ndarray, rng: Generator) -> np.ndarray | None:
+        """Joints `[n]` near those at a `goal [n]`, to which they have no straight way; None where none are found."""
+        checker, goal = self._planner.checker, goal.astype(float)
+        checker.place(bodies)
+        self._planner.margins(goal, goal)
+        for way in rng.normal(size=(DRAWN, len(goal))):
+            q = goal + rng.uniform(*BESIDE) / np.linalg.norm(way) * way
+            within = (self._arm.lower <= q).all() and (q <= self._arm.upper).all()
+            if within and checker.free(q) and not checker.straight(q, goal):
+                return q
+        return None
 
     def lessons(self, bodies: Bodies, start: np.ndarray, goal: np.ndarray, rng: Generator) -> Iterator[Lesson]:
-        """Those of a way from `start [n]` to `goal [n]`, and of the way back; none where no way is found."""
+        """Those of a way from `start [n]` to `goal [n]`, and of the way back; none where no way is found.
+
+        None is needed where the goal is near and the way straight.
+        """
         start, goal = start.astype(float), goal.astype(float)
-        if np.linalg.norm(goal - start) > AHEAD and (path := self._path(bodies, start, goal, rng)) is not None:
+        path = self._path(bodies, start, goal, rng)
+        if path is not None and (len(path) > STRAIGHT or np.linalg.norm(goal - start) > AHEAD):
             yield self._lesson(path, rng)
             yield self._lesson(path[::-1], rng)
 
     def _lesson(self, path: np.ndarray, rng: Generator) -> Lesson:
         along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
         places = np.append(0.0, rng.uniform(0.0, along[-1], LESSONS - 1))
+        places[::2] *= min(1.0, FIRST / along[-1])
 
         def at(places: np.ndarray) -> np.ndarray:
             return np.stack([np.interp(places, along, joint) for joint in path.T], axis=1)

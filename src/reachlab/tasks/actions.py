@@ -28,9 +28,12 @@ AHEAD = 0.3
 SHORT = 0.05
 """Length up to which a heading is not taken for a longer one."""
 
-ARRIVES = 0.3
-"""What is left of the way to the goal's joints where the task's controller takes over from headings [rad]: a
-policy that is 0.1 rad off comes no nearer than that by itself, and stands there."""
+ARRIVES, THERE = 0.3, 0.05
+"""What is left of the way to the goal's joints where the task's controller takes over from headings that lead there
+[rad], and from all: a policy that is 0.1 rad off comes no nearer than that by itself, and stands there."""
+
+LEADS = 0.5
+"""Cosine from which a heading leads to the goal's joints: where a board is before them it leads round."""
 
 GiveWay = Callable[[TaskSetup, Situation, Array], Array]
 """Dampers: joint displacement `[B, n]` in place of the one that is asked for."""
@@ -156,7 +159,10 @@ def _take_heading(setup: TaskSetup, now: Situation, action: Array) -> Array:
     """
     speed, way = np.array(setup.robot.speed), AHEAD * action / jnp.maximum(norm(action)[:, None], SHORT)
     time = jnp.maximum((jnp.abs(way) / speed).max(axis=-1, keepdims=True), max(*setup.lag, TINY))
-    far = norm(now.goal.joints - now.q)[:, None] > ARRIVES
+    left, long = now.goal.joints - now.q, norm(action)
+    distance = norm(left)
+    leads = (left * action).sum(axis=-1) > LEADS * distance * long
+    far = (distance > jnp.where(leads, ARRIVES, THERE))[:, None]
     along = jnp.clip(setup.period * way / time / joint_scale(setup), *_joint_box(setup))
     return _move_joints(setup, now, jnp.where(far, along, _joints_towards(setup, now, now)), hemmed)
 

@@ -25,10 +25,10 @@ IMITATED = Rule(
     lambda c: c.rules.action == "heading",
     {
         "observation": "ways",
-        "num_envs": 48,
+        "num_envs": 96,
         "rollout_steps": 25,
-        "total_steps": 60 * 48 * 25,
-        "anneal_steps": 60 * 48 * 25,
+        "total_steps": 75 * 96 * 25,
+        "anneal_steps": 75 * 96 * 25,
         "hidden": (),
         "learning_rate": 1e-3,
         "final_learning_rate": 3e-5,
