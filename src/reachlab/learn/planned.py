@@ -104,7 +104,7 @@ class Teacher:
     def __call__(self, asked: Asked) -> list[tuple[Lesson, Bodies]]:
         """The lessons of all that is asked for, and the bodies of each."""
         rng = np.random.default_rng(asked.seed)
-        scenes = [*self.fresh(asked.kind, asked.scenes, asked.seed)] if asked.scenes else []
+        scenes = [*self.fresh(asked.kind, asked.scenes, asked.seed)]
         beside = [(self.beside(bodies, goal, rng), goal, bodies) for _, goal, bodies in scenes[::2]]
         return [
             (lesson, bodies)

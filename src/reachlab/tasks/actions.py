@@ -157,9 +157,10 @@ def _take_heading(setup: TaskSetup, now: Situation, action: Array) -> Array:
 
     Its length is that of `AHEAD` unless it is very short: the mean of two ways is short, and has to be left.
     """
-    speed, way = np.array(setup.robot.speed), AHEAD * action / jnp.maximum(norm(action)[:, None], SHORT)
+    speed, long = np.array(setup.robot.speed), norm(action)
+    way = AHEAD * action / jnp.maximum(long[:, None], SHORT)
     time = jnp.maximum((jnp.abs(way) / speed).max(axis=-1, keepdims=True), max(*setup.lag, TINY))
-    left, long = now.goal.joints - now.q, norm(action)
+    left = now.goal.joints - now.q
     distance = norm(left)
     leads = (left * action).sum(axis=-1) > LEADS * distance * long
     far = (distance > jnp.where(leads, ARRIVES, THERE))[:, None]
