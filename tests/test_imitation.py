@@ -185,10 +185,11 @@ def test_what_cannot_be_imitated_is_refused_in_a_sentence(
     config = configure("clutter", robot="panda", action="heading", num_envs=4, **changed)
     with pytest.raises(InputError, match=sentence):
         train(config, tmp_path / "run", base=config)
+    assert not (tmp_path / "run").exists()
 
 
 def test_what_is_planned_is_shared_with_no_worker(tmp_path: Path) -> None:
-    config = configure("clutter", robot="panda", action="heading", num_envs=4, scene=("balls",))
+    config = configure("clutter", robot="panda", action="heading", num_envs=4, scene=("wall",))
     with pytest.raises(InputError, match="is planned on all cores here, and shared with no worker: leave --workers"):
         train(config, tmp_path / "run", base=config, collect=lambda *_: pytest.fail("collected"))
     assert not (tmp_path / "run").exists()

@@ -44,6 +44,11 @@ def fresh(k):
     return Normaliser(jnp.zeros(k), jnp.ones(k), jnp.zeros(()))
 
 
+def test_an_observation_may_be_a_list_of_numbers(policy):
+    numbers = [0.1, -0.2, 0.3, 0.4, -0.5]
+    np.testing.assert_array_equal(policy.act(numbers), policy.act(jnp.asarray(numbers, jnp.float32)))
+
+
 def test_an_observation_of_another_size_is_refused_in_a_sentence(policy):
     with pytest.raises(
         InputError, match=r"observes numbers, 5 numbers, and got an array of shape \(2, 3\): give the env"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -234,6 +235,24 @@ def test_a_finished_run_says_so(unbroken: Path, capsys: pytest.CaptureFixture[st
     assert status == 0
     assert json.loads(out) == json.loads((unbroken / "report.json").read_text())
     assert err == f"Run {unbroken} is finished: {unbroken / 'report.json'} holds its report.\n"
+
+
+def test_a_run_whose_report_is_cut_short_is_not_called_finished(
+    unbroken: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = Path(shutil.copytree(unbroken, tmp_path / "run"))
+    (run / "report.json").write_bytes((unbroken / "report.json").read_bytes()[:100])
+    status, out, err = say(capsys, "train", "--resume", run)
+    assert (status, out) == (2, "")
+    assert err == f"reachlab: '{run / 'report.json'}' is not JSON that can be read.\n"
+
+
+def test_what_begins_is_told_before_anything_is_compiled(tmp_path: Path) -> None:
+    seen: list[str] = []
+    config = configure(**TINY)
+    train(config, tmp_path / "run", lambda _: seen.append("iteration"), begun=lambda: seen.append("begun"), base=config)
+    assert seen[0] == "begun"
+    assert set(seen[1:]) == {"iteration"}
 
 
 @pytest.mark.parametrize(

@@ -491,7 +491,7 @@ def test_trials_on_ray_are_those_of_processes(swept: Path, tmp_path: Path, ray: 
     [
         (["sweep"], "sweep needs a space"),
         (["sweep", "missing.toml"], "space 'missing.toml' cannot be read"),
-        (["sweep", "--resume", "{folder}"], "config.json' is missing"),
+        (["sweep", "--resume", "{folder}"], "is no sweep: begin one with `reachlab sweep SPACE --out"),
         (["sweep", "{space}", "--engine", "slurm"], "engine 'slurm' is not one of: local, ray"),
         (["sweep", "{space}", "--address", "127.0.0.1:1"], "use --engine ray"),
         (["sweep", "{space}", "--goal", "sucess_rate"], "Did you mean 'success_rate'"),

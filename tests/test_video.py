@@ -7,7 +7,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -66,8 +66,8 @@ def film(env: Env, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[
     """Writes a video of inverse kinematics whose pictures are plain grey, so that it needs no OpenGL."""
     monkeypatch.setattr(env, "render", grey)
 
-    def write(name: str, episodes: int = 1, fps: float = 30.0, speed: float = 1.0) -> Clip:
-        return write_video(env, "ik", None, tmp_path / name, seed=1, episodes=episodes, fps=fps, speed=speed)
+    def write(name: str, episodes: int = 1, fps: float = 30.0, speed: float = 1.0, **more: Any) -> Clip:
+        return write_video(env, "ik", None, tmp_path / name, seed=1, episodes=episodes, fps=fps, speed=speed, **more)
 
     return write
 
@@ -81,6 +81,12 @@ def durations(path: str) -> list[int]:
             picture.load()
             times.append(int(picture.info["duration"]))
         return times
+
+
+def test_it_is_told_how_many_episodes_are_filmed(film: Callable[..., Clip]) -> None:
+    filmed: list[int] = []
+    film("film.webp", episodes=2, fps=5.0, watch=filmed.append)
+    assert filmed == [1, 2]
 
 
 # --- episodes -------------------------------------------------------------------------------------

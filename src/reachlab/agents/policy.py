@@ -167,6 +167,8 @@ class Policy:
 
     def inputs(self, observation: Observed, memory: Memory = None) -> Inputs:
         """Inputs of the networks, of an observation and what is remembered."""
+        if isinstance(observation, list | tuple):
+            observation = jnp.asarray(observation, jnp.float32)
         picture, vector = self.schema.split(observation)
         if vector is not None and jnp.shape(vector)[-1:] != (self.schema.vector_size,):
             names = ", ".join(field.name for field in self.schema.vectors)

@@ -167,8 +167,8 @@ def _parse(verb: str, flags: type, words: list[str]) -> Any:
     """
     default: Any = tyro.MISSING_NONPROP
     if flags in (Train, Sweep):
-        default = flags(run=_defaults(_chosen(words)))
-    elif flags is Distil and isinstance(config := _resumed(_chosen(words)), DistilRunConfig):
+        default = flags(run=_defaults(flags, _chosen(words)))
+    elif flags is Distil and isinstance(config := _resumed(flags, _chosen(words)), DistilRunConfig):
         settings = flatten(to_json(config))
         default = Distil(**{name: settings[name] for name in STUDENT if name in settings}, settings=config.dagger)
     marks = [tyro.conf.OmitArgPrefixes]
@@ -211,13 +211,13 @@ def _imported(words: list[str]) -> list[str]:
     return others
 
 
-def _defaults(chosen: argparse.Namespace) -> RunConfig:
+def _defaults(flags: type, chosen: argparse.Namespace) -> RunConfig:
     """Settings that the flags of a training change: those of the run that is resumed or of a file, or a preset.
 
     Raises:
         InputError: the file cannot be used, or a preset is named beside it.
     """
-    if config := _resumed(chosen):
+    if config := _resumed(flags, chosen):
         return config
     if not chosen.config:
         choices = {name: vars(chosen)[name] for name in CHOICES if vars(chosen)[name]}
@@ -230,10 +230,14 @@ def _defaults(chosen: argparse.Namespace) -> RunConfig:
     return config
 
 
-def _resumed(chosen: argparse.Namespace) -> RunConfig | None:
-    """Settings of the run that is resumed, if there is one."""
+def _resumed(flags: type, chosen: argparse.Namespace) -> RunConfig | None:
+    """Settings of the run or the sweep that is resumed, if there is one."""
     if not chosen.resume:
         return None
+    if flags is Sweep:
+        from reachlab.scale.sweep import read_sweep
+
+        read_sweep(Path(chosen.resume))
     from reachlab.runs.directory import RunDirectory
 
     return RunDirectory(Path(chosen.resume)).read_config(check_robot=False)

@@ -107,11 +107,14 @@ class TrainDisplay(Bar):
         self.last: TrainProgress | None = None
         """Progress after the first and the last iteration of this process."""
 
+    def begun(self) -> None:
+        """Show what begins, where nothing is refused any more."""
+        note(explained(self._config))
+
     def __call__(self, progress: TrainProgress) -> None:
         """Show the progress of training."""
         row, config, now = progress.metrics, self._config, progress.elapsed_s
-        if self.first is None:  # from here on it is known that no setting is refused
-            note(explained(config))
+        if self.first is None:
             self.first = progress
             # Half a second, for the picture at the end, while XLA computes.
             Thread(target=import_module, args=("reachlab.watch.plots",), daemon=True).start()

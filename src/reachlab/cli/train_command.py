@@ -70,7 +70,8 @@ def _learn(arguments: Train | Distil, config: RunConfig, verb: str) -> None:
 
         base = read_config(arguments.config) if isinstance(arguments, Train) and arguments.config else None
         with _collector(arguments, config) as collect:
-            result = run_training(config, out, display, resume=resume, base=base, sinks=sinks, collect=collect)
+            more: dict[str, Any] = {"base": base, "sinks": sinks, "collect": collect}
+            result = run_training(config, out, display, begun=display.begun, resume=resume, **more)
     from reachlab.watch.plots import plot as draw
 
     draw([out], out / "curve.png")
@@ -115,7 +116,8 @@ def _is_finished(arguments: Train | Distil, config: RunConfig, folder: Path) -> 
     run.read_unfinished(config)
     if not run.finished:
         return False
+    report = read_json(run.report_file)
     if arguments.json:
-        print(jsonlib.dumps(read_json(run.report_file)))
+        print(jsonlib.dumps(report))
     print(f"Run {folder} is finished: {run.report_file} holds its report.", file=sys.stderr)
     return True

@@ -28,6 +28,7 @@ def video(arguments: Video) -> None:
     """Run `reachlab video`."""
     prepare()
     from reachlab.cli.console import say
+    from reachlab.cli.progress import EvalDisplay
     from reachlab.envs.core import Env
     from reachlab.runs.shipped import is_shipped
     from reachlab.watch.page.shown import settings_shown
@@ -39,9 +40,10 @@ def video(arguments: Video) -> None:
     own = run is not None and not is_shipped(run)
     usual = run.path / "video.webp" if run and own else Path(f"{Path(config.robot).stem}-{config.task}.webp")
     given = {name: vars(arguments)[name] for name in ("seed", "episodes", "fps", "speed")}
-    with closing(Env(config, 1)) as env:
+    with closing(Env(config, 1)) as env, EvalDisplay(arguments.episodes) as display:
         acting, policy, _ = subject.acting(env, agent)
-        clip = write_video(env, acting, policy, arguments.out or usual, **given)
+        display.begin(f"film of {agent}", config.sim)
+        clip = write_video(env, acting, policy, arguments.out or usual, **given, watch=display)
     if arguments.json:
         print(jsonlib.dumps(vars(clip)))
     else:

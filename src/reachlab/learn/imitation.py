@@ -10,6 +10,7 @@ import operator
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from importlib.util import find_spec
 from typing import Any, cast
 
 import jax
@@ -31,8 +32,9 @@ from reachlab.learn.ppo_method import TrainState, initial_state
 from reachlab.learn.rollout import episode_statistics, host_collector
 from reachlab.robots.kinematics.forward import forward_kinematics
 from reachlab.settings.config import RunConfig
-from reachlab.settings.validation import InputError
+from reachlab.settings.validation import InputError, installing
 from reachlab.tasks.observations import observe
+from reachlab.tasks.scenes.sampling import drawn_anew
 from reachlab.tasks.task import TaskSetup
 
 PLANS = 24_000
@@ -170,12 +172,17 @@ def _at_rest(setup: TaskSetup, q: Array, goal: Goal, bodies: Bodies) -> Situatio
 
 
 def _check(config: RunConfig, resume: bool) -> None:
-    """Make sure that what is observed can be told of an arm at rest.
+    """Make sure that ways can be planned, and that what is observed can be told of an arm at rest.
 
     Raises:
-        InputError: it cannot, or the policy remembers something.
+        InputError: it cannot, or the policy remembers something; OMPL is not installed, or scenes are drawn as episodes
+            begin.
     """
     del resume
+    if drawn_anew(config.rules.scene):
+        raise InputError("an action 'heading' is learnt among furniture: choose --scene wall, or another.")
+    if not find_spec("ompl"):
+        raise InputError(f"an action 'heading' is learnt from OMPL's plans: {installing('planner')}.")
     if config.rules.observation != "ways" or config.learner.memory:
         raise InputError(
             "an action 'heading' is learnt of planned ways, of which joints alone are known: choose --observation ways,"

@@ -19,10 +19,8 @@ from reachlab.control.planning.search import Search
 from reachlab.control.planning.workers import Workers
 from reachlab.envs.core import Env
 from reachlab.robots.robot import Robot
-from reachlab.settings.validation import InputError, installing
 from reachlab.tasks.actions import AHEAD
 from reachlab.tasks.scenes.bank import Bank, Finder
-from reachlab.tasks.scenes.sampling import drawn_anew
 
 LESSONS = 24
 """Joint vectors of a way that are learnt from: the first, and random ones."""
@@ -56,14 +54,8 @@ class Lesson(NamedTuple):
 
 
 def teachers(env: Env) -> Workers:
-    """Teachers for the arm of an environment, one a core.
-
-    Raises:
-        InputError: OMPL is not installed, or scenes are drawn as episodes begin.
-    """
+    """Teachers for the arm of an environment, one a core."""
     setup = env.setup
-    if drawn_anew(setup.rules.scene):
-        raise InputError("an action 'heading' is learnt among furniture: choose --scene wall, or another.")
     arm = arm_of(setup.robot, setup.lag, setup.period)
     return Workers(Teacher, setup.robot, arm, setup.task.scene(setup).bodies, most=TEACHERS)
 
@@ -91,15 +83,12 @@ class Teacher:
         """Of an arm, and with room for so many bodies.
 
         Raises:
-            InputError: OMPL is not installed.
+            ModuleNotFoundError: OMPL is not installed.
         """
         self._robot, self._arm, self._room = robot, arm, bodies
         checker = CollisionChecker(self._arm, bodies)
-        try:
-            self._planner = Planner(checker, self._arm)
-            self._search = Search(checker, self._arm.lower, self._arm.upper)
-        except ModuleNotFoundError:
-            raise InputError(f"an action 'heading' is learnt from OMPL's plans: {installing('planner')}.") from None
+        self._planner = Planner(checker, self._arm)
+        self._search = Search(checker, self._arm.lower, self._arm.upper)
 
     def __call__(self, asked: Asked) -> list[tuple[Lesson, Bodies]]:
         """The lessons of all that is asked for, and the bodies of each."""

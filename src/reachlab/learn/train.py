@@ -65,6 +65,7 @@ def train(
     out: str | Path,
     watch: Callable[[Progress], None] = lambda _: None,
     *,
+    begun: Callable[[], None] = lambda: None,
     resume: bool = False,
     base: RunConfig | None = None,
     sinks: Sequence[str] = (),
@@ -79,6 +80,7 @@ def train(
         config: every setting.
         out: run directory, made here; with `resume` one that is there.
         watch: called after every iteration.
+        begun: called once nothing is refused any more, before the programs of a new run are compiled.
         resume: continue from the newest checkpoint of `out`, bit for bit as if training had never stopped.
         base: settings from which `config` was changed, by default its preset: changes without effect are refused.
         sinks: where the numbers of `metrics.jsonl` go too: names of `SINKS`, for example `("tensorboard", "wandb")`.
@@ -117,7 +119,7 @@ def train(
             run.create(config)
         with locked(run.path):
             loop = Loop(config, env, run, watch, start, method, given, collect)
-            return _train(loop, wanted, resume=resume)
+            return _train(loop, wanted, begun, resume=resume)
     finally:
         env.close()
 
@@ -178,11 +180,15 @@ def _choose_threads(run: RunDirectory, config: RunConfig, wanted: int | None) ->
         set_threads(wanted or 1)
 
 
-def _train(loop: Loop, sinks: dict[str, Sink], *, resume: bool) -> TrainResult:
+def _train(loop: Loop, sinks: dict[str, Sink], begun: Callable[[], None], *, resume: bool) -> TrainResult:
     run, config = loop.run, loop.config
+    if not resume:
+        begun()
     state = loop.prepare(resume=resume)
     cut_metrics(run.metrics_file, loop.now.steps)
     with Metrics(run.metrics_file, sinks) as metrics:
+        if resume:
+            begun()
         with Interrupts() as interrupts:
             state = loop.iterate(state, metrics, interrupts)
         result = _result(loop, state.learner.policy)

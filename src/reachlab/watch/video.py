@@ -69,6 +69,7 @@ def write_video(
     episodes: int = 4,
     fps: float = 30.0,
     speed: float = 0.0,
+    watch: Callable[[int], None] = lambda _: None,
 ) -> Clip:
     """Film the first episodes of a seed's evaluation, one after the other; the clip says what was written.
 
@@ -81,6 +82,7 @@ def write_video(
         episodes: how many.
         fps: pictures for each second of the video, about: each shows a whole number of control steps.
         speed: 1 is real time, 0.5 half as fast; 0 chooses among `SPEEDS`.
+        watch: called after every episode with how many have been filmed.
 
     Raises:
         InputError: an ending that is none of them, a file that cannot be written, or no OpenGL to draw with.
@@ -110,6 +112,7 @@ def write_video(
                 caption = _caption(env, name, player, f"Episode {number + 1} of {episodes}", speed)
                 yield Frame(captioned(_picture(env, player), caption), seconds)
             tally.update(successes=player.success)
+            watch(number + 1)
 
     with written("the video", out) as part:
         encode(part, film(), 1 / interval)
