@@ -16,7 +16,7 @@ from reachlab.agents.acting import make_act
 from reachlab.control import dampers
 from reachlab.control.contact_model import arm_of
 from reachlab.control.planning.collision import CollisionChecker
-from reachlab.control.planning.planner import CLEAR, OWN
+from reachlab.control.planning.planner import CLEAR
 from reachlab.deploy.onnx_network import OnnxNetwork
 from reachlab.deploy.weights import onnx_model
 from reachlab.envs.core import Env
@@ -24,7 +24,7 @@ from reachlab.envs.presets import configure
 from reachlab.envs.random_streams import env_keys
 from reachlab.learn.imitation import FRESH
 from reachlab.learn.learner import make_initial_policy
-from reachlab.learn.planned import ASIDE, BESIDE, FIRST, LESSONS, Teacher
+from reachlab.learn.planned import APART, ASIDE, BACK, BESIDE, FIRST, LESSONS, Teacher
 from reachlab.learn.train import train
 from reachlab.robots.kinematics.forward import forward_kinematics
 from reachlab.settings.validation import InputError
@@ -62,6 +62,29 @@ def test_headings_lead_along_planned_ways_there_and_back() -> None:
     env.close()
 
 
+def test_an_arm_that_stands_too_near_to_something_is_told_to_go_back_first() -> None:
+    env = furnished(4, scene=("shelf",))
+    setup, teacher, rng = env.setup, teacher_of(env), np.random.default_rng(0)
+    checker = CollisionChecker(arm_of(setup.robot, setup.lag, setup.period), setup.task.scene(setup).bodies)
+    asked, taught = np.array((CLEAR * setup.robot.scale, APART)), 0
+    for start, goal, bodies in teacher.fresh("shelf", 4, seed=1):
+        checker.place(bodies)
+        ways = rng.normal(size=(200, len(start)))
+        beside = start + rng.uniform(0.1, 0.6, (200, 1)) * ways / np.linalg.norm(ways, axis=1, keepdims=True)
+        near = [q for q in beside if 0.002 < checker.distances(q)[0] < asked[0] / 2 and checker.distances(q)[1] > APART]
+        for stood in near[:2]:
+            for lesson in teacher.lessons(bodies, stood, goal, rng):
+                taught += 1
+                checker.keep(*np.minimum(asked, np.array(checker.distances(goal)) - 1e-3))
+                assert not checker.free(stood)
+                first, *later = lesson.q[: LESSONS // 2]
+                np.testing.assert_allclose(first, stood, atol=1e-6)
+                assert all(checker.free(q) for q in later if np.linalg.norm(q - stood) > BACK[-1])
+                assert np.linalg.norm(lesson.joints - goal) < 1e-6, "no way leads to where it stood"
+    assert taught > 2
+    env.close()
+
+
 def test_joints_beside_a_goal_are_free_and_near_it_and_the_way_to_it_is_not_straight() -> None:
     env = furnished(4, scene=("shelf",))
     setup, teacher, found, taught = env.setup, teacher_of(env), 0, 0
@@ -72,7 +95,7 @@ def test_joints_beside_a_goal_are_free_and_near_it_and_the_way_to_it_is_not_stra
             continue
         found += 1
         checker.place(bodies)
-        least = np.minimum((CLEAR * setup.robot.scale, OWN), checker.distances(goal)) - 1e-6
+        least = np.minimum((CLEAR * setup.robot.scale, APART), checker.distances(goal)) - 1e-6
         checker.keep(*least.tolist())
         assert checker.free(q)
         assert not checker.straight(q, goal.astype(float))
@@ -182,7 +205,7 @@ def test_a_training_plans_and_comes_nearer_to_what_was_planned(tmp_path: Path) -
 def test_what_cannot_be_imitated_is_refused_in_a_sentence(
     changed: dict[str, Any], sentence: str, tmp_path: Path
 ) -> None:
-    config = configure("clutter", robot="panda", action="heading", num_envs=4, **changed)
+    config = configure("clutter", robot="panda", action="heading", num_envs=4, **{"scene": ("wall",)} | changed)
     with pytest.raises(InputError, match=sentence):
         train(config, tmp_path / "run", base=config)
     assert not (tmp_path / "run").exists()

@@ -14,7 +14,7 @@ from reachlab.control.bodies import Bodies
 from reachlab.control.contact_model import arm_of
 from reachlab.control.planning.arm import Arm
 from reachlab.control.planning.collision import CollisionChecker
-from reachlab.control.planning.planner import STRAIGHT, TRIES, Planner
+from reachlab.control.planning.planner import CLEAR, ROUNDING, STRAIGHT, TRIES
 from reachlab.control.planning.search import Search
 from reachlab.control.planning.workers import Workers
 from reachlab.envs.core import Env
@@ -33,6 +33,12 @@ BESIDE, DRAWN = (0.1, 0.9), 24
 
 Without ways from there a policy learns that the way to a goal that is near is straight, and stands where it is not.
 """
+
+APART = 0.005
+"""Least distance of links from each other on a way [m]: dampers keep 3 mm, and where they act an arm is slow."""
+
+BACK, ROUND = (0.05, 0.1, 0.2, 0.4), 48
+"""How far back joints are looked for that are as free as a way has to be [rad], and in how many directions."""
 
 ASIDE = 0.03
 """Standard deviation of how far aside of the way half of these are put, to learn to come back to it [rad]."""
@@ -86,9 +92,8 @@ class Teacher:
             ModuleNotFoundError: OMPL is not installed.
         """
         self._robot, self._arm, self._room = robot, arm, bodies
-        checker = CollisionChecker(self._arm, bodies)
-        self._planner = Planner(checker, self._arm)
-        self._search = Search(checker, self._arm.lower, self._arm.upper)
+        self._checker = CollisionChecker(self._arm, bodies)
+        self._search = Search(self._checker, self._arm.lower, self._arm.upper)
 
     def __call__(self, asked: Asked) -> list[tuple[Lesson, Bodies]]:
         """The lessons of all that is asked for, and the bodies of each."""
@@ -114,26 +119,25 @@ class Teacher:
 
     def beside(self, bodies: Bodies, goal: np.ndarray, rng: Generator) -> np.ndarray | None:
         """Joints `[n]` near those at a `goal [n]`, to which they have no straight way; None where none are found."""
-        checker, goal = self._planner.checker, goal.astype(float)
-        checker.place(bodies)
-        self._planner.margins(goal, goal)
+        goal = goal.astype(float)
+        self._place(bodies, goal)
         for way in rng.normal(size=(DRAWN, len(goal))):
             q = goal + rng.uniform(*BESIDE) / np.linalg.norm(way) * way
-            within = (self._arm.lower <= q).all() and (q <= self._arm.upper).all()
-            if within and checker.free(q) and not checker.straight(q, goal):
+            if self._free(q) and not self._checker.straight(q, goal):
                 return q
         return None
 
     def lessons(self, bodies: Bodies, start: np.ndarray, goal: np.ndarray, rng: Generator) -> Iterator[Lesson]:
         """Those of a way from `start [n]` to `goal [n]`, and of the way back; none where no way is found.
 
-        None is needed where the goal is near and the way straight.
+        None is needed where the goal is near and the way straight, and no way back to where an arm was stopped.
         """
         start, goal = start.astype(float), goal.astype(float)
         path = self._path(bodies, start, goal, rng)
         if path is not None and (len(path) > STRAIGHT or np.linalg.norm(goal - start) > AHEAD):
             yield self._lesson(path, rng)
-            yield self._lesson(path[::-1], rng)
+            if self._checker.free(path[0]):
+                yield self._lesson(path[::-1], rng)
 
     def _lesson(self, path: np.ndarray, rng: Generator) -> Lesson:
         along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
@@ -149,15 +153,47 @@ class Teacher:
         return Lesson(q, (at(places + AHEAD) - q) / AHEAD, self._arm.links_at(path[-1])[-1, :3, 3], path[-1])
 
     def _path(self, bodies: Bodies, start: np.ndarray, goal: np.ndarray, rng: Generator) -> np.ndarray | None:
-        """The sooner of two ways `[k, n]`."""
-        self._planner.checker.place(bodies)
-        self._planner.margins(start, goal)
+        """The sooner of two ways `[k, n]`, which keep their distances all along, but for where they begin.
+
+        An arm that stands nearer to something than a way may be is one that dampers have stopped: it is told to go back
+        first. Did all of its way keep no more than is left there, it would lead on through what stops the arm.
+        """
+        kept = self._place(bodies, goal)
+        begun = start if self._checker.free(start) else self._backed(start, kept, rng)
+        if begun is None:
+            return None
         paths = []
         for seed in rng.integers(2**30, size=TRIES).tolist():
             rounds = iter(range(ROUNDS))
-            path = self._search.path(start, goal[None], lambda rounds=rounds: next(rounds, None) is None, seed=seed)
-            paths += [] if path is None else [path]
+            path = self._search.path(begun, goal[None], lambda rounds=rounds: next(rounds, None) is None, seed=seed)
+            paths += [] if path is None else [path if begun is start else np.vstack([start, path])]
         return min(paths, key=self._time, default=None)
+
+    def _backed(self, start: np.ndarray, kept: np.ndarray, rng: Generator) -> np.ndarray | None:
+        """Joints `[n]` beside `start [n]` that keep the distances, to which it can go; None where none are found."""
+        left = np.minimum(np.array(self._checker.distances(start)) - ROUNDING, kept)
+        for far, way in itertools.product(BACK, rng.normal(size=(ROUND, len(start)))):
+            q = start + far / np.linalg.norm(way) * way
+            if self._free(q):
+                self._checker.keep(*left)
+                there = self._checker.straight(start, q)
+                self._checker.keep(*kept)
+                if there:
+                    return q
+        return None
+
+    def _place(self, bodies: Bodies, goal: np.ndarray) -> np.ndarray:
+        """Least distances [m] on ways to a `goal [n]` among bodies, which are asked for from here on."""
+        self._checker.place(bodies)
+        there = np.array(self._checker.distances(goal)) - ROUNDING
+        kept = np.clip(there, 0.0, (CLEAR * self._arm.scale, APART))
+        self._checker.keep(*kept)
+        return kept
+
+    def _free(self, q: np.ndarray) -> bool:
+        """Whether joints `[n]` are within their limits, and keep the distances."""
+        within = (self._arm.lower <= q).all() and (q <= self._arm.upper).all()
+        return bool(within and self._checker.free(q))
 
     def _time(self, path: np.ndarray) -> float:
         """Time that a path takes where one joint is always at its full speed [s]."""
