@@ -130,14 +130,13 @@ class Teacher:
     def lessons(self, bodies: Bodies, start: np.ndarray, goal: np.ndarray, rng: Generator) -> Iterator[Lesson]:
         """Those of a way from `start [n]` to `goal [n]`, and of the way back; none where no way is found.
 
-        None is needed where the goal is near and the way straight, and no way back to where an arm was stopped.
+        None is needed where the goal is near and the way straight.
         """
         start, goal = start.astype(float), goal.astype(float)
         path = self._path(bodies, start, goal, rng)
         if path is not None and (len(path) > STRAIGHT or np.linalg.norm(goal - start) > AHEAD):
             yield self._lesson(path, rng)
-            if self._checker.free(path[0]):
-                yield self._lesson(path[::-1], rng)
+            yield self._lesson(path[::-1], rng)
 
     def _lesson(self, path: np.ndarray, rng: Generator) -> Lesson:
         along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
