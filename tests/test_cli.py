@@ -482,4 +482,4 @@ def test_video_tells_what_it_filmed(reachlab: Shell, run: Path) -> None:
     assert (said.status, clip["out"], clip["episodes"], clip["successes"]) == (0, "film.gif", 1, 1)
     with Image.open("film.gif") as picture:
         assert (picture.format, picture.n_frames) == ("GIF", clip["frames"])  # type: ignore[attr-defined]
-    assert said.err == ""
+    assert re.fullmatch(r"film of ik in kinematic: 1 of 1 episodes, \d+ s\n", said.err)

@@ -179,11 +179,12 @@ def _check(config: RunConfig, resume: bool) -> None:
             begin.
     """
     del resume
-    if drawn_anew(config.rules.scene):
+    rules: Any = config.rules
+    if drawn_anew(rules.scene):
         raise InputError("an action 'heading' is learnt among furniture: choose --scene wall, or another.")
     if not find_spec("ompl"):
         raise InputError(f"an action 'heading' is learnt from OMPL's plans: {installing('planner')}.")
-    if config.rules.observation != "ways" or config.learner.memory:
+    if rules.observation != "ways" or config.learner.memory:
         raise InputError(
             "an action 'heading' is learnt of planned ways, of which joints alone are known: choose --observation ways,"
             " and no --memory."

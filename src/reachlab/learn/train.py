@@ -97,8 +97,7 @@ def train(
     run = RunDirectory(Path(out))
     if resume:
         run.check_robot(config)
-    inherited = resume or isinstance(config, DistilRunConfig)
-    check(config, config if inherited else base)
+    check(config, config if resume or isinstance(config, DistilRunConfig) else base)
     asked, config = config, _settled(config)
     if resume:
         _check_unfinished(run, config)
@@ -118,8 +117,7 @@ def train(
         if not resume:
             run.create(config)
         with locked(run.path):
-            loop = Loop(config, env, run, watch, start, method, given, collect)
-            return _train(loop, wanted, begun, resume=resume)
+            return _train(Loop(config, env, run, watch, start, method, given, collect), wanted, begun, resume=resume)
     finally:
         env.close()
 
