@@ -114,6 +114,7 @@ def test_a_heading_near_the_goal_is_followed_where_it_does_not_lead_there() -> N
         (0.2, there, there, across),
         (0.2, across, across, there),
         (0.03, across, there, across),
+        (0.15, -0.1 * there, there, across),
     ):
         aimed = now._replace(goal=replace(now.goal, joints=now.q + left * there))
         moved = command(env.setup, aimed, jnp.tile(heading, (8, 1)).astype(jnp.float32)) - now.command
