@@ -35,7 +35,7 @@ ARRIVES, THERE = 0.3, 0.05
 LEADS = 0.5
 """Cosine from which a heading leads to the goal's joints: where a board is before them it leads round."""
 
-BESIDE = 0.2
+ENDS = 0.2
 """How far beside the goal's joints a heading may end that leads there too [rad]: where a policy is so far off, its
 headings are short all about the place that it takes for the goal, and point away from the goal behind it."""
 
@@ -166,7 +166,7 @@ def _take_heading(setup: TaskSetup, now: Situation, action: Array) -> Array:
     time = jnp.maximum((jnp.abs(way) / speed).max(axis=-1, keepdims=True), max(*setup.lag, TINY))
     left = now.goal.joints - now.q
     distance = norm(left)
-    leads = ((left * action).sum(axis=-1) > LEADS * distance * long) | (norm(left - AHEAD * action) < BESIDE)
+    leads = ((left * action).sum(axis=-1) > LEADS * distance * long) | (norm(left - AHEAD * action) < ENDS)
     far = (distance > jnp.where(leads, ARRIVES, THERE))[:, None]
     along = jnp.clip(setup.period * way / time / joint_scale(setup), *_joint_box(setup))
     return _move_joints(setup, now, jnp.where(far, along, _joints_towards(setup, now, now)), hemmed)
