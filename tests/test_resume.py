@@ -20,7 +20,7 @@ from reachlab.envs.presets import configure
 from reachlab.envs.setup import make_setup, settled
 from reachlab.jax_setup import VARIABLE, threads
 from reachlab.learn.interrupts import ASKING, Interrupted
-from reachlab.learn.loop import Progress
+from reachlab.learn.loop import Loop, Progress
 from reachlab.learn.train import train
 from reachlab.runs.checkpoint import Counters, seal
 from reachlab.runs.directory import RunDirectory
@@ -247,12 +247,16 @@ def test_a_run_whose_report_is_cut_short_is_not_called_finished(
     assert err == f"reachlab: '{run / 'report.json'}' is not JSON that can be read.\n"
 
 
-def test_what_begins_is_told_before_anything_is_compiled(tmp_path: Path) -> None:
-    seen: list[str] = []
-    config = configure(**TINY)
+def test_what_begins_is_told_before_anything_is_compiled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen, config, prepare = list[str](), configure(**TINY), Loop.prepare
+
+    def prepared(loop: Loop, *, resume: bool) -> Any:
+        seen.append("compiled")
+        return prepare(loop, resume=resume)
+
+    monkeypatch.setattr(Loop, "prepare", prepared)
     train(config, tmp_path / "run", lambda _: seen.append("iteration"), begun=lambda: seen.append("begun"), base=config)
-    assert seen[0] == "begun"
-    assert set(seen[1:]) == {"iteration"}
+    assert seen[:3] == ["begun", "compiled", "iteration"]
 
 
 @pytest.mark.parametrize(
