@@ -94,11 +94,22 @@ def test_an_extension_that_a_run_names_is_not_imported_before_its_user_did(folde
         extensions.import_remembered((str(folder / "plain.py"),))
 
 
+OWN = (("tasks", "TASKS", "tutorial"), ("agents", "AGENTS", "ik"), ("robots.catalogue", "ROBOTS", "panda"))
+"""Tables, and an entry of each that none of a user may take the place of."""
+
+
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
         (None, "extension 'mine.py' is not there"),
         ("1 / 0", "extension 'mine.py' cannot be imported: ZeroDivisionError: division by zero"),
+        *(
+            (
+                f"from reachlab.{room} import {table}\n{table}[{name!r}] = None",
+                f"{name!r} is an entry of reachlab's own",
+            )
+            for room, table, name in OWN
+        ),
     ],
 )
 def test_an_extension_that_cannot_be_imported_is_refused_in_one_sentence(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from reachlab.settings.tables import Lazy
+from reachlab.settings.tables import Lazy, Table
 
 
 @dataclass(frozen=True)
@@ -20,31 +20,35 @@ class AgentEntry(Lazy):
     remembers: bool = False
 
 
-AGENTS: dict[str, AgentEntry] = {
-    "trained": AgentEntry("the trained policy, without noise", "reachlab.agents.acting:trained", trained=True),
-    "random": AgentEntry("actions sampled uniformly from their box", "reachlab.agents.baselines:random"),
-    "zero": AgentEntry("actions of zero", "reachlab.agents.baselines:zero"),
-    "ik": AgentEntry(
-        "inverse kinematics in a closed loop: to the target from where the tool is measured, at every step",
-        "reachlab.agents.baselines:ik",
-    ),
-    "script": AgentEntry(
-        "what the task's controller does, as ik: for objects a script without memory", "reachlab.agents.baselines:ik"
-    ),
-    "ik_open": AgentEntry(
-        "inverse kinematics without feedback: to the target from where the tool was commanded, whatever is measured",
-        "reachlab.agents.baselines:ik_open",
-    ),
-    "planner": AgentEntry(
-        "a path among bodies, planned by random sampling and followed; needs the extra 'planner'",
-        "reachlab.agents.planner:Following",
-        remembers=True,
-    ),
-    "hybrid": AgentEntry(
-        "the trained policy, and the planner where the policy would not get through, or comes no nearer",
-        "reachlab.agents.hybrid:Hybrid",
-        trained=True,
-        remembers=True,
-    ),
-}
+AGENTS: dict[str, AgentEntry] = Table(
+    {
+        "trained": AgentEntry("the trained policy, without noise", "reachlab.agents.acting:trained", trained=True),
+        "random": AgentEntry("actions sampled uniformly from their box", "reachlab.agents.baselines:random"),
+        "zero": AgentEntry("actions of zero", "reachlab.agents.baselines:zero"),
+        "ik": AgentEntry(
+            "inverse kinematics in a closed loop: to the target from where the tool is measured, at every step",
+            "reachlab.agents.baselines:ik",
+        ),
+        "script": AgentEntry(
+            "what the task's controller does, as ik: for objects a script without memory",
+            "reachlab.agents.baselines:ik",
+        ),
+        "ik_open": AgentEntry(
+            "inverse kinematics without feedback: to the target from where the tool was commanded, whatever is"
+            " measured",
+            "reachlab.agents.baselines:ik_open",
+        ),
+        "planner": AgentEntry(
+            "a path among bodies, planned by random sampling and followed; needs the extra 'planner'",
+            "reachlab.agents.planner:Following",
+            remembers=True,
+        ),
+        "hybrid": AgentEntry(
+            "the trained policy, and the planner where the policy would not get through, or comes no nearer",
+            "reachlab.agents.hybrid:Hybrid",
+            trained=True,
+            remembers=True,
+        ),
+    }
+)
 """Agents by name: the trained policy, and what it has to beat. Adding one takes its function and its line here."""

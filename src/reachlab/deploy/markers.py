@@ -1,4 +1,4 @@
-"""Obstacles as messages of ROS 2: markers, which RViz draws."""
+"""Bodies beside an arm as messages of ROS 2: markers, which RViz draws."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 
 
-def to_markers(obstacles: Sequence[dict[str, Any]], frame: str = "base") -> Any:
-    """A `MarkerArray` of obstacles as `Controller.step` takes them: spheres, cubes, and cylinders for capsules."""
+def to_markers(bodies: Sequence[dict[str, Any]], frame: str = "base") -> Any:
+    """A `MarkerArray` of bodies as `Controller.step` takes them: spheres, cubes, and cylinders for capsules."""
     from visualization_msgs.msg import Marker, MarkerArray
 
     found = []
-    for number, one in enumerate(obstacles):
+    for number, one in enumerate(bodies):
         half, radius = np.asarray(one.get("half", np.zeros(3)), float), float(one.get("radius", 0.0))
-        marker = Marker(ns="obstacles", id=number)
+        marker = Marker(ns="bodies", id=number)
         marker.header.frame_id = frame
         if half[:2].any():
             marker.type, size = Marker.CUBE, 2 * (half + radius)
@@ -33,7 +33,7 @@ def to_markers(obstacles: Sequence[dict[str, Any]], frame: str = "base") -> Any:
 
 
 def from_markers(message: Any, seen: float) -> list[dict[str, Any]]:
-    """Obstacles, seen at a time [s], of a `MarkerArray` that holds all of them.
+    """Bodies, seen at a time [s], of a `MarkerArray` that holds all of them.
 
     A cylinder is taken as the capsule around it: its axis, swept by a ball of its radius. What is no sphere, cube or
     cylinder is a ball around its scale.

@@ -14,7 +14,7 @@ from reachlab.control.situation import Goal
 from reachlab.envs.core import Env
 from reachlab.envs.episode_batch import EpisodeBatch, Now, Result
 from reachlab.envs.functions import EnvState
-from reachlab.envs.placing import goal_at, make_place
+from reachlab.envs.given_goal import goal_at, make_place
 from reachlab.envs.setup import configure_env
 from reachlab.jax_setup import refuse_fork
 from reachlab.settings.json_form import to_json

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from reachlab.settings.tables import Lazy
+from reachlab.settings.tables import Lazy, Table
 
-METHODS: dict[str, Lazy] = {
-    "ppo": Lazy("proximal policy optimisation, by trial and error", "reachlab.learn.ppo_method:PPO"),
-    "dagger": Lazy("dataset aggregation, from a teacher", "reachlab.learn.dagger:DAGGER"),
-    "imitation": Lazy("dataset aggregation, from planned ways", "reachlab.learn.imitation:IMITATION"),
-}
+METHODS: dict[str, Lazy] = Table(
+    {
+        "ppo": Lazy("proximal policy optimisation, by trial and error", "reachlab.learn.ppo_method:PPO"),
+        "dagger": Lazy("dataset aggregation, from a teacher", "reachlab.learn.dagger:DAGGER"),
+        "imitation": Lazy("dataset aggregation, from planned ways", "reachlab.learn.imitation:IMITATION"),
+    }
+)
 """Ways of learning by name, each a `Method`; a configuration says which, see `RunConfig.method`, or its
 action, see `Action.method`."""

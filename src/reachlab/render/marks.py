@@ -33,7 +33,7 @@ BALL_OPACITY = 0.16
 PATH_RADIUS, TRAIL_RADIUS, TRAIL_OPACITY = 0.002, 0.006, 0.35
 """Of drawn paths and trails [m]: a tool that stays with its target is seen inside the trail."""
 
-OBSTACLE, OBJECT, TOUCHED = (0.48, 0.61, 0.66), (0.93, 0.58, 0.16), (0.85, 0.12, 0.15)
+FIXED, OBJECT, TOUCHED = (0.48, 0.61, 0.66), (0.93, 0.58, 0.16), (0.85, 0.12, 0.15)
 """Colours of bodies, of those that are to be moved, and of those that the arm touches."""
 
 GLASS = 0.4
@@ -83,7 +83,7 @@ class Block:
     @property
     def colour(self) -> Colour:
         """Of the body."""
-        return TOUCHED if self.touched else OBJECT if self.is_object else OBSTACLE
+        return TOUCHED if self.touched else OBJECT if self.is_object else FIXED
 
     @property
     def opacity(self) -> float:

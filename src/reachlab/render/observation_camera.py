@@ -14,7 +14,7 @@ import numpy as np
 
 from reachlab.control.bodies import Bodies
 from reachlab.control.planning.workers import cores
-from reachlab.render.marks import OBJECT, OBSTACLE, WAITING
+from reachlab.render.marks import FIXED, OBJECT, WAITING
 from reachlab.render.offscreen import gl_context
 from reachlab.render.scene import add_table, drawn_spec
 from reachlab.render.view_randomisation import ARM_GREYS, BODY, DARKEST, LUMA, Views
@@ -63,7 +63,7 @@ class Tints(NamedTuple):
 
 
 GREY = Tints(*np.ones((3, 3)))
-COLOUR = Tints(np.array(WAITING) / TARGET_GREY[0], np.array(OBJECT) / BODY[0], np.array(OBSTACLE) / BODY[0])
+COLOUR = Tints(np.array(WAITING) / TARGET_GREY[0], np.array(OBJECT) / BODY[0], np.array(FIXED) / BODY[0])
 """Tints of pictures in grey, and of those in colour: there they have the colours of pictures for people."""
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from reachlab.robots.files.model_file import ModelFile, read_model_file
 from reachlab.robots.robot import TUTORIAL_WORKSPACE, Box, PybulletModel
 from reachlab.settings.config import is_robot_file
+from reachlab.settings.tables import Table
 from reachlab.settings.validation import InputError, choose
 
 ASSETS = Path(__file__).parent / "assets"
@@ -50,57 +51,59 @@ class KnownRobot:
     gripper: str = "parallel"
 
 
-ROBOTS: dict[str, KnownRobot] = {
-    "iiwa14": KnownRobot(
-        file=ASSETS / "iiwa14" / "iiwa14.xml",
-        title="KUKA LBR iiwa 14 R820",
-        tools={"wrist": "link_7", "flange": "flange"},
-        workspace=TUTORIAL_WORKSPACE,
-        goal_box=((0.3, -0.4, 0.1), (0.7, 0.4, 0.6)),
-        # Euler angles (0, -π, π/2) of the tutorial: the tool points down, turned a quarter about the vertical.
-        held_quaternion=(0.0, 0.5**0.5, -(0.5**0.5), 0.0),
-        pybullet=PybulletModel("kuka_iiwa/model.urdf", 6, {"link_7": 0.0, "flange": 0.045}),
-    ),
-    "panda": KnownRobot(
-        file=ASSETS / "panda" / "panda.xml",
-        title="Franka Emika Panda",
-        tools={"flange": "flange"},
-        acceleration=(15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0),
-        jerk=(7500.0, 3750.0, 5000.0, 6250.0, 7500.0, 10000.0, 10000.0),
-        workspace=((0.27, -0.29, 0.0), (0.67, 0.29, 0.54)),
-        goal_box=((0.25, -0.4, 0.1), (0.6, 0.4, 0.6)),
-    ),
-    "ur5e": KnownRobot(
-        file=ASSETS / "ur5e" / "ur5e.xml",
-        title="Universal Robots UR5e",
-        tools={"flange": "flange"},
-        workspace=((0.18, -0.3, 0.0), (0.68, 0.3, 0.55)),
-        goal_box=((0.25, -0.4, 0.1), (0.65, 0.4, 0.6)),
-    ),
-    "xarm7": KnownRobot(
-        file=ASSETS / "xarm7" / "xarm7.xml",
-        title="UFACTORY xArm 7",
-        tools={"flange": "flange"},
-        workspace=((0.17, -0.29, 0.0), (0.59, 0.29, 0.5)),
-        goal_box=((0.15, -0.3, 0.05), (0.55, 0.3, 0.5)),
-    ),
-    "gen3": KnownRobot(
-        file=ASSETS / "gen3" / "gen3.xml",
-        title="Kinova Gen3 with seven joints",
-        tools={"flange": "end_effector"},
-        acceleration=(5.2, 5.2, 5.2, 5.2, 10.0, 10.0, 10.0),
-        workspace=((0.22, -0.29, 0.0), (0.64, 0.29, 0.42)),
-        goal_box=((0.25, -0.4, 0.1), (0.65, 0.4, 0.6)),
-    ),
-    "so101": KnownRobot(
-        file=ASSETS / "so101" / "so101.xml",
-        title="SO-101 of The Robot Studio, with five joints",
-        tools={"flange": "gripper_frame"},
-        gripper="own",
-        workspace=((0.16, -0.08, 0.0), (0.35, 0.08, 0.15)),
-        goal_box=((0.15, -0.16, 0.05), (0.32, 0.16, 0.25)),
-    ),
-}
+ROBOTS: dict[str, KnownRobot] = Table(
+    {
+        "iiwa14": KnownRobot(
+            file=ASSETS / "iiwa14" / "iiwa14.xml",
+            title="KUKA LBR iiwa 14 R820",
+            tools={"wrist": "link_7", "flange": "flange"},
+            workspace=TUTORIAL_WORKSPACE,
+            goal_box=((0.3, -0.4, 0.1), (0.7, 0.4, 0.6)),
+            # Euler angles (0, -π, π/2) of the tutorial: the tool points down, turned a quarter about the vertical.
+            held_quaternion=(0.0, 0.5**0.5, -(0.5**0.5), 0.0),
+            pybullet=PybulletModel("kuka_iiwa/model.urdf", 6, {"link_7": 0.0, "flange": 0.045}),
+        ),
+        "panda": KnownRobot(
+            file=ASSETS / "panda" / "panda.xml",
+            title="Franka Emika Panda",
+            tools={"flange": "flange"},
+            acceleration=(15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0),
+            jerk=(7500.0, 3750.0, 5000.0, 6250.0, 7500.0, 10000.0, 10000.0),
+            workspace=((0.27, -0.29, 0.0), (0.67, 0.29, 0.54)),
+            goal_box=((0.25, -0.4, 0.1), (0.6, 0.4, 0.6)),
+        ),
+        "ur5e": KnownRobot(
+            file=ASSETS / "ur5e" / "ur5e.xml",
+            title="Universal Robots UR5e",
+            tools={"flange": "flange"},
+            workspace=((0.18, -0.3, 0.0), (0.68, 0.3, 0.55)),
+            goal_box=((0.25, -0.4, 0.1), (0.65, 0.4, 0.6)),
+        ),
+        "xarm7": KnownRobot(
+            file=ASSETS / "xarm7" / "xarm7.xml",
+            title="UFACTORY xArm 7",
+            tools={"flange": "flange"},
+            workspace=((0.17, -0.29, 0.0), (0.59, 0.29, 0.5)),
+            goal_box=((0.15, -0.3, 0.05), (0.55, 0.3, 0.5)),
+        ),
+        "gen3": KnownRobot(
+            file=ASSETS / "gen3" / "gen3.xml",
+            title="Kinova Gen3 with seven joints",
+            tools={"flange": "end_effector"},
+            acceleration=(5.2, 5.2, 5.2, 5.2, 10.0, 10.0, 10.0),
+            workspace=((0.22, -0.29, 0.0), (0.64, 0.29, 0.42)),
+            goal_box=((0.25, -0.4, 0.1), (0.65, 0.4, 0.6)),
+        ),
+        "so101": KnownRobot(
+            file=ASSETS / "so101" / "so101.xml",
+            title="SO-101 of The Robot Studio, with five joints",
+            tools={"flange": "gripper_frame"},
+            gripper="own",
+            workspace=((0.16, -0.08, 0.0), (0.35, 0.08, 0.15)),
+            goal_box=((0.15, -0.16, 0.05), (0.32, 0.16, 0.25)),
+        ),
+    }
+)
 """Robots by name. Adding one takes its record here and its assets."""
 
 

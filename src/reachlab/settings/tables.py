@@ -1,13 +1,34 @@
-"""Entries of tables whose modules are too heavy to be imported before they are needed."""
+"""Tables of what has a name, and entries whose modules are too heavy to be imported before they are needed."""
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pkgutil import resolve_name
-from typing import Any
+from typing import Any, TypeVar
 
 from reachlab.settings.validation import InputError
+
+Entry = TypeVar("Entry")
+
+
+class Table(dict[str, Entry]):
+    """Entries by name. Others can be added, and exchanged; those that it begins with stay what they are."""
+
+    def __init__(self, own: Mapping[str, Entry]) -> None:
+        super().__init__(own)
+        self._own = frozenset(own)
+
+    def __setitem__(self, name: str, entry: Entry) -> None:
+        """Enter what is called by a name.
+
+        Raises:
+            InputError: reachlab has one of that name.
+        """
+        if name in self._own and entry is not self[name]:
+            raise InputError(f"{name!r} is an entry of reachlab's own, which stays: choose another name for yours.")
+        super().__setitem__(name, entry)
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from reachlab.settings.tables import Lazy
+from reachlab.settings.tables import Lazy, Table
 
 
 @dataclass(frozen=True)
@@ -28,27 +28,29 @@ class SimulatorEntry(Lazy):
     draws_anything: bool = True
 
 
-SIMULATORS: dict[str, SimulatorEntry] = {
-    "kinematic": SimulatorEntry(
-        "joints follow their commands exactly; batched in JAX", "reachlab.sims.kinematic:KinematicSimulator"
-    ),
-    "mujoco": SimulatorEntry(
-        "full dynamics: gravity, inertia, position servos with torque limits; batched on all cores",
-        "reachlab.sims.mujoco:MujocoSimulator",
-        gives=frozenset({"dynamics", "contacts", "objects", "wrench"}),
-        settings=("physics_steps", "collisions", "gravity_compensation"),
-        # Where time is real a command takes longer to be followed.
-        defaults={"control_period": 0.02, "validation_episodes": 1000},
-    ),
-    "pybullet": SimulatorEntry(
-        "joints are set, or full dynamics with objects; at most 16 environments, needs the extra 'pybullet'",
-        "reachlab.sims.pybullet:make_pybullet",
-        gives=frozenset({"objects", "wrench"}),
-        settings=("gui", "slow"),
-        # Every environment is a client of its own.
-        defaults={"num_envs": 16, "rollout_steps": 256, "validation_episodes": 200},
-        most_envs=16,
-        draws_anything=False,
-    ),
-}
+SIMULATORS: dict[str, SimulatorEntry] = Table(
+    {
+        "kinematic": SimulatorEntry(
+            "joints follow their commands exactly; batched in JAX", "reachlab.sims.kinematic:KinematicSimulator"
+        ),
+        "mujoco": SimulatorEntry(
+            "full dynamics: gravity, inertia, position servos with torque limits; batched on all cores",
+            "reachlab.sims.mujoco:MujocoSimulator",
+            gives=frozenset({"dynamics", "contacts", "objects", "wrench"}),
+            settings=("physics_steps", "collisions", "gravity_compensation"),
+            # Where time is real a command takes longer to be followed.
+            defaults={"control_period": 0.02, "validation_episodes": 1000},
+        ),
+        "pybullet": SimulatorEntry(
+            "joints are set, or full dynamics with objects; at most 16 environments, needs the extra 'pybullet'",
+            "reachlab.sims.pybullet:make_pybullet",
+            gives=frozenset({"objects", "wrench"}),
+            settings=("gui", "slow"),
+            # Every environment is a client of its own.
+            defaults={"num_envs": 16, "rollout_steps": 256, "validation_episodes": 200},
+            most_envs=16,
+            draws_anything=False,
+        ),
+    }
+)
 """Simulators by name. Adding one takes its file and its line here."""

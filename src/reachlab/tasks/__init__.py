@@ -2,25 +2,28 @@
 
 from __future__ import annotations
 
-from reachlab.settings.tables import Lazy
+from reachlab.settings.tables import Lazy, Table
 
-TASKS: dict[str, Lazy] = {
-    "tutorial": Lazy("touch a point on the table", "reachlab.tasks.tutorial:Tutorial"),
-    "precise": Lazy("hold a point in the air, under full dynamics", "reachlab.tasks.precise:Precise"),
-    "pose": Lazy("hold a position and an orientation, under full dynamics", "reachlab.tasks.pose:Pose"),
-    "clutter": Lazy(
-        "hold a point among obstacles without touching anything, under full dynamics", "reachlab.tasks.clutter:Clutter"
-    ),
-    "clutter_pose": Lazy(
-        "hold a pose among obstacles without touching anything, under full dynamics",
-        "reachlab.tasks.clutter_pose:ClutterPose",
-    ),
-    "track": Lazy("follow a point that moves, under full dynamics", "reachlab.tasks.track:Track"),
-    "push": Lazy("push an object to a place on the table, under full dynamics", "reachlab.tasks.push:Push"),
-    "lift": Lazy("grip an object and hold it in the air, under full dynamics", "reachlab.tasks.lift:Lift"),
-    "slide": Lazy("strike a puck to a place out of reach, under full dynamics", "reachlab.tasks.slide:Slide"),
-    "place": Lazy("set an object down behind a wall and let go, under full dynamics", "reachlab.tasks.place:Place"),
-}
+TASKS: dict[str, Lazy] = Table(
+    {
+        "tutorial": Lazy("touch a point on the table", "reachlab.tasks.tutorial:Tutorial"),
+        "precise": Lazy("hold a point in the air, under full dynamics", "reachlab.tasks.precise:Precise"),
+        "pose": Lazy("hold a position and an orientation, under full dynamics", "reachlab.tasks.pose:Pose"),
+        "clutter": Lazy(
+            "hold a point among obstacles without touching anything, under full dynamics",
+            "reachlab.tasks.clutter:Clutter",
+        ),
+        "clutter_pose": Lazy(
+            "hold a pose among obstacles without touching anything, under full dynamics",
+            "reachlab.tasks.clutter_pose:ClutterPose",
+        ),
+        "track": Lazy("follow a point that moves, under full dynamics", "reachlab.tasks.track:Track"),
+        "push": Lazy("push an object to a place on the table, under full dynamics", "reachlab.tasks.push:Push"),
+        "lift": Lazy("grip an object and hold it in the air, under full dynamics", "reachlab.tasks.lift:Lift"),
+        "slide": Lazy("strike a puck to a place out of reach, under full dynamics", "reachlab.tasks.slide:Slide"),
+        "place": Lazy("set an object down behind a wall and let go, under full dynamics", "reachlab.tasks.place:Place"),
+    }
+)
 """Tasks by name, each the class of its settings. Adding one takes its file and its line here."""
 
 WORDS = {

@@ -16,6 +16,7 @@ from reachlab.control.evading import evaded
 from reachlab.control.situation import Goal, Situation, up_to_date
 from reachlab.robots.kinematics.forward import norm
 from reachlab.robots.kinematics.inverse import ik_displace
+from reachlab.settings.tables import Table
 from reachlab.tasks.camera import in_picture, on_table
 from reachlab.tasks.task import Bounds, TaskSetup
 
@@ -213,40 +214,42 @@ def _points_towards(setup: TaskSetup, now: Situation, believed: Situation) -> Ar
     return jnp.concatenate([in_picture(setup.robot, place * table[0] + table[1]) for place in places], axis=-1)
 
 
-ACTIONS: dict[str, Action] = {
-    "tool_delta": Action(
-        "a displacement of the tool, its orientation held", _tool_box, _move_tool, _tool_towards, gives=frozenset()
-    ),
-    "tool_step": Action(
-        "the same in a box of -1 to 1 in each direction", _unit_box, _move_tool, _tool_towards, gives=frozenset()
-    ),
-    "joint_delta": Action("a displacement of every joint", _joint_box, _move_joints, _joints_towards),
-    "joint_residual": Action(
-        "a displacement of every joint, added to that of the task's controller and fading at the goal",
-        _joint_box,
-        _correct_joints,
-        _correction_towards,
-        needs=frozenset({"places"}),
-        whole="joint_delta",
-    ),
-    "heading": Action(
-        "a direction of the joints, which they take as fast as they can; at the goal the task's controller acts",
-        _joint_box,
-        _take_heading,
-        _straight_heading,
-        gives=frozenset({"turning"}),
-        needs=frozenset({"joints", "bodies"}),
-        method="imitation",
-    ),
-    "picture_points": Action(
-        "where in the camera's picture goal and object are, on which the task's controller acts",
-        _picture_box,
-        _at_points,
-        _points_towards,
-        needs=frozenset({"flat", "picture"}),
-        points=2,
-    ),
-}
+ACTIONS: dict[str, Action] = Table(
+    {
+        "tool_delta": Action(
+            "a displacement of the tool, its orientation held", _tool_box, _move_tool, _tool_towards, gives=frozenset()
+        ),
+        "tool_step": Action(
+            "the same in a box of -1 to 1 in each direction", _unit_box, _move_tool, _tool_towards, gives=frozenset()
+        ),
+        "joint_delta": Action("a displacement of every joint", _joint_box, _move_joints, _joints_towards),
+        "joint_residual": Action(
+            "a displacement of every joint, added to that of the task's controller and fading at the goal",
+            _joint_box,
+            _correct_joints,
+            _correction_towards,
+            needs=frozenset({"places"}),
+            whole="joint_delta",
+        ),
+        "heading": Action(
+            "a direction of the joints, which they take as fast as they can; at the goal the task's controller acts",
+            _joint_box,
+            _take_heading,
+            _straight_heading,
+            gives=frozenset({"turning"}),
+            needs=frozenset({"joints", "bodies"}),
+            method="imitation",
+        ),
+        "picture_points": Action(
+            "where in the camera's picture goal and object are, on which the task's controller acts",
+            _picture_box,
+            _at_points,
+            _points_towards,
+            needs=frozenset({"flat", "picture"}),
+            points=2,
+        ),
+    }
+)
 """Action designs by name."""
 
 

@@ -79,7 +79,7 @@ class Clutter(Precise):
     @classmethod
     def task(cls) -> Task:
         """The flange is held at a point among obstacles."""
-        from reachlab.tasks.placing import place_free_point
+        from reachlab.tasks.given_goals import place_free_point
         from reachlab.tasks.scenes import sampling
         from reachlab.tasks.task import Control
 

@@ -26,7 +26,7 @@ class ClutterPose(Clutter):
     def task(cls) -> Task:
         """The flange is held in a pose among obstacles."""
         from reachlab.tasks import reach
-        from reachlab.tasks.placing import place_pose
+        from reachlab.tasks.given_goals import place_pose
 
         among = super().task()
         return replace(

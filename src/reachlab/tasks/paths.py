@@ -12,6 +12,7 @@ import numpy as np
 from jax import Array
 
 from reachlab.robots.kinematics.forward import added
+from reachlab.settings.tables import Table
 from reachlab.tasks.task import TaskSetup
 
 LENGTH = 1 / 3
@@ -191,14 +192,16 @@ def _after_jumps(setup: TaskSetup, numbers: Array, time: Array) -> Place:
     return Place(position, jnp.zeros(3))
 
 
-PATHS: dict[str, Path] = {
-    "line": Path("there and back on a line, at an even speed", lambda _: 7, _sample_line, _on_line),
-    "circle": Path("round a circle, at an even speed", lambda _: 11, _sample_circle, _on_circle),
-    "smooth": Path("along a smooth random path", lambda _: 4 + 2 * WAVES, _sample_smooth, _on_smooth),
-    "jumps": Path(
-        "to another place at once, again and again", lambda setup: 3 * _places(setup), _sample_jumps, _after_jumps
-    ),
-}
+PATHS: dict[str, Path] = Table(
+    {
+        "line": Path("there and back on a line, at an even speed", lambda _: 7, _sample_line, _on_line),
+        "circle": Path("round a circle, at an even speed", lambda _: 11, _sample_circle, _on_circle),
+        "smooth": Path("along a smooth random path", lambda _: 4 + 2 * WAVES, _sample_smooth, _on_smooth),
+        "jumps": Path(
+            "to another place at once, again and again", lambda setup: 3 * _places(setup), _sample_jumps, _after_jumps
+        ),
+    }
+)
 """Paths of goals by name."""
 
 

@@ -54,7 +54,7 @@ class Pose(Precise):
     def task(cls) -> Task:
         """The flange is held in a pose."""
         from reachlab.tasks import reach
-        from reachlab.tasks.placing import place_pose
+        from reachlab.tasks.given_goals import place_pose
         from reachlab.tasks.task import Control
 
         return replace(

@@ -7,6 +7,7 @@ from typing import Any
 
 from jax import Array
 
+from reachlab.settings.tables import Table
 from reachlab.tasks.judging import Outcome
 
 OUTSIDE_REWARD = -0.1
@@ -76,12 +77,14 @@ def _closeness(config: Any, outcome: Outcome) -> dict[str, Array]:
     return {"closeness": config.closeness_weight * close, "effort": -config.effort_weight * outcome.effort}
 
 
-REWARDS: dict[str, Callable[[Any, Outcome], dict[str, Array]]] = {
-    "sparse": _sparse,
-    "dense": _dense,
-    "precise": _precise,
-    "closeness": _closeness,
-    "goal": _goal,
-    "goal_distance": _goal_distance,
-}
+REWARDS: dict[str, Callable[[Any, Outcome], dict[str, Array]]] = Table(
+    {
+        "sparse": _sparse,
+        "dense": _dense,
+        "precise": _precise,
+        "closeness": _closeness,
+        "goal": _goal,
+        "goal_distance": _goal_distance,
+    }
+)
 """Rewards by name; each gives named terms `[B]` whose sum is the reward."""

@@ -16,6 +16,7 @@ from reachlab.control.situation import Goal
 from reachlab.robots.kinematics.forward import Pose, forward_kinematics
 from reachlab.robots.kinematics.inverse import inverse_kinematics
 from reachlab.robots.shapes.clearance import free_of_contact
+from reachlab.settings.tables import Table
 from reachlab.tasks.task import Bounds, TaskSetup
 
 WXYZ, XYZW = (3, 0, 1, 2), (1, 2, 3, 0)
@@ -162,15 +163,17 @@ def nearest_joints(setup: TaskSetup, pose: Pose, near: Array, start: Array, key:
     return q[best], found.converged.any()
 
 
-TARGETS: dict[str, Targets] = {
-    "table": Targets("on the table", _table_corners, _sample_in_box),
-    "box": Targets("in a box, of target_low and target_high or the arm's own", box_corners, _sample_in_box),
-    "any": Targets(
-        "wherever random joints bring the tool",
-        _reach_corners,
-        lambda setup, key: first_reached(lambda key: _any_pose(setup, key), setup, key),
-    ),
-}
+TARGETS: dict[str, Targets] = Table(
+    {
+        "table": Targets("on the table", _table_corners, _sample_in_box),
+        "box": Targets("in a box, of target_low and target_high or the arm's own", box_corners, _sample_in_box),
+        "any": Targets(
+            "wherever random joints bring the tool",
+            _reach_corners,
+            lambda setup, key: first_reached(lambda key: _any_pose(setup, key), setup, key),
+        ),
+    }
+)
 """Goals by name."""
 
 

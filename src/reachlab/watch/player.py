@@ -17,7 +17,7 @@ from reachlab.agents.acting import Function, make_act
 from reachlab.agents.policy import Policy
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState, Transition
-from reachlab.envs.placing import make_place
+from reachlab.envs.given_goal import make_place
 from reachlab.envs.random_streams import AGENT_STREAM, REPORT_STREAM, episode_keys
 from reachlab.jax_setup import jit
 from reachlab.tasks.task import Errors, TaskSetup

@@ -79,7 +79,7 @@ class Controller:
         self._lower, self._upper, self._inputs = limits["lower"], limits["upper"], facts["inputs"]
         self._objects = facts.get("objects", []), facts.get("object_size")
         self._moving = bool(facts.get("object_velocity", False))
-        self._followed = Followed() if facts.get("obstacle_velocity", False) else None
+        self._followed = Followed() if facts.get("body_velocity", False) else None
         step = load_step(folder)
         self._decide, self._tool = step["decide"], step["tool"]
         self._aim = Aim(facts["goal"], len(self.joints), step)

@@ -13,7 +13,7 @@ from reachlab.control.bodies import FAR, Bodies, Shape, absent, beside
 from reachlab.control.situation import Goal
 from reachlab.robots.kinematics.forward import Pose, forward_kinematics
 from reachlab.robots.shapes.clearance import Capsules, Segments, capsules_at, free_at, moving
-from reachlab.tasks.placing import joints_at
+from reachlab.tasks.given_goals import joints_at
 from reachlab.tasks.targets import Drawn, first_reached, sample_point
 from reachlab.tasks.task import TaskSetup
 

@@ -17,6 +17,7 @@ from numpy.random import Generator
 from reachlab.control.bodies import Shape
 from reachlab.robots.robot import Robot
 from reachlab.settings.reading import MOST_TEXT, read_regular
+from reachlab.settings.tables import Table
 from reachlab.settings.validation import InputError, choose
 
 THICK = 0.01
@@ -158,13 +159,15 @@ def _table(rng: Generator) -> Drawn:
     return Drawn(bodies, *ends)
 
 
-KINDS: dict[str, Kind] = {
-    "wall": Kind("a wall across the table between start and goal", 1, _wall),
-    "shelf": Kind("a shelf of two levels, with back and sides, to reach into", 7, _shelf),
-    "bin": Kind("a bin to reach into or out of", 4, _bin),
-    "posts": Kind("four to eight posts between start and goal", 8, _posts),
-    "table": Kind("up to ten boxes on the table, between start and goal near it", 10, _table),
-}
+KINDS: dict[str, Kind] = Table(
+    {
+        "wall": Kind("a wall across the table between start and goal", 1, _wall),
+        "shelf": Kind("a shelf of two levels, with back and sides, to reach into", 7, _shelf),
+        "bin": Kind("a bin to reach into or out of", 4, _bin),
+        "posts": Kind("four to eight posts between start and goal", 8, _posts),
+        "table": Kind("up to ten boxes on the table, between start and goal near it", 10, _table),
+    }
+)
 """Kinds of scene by name, beside `balls`."""
 
 

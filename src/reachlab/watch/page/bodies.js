@@ -26,7 +26,7 @@ class BodyMeshes {
     }
     const geometry = shapeOf(kind, size), shadow = new THREE.Group();
     const clear = kind === BOX && !moves;
-    const mesh = new THREE.Mesh(geometry, shaded(moves ? marks.object : marks.obstacle, clear ? marks.glass : 1));
+    const mesh = new THREE.Mesh(geometry, shaded(moves ? marks.object : marks.fixed, clear ? marks.glass : 1));
     Object.assign(shadow, { matrixAutoUpdate: false, matrix: mesh.matrix });
     shadow.add(Object.assign(new THREE.Mesh(geometry, SHADOW()), { renderOrder: 1 }));
     group.add(mesh);

@@ -106,7 +106,7 @@ def _marks() -> dict[str, Any]:
         "reached": marks.REACHED,
         "path": marks.PATH,
         "trail": marks.TRAIL,
-        "obstacle": marks.OBSTACLE,
+        "fixed": marks.FIXED,
         "glass": marks.GLASS,
         "object": marks.OBJECT,
         "axes": marks.AXES,
