@@ -6,6 +6,7 @@ loaded when it is asked for.
 
 from __future__ import annotations
 
+import os
 import sys
 from importlib import import_module
 from pathlib import Path
@@ -36,6 +37,9 @@ if TYPE_CHECKING:
     from reachlab.watch.video import write_video
 
 __version__ = "0.1.0"
+
+# XLA's log has pages of CPU features where the compilation cache is read. It is looked at when JAX is imported.
+os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 
 _HOMES = {
     "Controller": "deploy.onboard.controller",

@@ -29,7 +29,8 @@ picture for policies that need it."""
 Function = Callable[..., Any]
 """Gives actions `[B, a]` for observations, both in NumPy or what it understands: a policy of any other library.
 
-Where it has a second argument it is given where episodes begin, `[B]` truths: a policy that remembers needs that.
+Where it has a second argument without a default, or one that is called `begins`, it is given where episodes begin,
+`[B]` truths: a policy that remembers needs that.
 """
 
 Act = Callable[..., tuple[EnvState, Transition, Array]]
@@ -139,13 +140,14 @@ def make_act(env: Env, agent: str | Function) -> Act:
     return act
 
 
-def _arguments(function: Function) -> list[str]:
-    """Names of the arguments that a function takes by place; one where that is not known."""
+def _is_told(function: Function) -> bool:
+    """Whether a function is given where episodes begin; not where its arguments are not known."""
     try:
         known = inspect.signature(function).parameters.values()
     except (TypeError, ValueError):
-        return ["observation"]
-    return [one.name for one in known if one.kind in (one.POSITIONAL_ONLY, one.POSITIONAL_OR_KEYWORD)]
+        return False
+    places = [one for one in known if one.kind in (one.POSITIONAL_ONLY, one.POSITIONAL_OR_KEYWORD)]
+    return any(one.name == "begins" or one.default is one.empty for one in places[1:2])
 
 
 def _act_by(decide: Function, env: Env) -> Act:
@@ -154,7 +156,7 @@ def _act_by(decide: Function, env: Env) -> Act:
     Raises:
         InputError: when it is called, where it gives actions that are misshapen or not finite.
     """
-    step, told = env.compile_whole(env.step), len(_arguments(decide)) > 1
+    step, told = env.compile_whole(env.step), _is_told(decide)
 
     def act(
         policy: Policy | None, state: EnvState, key: Array, mask: Array | None = None, instead: Array | None = None

@@ -21,7 +21,6 @@ import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from reachlab.cli.flags import STUDENT, Distil, Train
-from reachlab.cli.preparation import quiet
 from reachlab.cli.short_help import short
 from reachlab.cli.sweep_flags import Sweep
 from reachlab.cli.verbs import VERBS
@@ -202,7 +201,6 @@ def _imported(words: list[str]) -> list[str]:
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     parser.add_argument("--import", action="append", default=[], dest="names", nargs="?", const="")
     given, others = parser.parse_known_args(words)
-    quiet()  # extensions may load JAX
     import_installed()
     if given.names or extended():
         import_module("reachlab.envs.gymnasium_ids")  # which an extension may make environments by

@@ -8,13 +8,8 @@ from importlib import import_module
 from reachlab.settings.validation import InputError
 
 
-def quiet() -> None:
-    """Quiet XLA's log, which prints pages of CPU features when it reads the compilation cache."""
-    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
-
-
 def prepare() -> None:
-    """Quiet XLA's log, compute on the CPU unless `JAX_PLATFORMS` says where, and use the compilation cache.
+    """Compute on the CPU unless `JAX_PLATFORMS` says where, and use the compilation cache.
 
     Engines step on the CPU, and a GPU beside them is waited for after each of their steps. What it is good for is
     arithmetic in thousands, see docs/scale.md.
@@ -22,7 +17,6 @@ def prepare() -> None:
     Raises:
         InputError: MuJoCo does not load, as with a `MUJOCO_GL` that it does not know or cannot load.
     """
-    quiet()
     os.environ.setdefault("JAX_PLATFORMS", "cpu")
     from reachlab.jax_setup import use_compilation_cache
 

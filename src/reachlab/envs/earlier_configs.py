@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from reachlab.settings.config import DistilRunConfig, RunConfig
-from reachlab.settings.extensions import import_remembered
+from reachlab.settings.extensions import import_installed, import_remembered
 from reachlab.settings.json_form import FORMAT, build
 from reachlab.settings.validation import InputError, choose, hints
 from reachlab.tasks import TASKS
@@ -30,12 +30,16 @@ def from_json(data: Any) -> RunConfig:
         raise InputError(f"{where} has format {written!r}, and this version reads 1 to {FORMAT}: install a newer one.")
     for older in range(written, FORMAT):
         plain = UPGRADES[older](plain)
+    import_installed()
     if isinstance(names := plain.get("imports", ()), list) and all(isinstance(name, str) for name in names):
         import_remembered(tuple(names))
     task = plain.get("task", "tutorial")
     if not isinstance(task, str):
         raise InputError(f"task must be a name, got {task!r}.")
-    kind = TASKS[choose("task", task, TASKS)].load()
+    try:
+        kind = TASKS[choose("task", task, TASKS)].load()
+    except InputError as error:
+        raise InputError(f"{error} One of your own is imported first: by --import FILE, or in Python.") from None
     rules = build(kind, plain.get("rules", {}), f"{where}, rules,")
     return build(DistilRunConfig if "dagger" in plain else RunConfig, plain, where, rules=rules)
 

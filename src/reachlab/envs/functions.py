@@ -26,7 +26,7 @@ from reachlab.robots.kinematics.scalars import once
 from reachlab.sims.simulator import BatchArray, Begin, Moved, SimState
 from reachlab.tasks import actions, observations
 from reachlab.tasks.judging import judge, outside_workspace
-from reachlab.tasks.rewards import REWARDS
+from reachlab.tasks.rewards import reward_terms
 from reachlab.tasks.schema import Observed
 from reachlab.tasks.task import Errors, Keys, Progress, TaskSetup
 
@@ -207,7 +207,7 @@ class EnvFunctions:
         outcome = judge(setup, before.errors, before.progress, now, clock)
         sensed = None if before.sensed is None else sense(before.sensed, before.arm, before.key, clock, setup.period)
         sight = None if before.sight is None else before.sight.after(bodies, before.key, clock)
-        terms = REWARDS[setup.rules.reward](setup.rules, outcome)
+        terms = reward_terms(setup.rules, outcome)
         seen = (
             None if self.pictured else observations.observe(setup, self.measured(now, before.key, clock, sensed, sight))
         )

@@ -6,7 +6,7 @@ import dataclasses
 from typing import Any, TypeVar
 
 from reachlab.settings.config import DistilRunConfig, RunConfig
-from reachlab.settings.extensions import IMPORTED
+from reachlab.settings.extensions import IMPORTED, import_installed
 from reachlab.settings.json_form import flatten, override, to_json
 from reachlab.settings.preset_record import Preset
 from reachlab.settings.validation import InputError, choose, hints
@@ -38,6 +38,7 @@ def preset(task: str = "tutorial", **chosen: Any) -> RunConfig:
     Raises:
         InputError: no such task, or a value that is not allowed.
     """
+    import_installed()
     kind = TASKS[choose("task", task, TASKS)].load()
     base: Preset = kind.preset
     config = RunConfig(

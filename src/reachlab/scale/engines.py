@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
 import time
@@ -60,7 +59,6 @@ class LocalEngine:
                 stdout=log,
                 stderr=log,
                 start_new_session=True,  # Ctrl-C is for the sweep
-                env=os.environ | {"TF_CPP_MIN_LOG_LEVEL": "3"},
             )
         self._processes.add(process)
         return process

@@ -49,7 +49,12 @@ def run_training(path: str, config: dict[str, Any], goal: str, validations: int)
         goal: name of the figure that validations are about.
         validations: how many there are on the way, at equal distances.
     """
-    settings, run = from_json(config), RunDirectory(Path(path))
+    run = RunDirectory(Path(path))
+    try:
+        settings = from_json(config)
+    except InputError as error:  # of an extension that is not here any more
+        write_json(failure_file(run.path), {"error": str(error)})
+        return
 
     def validations_until(steps: int) -> int:
         return steps * (validations + 1) // settings.loop.total_steps

@@ -56,6 +56,11 @@ class TaskSettings(Checked):
     wrench: bool = False
     """Measure the force and the torque at the wrist, and observe them; with a simulator that has dynamics."""
 
+    settle_steps = 0
+    """Steps until a goal that moves counts, for a task whose goals do."""
+    goal_speed = (0.0, 0.2)
+    """Least and largest speed of such a goal [m/s]."""
+
     @classmethod
     def task(cls) -> Any:
         """The task itself, a `reachlab.tasks.task.Task`; what it is made of is imported here."""

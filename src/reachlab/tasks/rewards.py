@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
+import jax.numpy as jnp
 from jax import Array
 
 from reachlab.settings.tables import Table
+from reachlab.settings.validation import InputError
 from reachlab.tasks.judging import Outcome
 
 OUTSIDE_REWARD = -0.1
@@ -88,3 +90,25 @@ REWARDS: dict[str, Callable[[Any, Outcome], dict[str, Array]]] = Table(
     }
 )
 """Rewards by name; each gives named terms `[B]` whose sum is the reward."""
+
+
+def reward_terms(rules: Any, outcome: Outcome) -> dict[str, Array]:
+    """The terms `[B]` of a step's reward by name.
+
+    Raises:
+        InputError: a reward that was added gives something else.
+    """
+    terms: Any = REWARDS[rules.reward](rules, outcome)
+    if not isinstance(terms, Mapping):
+        raise InputError(f"reward {rules.reward!r} gives {type(terms).__name__}: it has to give terms by name.")
+    for name, term in terms.items():
+        if name == "success":
+            raise InputError(
+                f"reward {rules.reward!r} has a term 'success', which is the verdict's name: call it another."
+            )
+        if jnp.shape(term) != jnp.shape(outcome.gap):
+            raise InputError(
+                f"reward {rules.reward!r} gives term {name!r} in shape {jnp.shape(term)}: one number an environment is"
+                f" needed, {jnp.shape(outcome.gap)}."
+            )
+    return dict(terms)

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.typing import ArrayLike
 
 from reachlab.robots.kinematics.chain import Chain
 from reachlab.robots.kinematics.scalars import (
@@ -26,6 +27,7 @@ from reachlab.robots.kinematics.scalars import (
     rotation_from_quaternion,
     total,
 )
+from reachlab.settings.validation import InputError
 
 
 class Pose(NamedTuple):
@@ -44,22 +46,43 @@ class Frames(NamedTuple):
     position: Vec
 
 
-def forward_kinematics(chain: Chain, q: Array) -> Pose:
+def forward_kinematics(chain: Chain, q: ArrayLike) -> Pose:
     """Pose of the tool at joint vectors `q [..., n]`.
 
     Args:
         chain: the arm's joints, as `Robot.chain`.
         q: joints [rad or m].
+
+    Raises:
+        InputError: they are not as many as the chain's.
     """
+    q = joint_vectors(chain, q)
     frames = frames_at(chain, components(q))
     return Pose(stack(frames.position, q), stack(quaternion_from_rotation(frames.rotation), q))
 
 
-def jacobian(chain: Chain, q: Array) -> Array:
-    """Geometric Jacobian `[..., 6, n]` of the tool in the world frame: linear rows, then angular."""
+def jacobian(chain: Chain, q: ArrayLike) -> Array:
+    """Geometric Jacobian `[..., 6, n]` of the tool in the world frame: linear rows, then angular.
+
+    Raises:
+        InputError: there are not as many joints as the chain's.
+    """
+    q = joint_vectors(chain, q)
     columns = jacobian_columns(chain, frames_at(chain, components(q)))
     rows = [stack(row, q) for row in zip(*columns, strict=True)]
     return jnp.stack(rows, axis=-2)
+
+
+def joint_vectors(chain: Chain, q: ArrayLike) -> Array:
+    """Joint vectors `[..., n]` as an array of floating-point numbers.
+
+    Raises:
+        InputError: they are not as many as the chain's.
+    """
+    given = jnp.asarray(q)
+    if given.shape[-1:] != (chain.n,):
+        raise InputError(f"joint vectors have {chain.n} numbers in their last axis, and the shape is {given.shape}.")
+    return given if jnp.issubdtype(given.dtype, jnp.floating) else given.astype(jnp.float32)
 
 
 def approach_axis(chain: Chain, quaternion: Array) -> Array:

@@ -13,9 +13,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.core import Tracer
+from jax.typing import ArrayLike
 
 from reachlab.robots.kinematics.chain import Chain
-from reachlab.robots.kinematics.forward import Frames, Pose, components, frames_at, jacobian_columns, stack
+from reachlab.robots.kinematics.forward import (
+    Frames,
+    Pose,
+    components,
+    frames_at,
+    jacobian_columns,
+    joint_vectors,
+    norm,
+    stack,
+)
 from reachlab.robots.kinematics.scalars import (
     Rotation,
     Scalar,
@@ -29,6 +40,7 @@ from reachlab.robots.kinematics.scalars import (
     sub,
     total,
 )
+from reachlab.settings.validation import InputError
 
 DAMPING = 1e-5
 """Added to the diagonal of J Jᵀ; the tutorial's joint damping."""
@@ -51,6 +63,8 @@ MAX_TURN = 0.1
 MAX_JOINT_STEP = 0.2
 """Largest joint displacement of one linearised step [rad or m], beyond which J has changed."""
 
+UNIT = 1e-3
+"""How far the length of a quaternion may be from 1."""
 
 TINY = 1e-6
 """Added to a length that divides [m]."""
@@ -127,7 +141,7 @@ def ik_point_step(chain: Chain, q: Array, command: Array, displacement: Array) -
 def inverse_kinematics(
     chain: Chain,
     target: Pose,
-    start: Array,
+    start: ArrayLike,
     key: Array,
     *,
     restarts: int = 40,
@@ -151,10 +165,18 @@ def inverse_kinematics(
         iterations: steps an attempt.
         position_tolerance: largest position error [m] of a converged pose.
         angle_tolerance: largest angle error [rad] of a converged pose.
+
+    Raises:
+        InputError: a quaternion is not of length 1, or there are not as many joints as the chain's.
     """
+    target = Pose(jnp.asarray(target.position, float), jnp.asarray(target.quaternion, float))
+    if not isinstance(length := norm(target.quaternion), Tracer) and (jnp.abs(length - 1.0) > UNIT).any():
+        raise InputError(
+            f"quaternions of poses are of length 1, and one of the target's has {length.min():g}: divide by it."
+        )
     shape = (max(restarts, 1), chain.n)
     seeds = jax.random.uniform(key, shape, minval=np.array(chain.lower), maxval=np.array(chain.upper))
-    start = jnp.broadcast_to(start, (*target.position.shape[:-1], chain.n))
+    start = jnp.broadcast_to(joint_vectors(chain, start), (*target.position.shape[:-1], chain.n))
 
     def errors(q: Array) -> tuple[Vec, Vec, list[tuple[Scalar, ...]], Array, Array, Array]:
         frames = frames_at(chain, components(q))
