@@ -46,7 +46,7 @@ int main(int count, char **words)
     double past[4][REACHLAB_COMMANDS] = { { 0 } }, start[REACHLAB_COMMANDS];
     long steps = count == 2 ? atol(words[1]) : 0, broken = 0, refused = 0;
     for (int i = 0; i < REACHLAB_COMMANDS; ++i) start[i] = 0.5 * (LOWER[i] + UPPER[i]);
-    reachlab_reset(&arm, start);
+    if (reachlab_reset(&arm, start) != REACHLAB_OK) return 2;
     for (int k = 0; k < 4; ++k) memcpy(past[k], arm.position, sizeof start);
     for (long step = 0; step < steps; ++step) {
         reachlab_input input;

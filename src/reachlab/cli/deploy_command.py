@@ -12,7 +12,7 @@ from reachlab.cli.deploy_flags import Deploy, Export
 from reachlab.cli.preparation import prepare
 from reachlab.settings.validation import InputError
 
-NODE = {"topics", "trajectory"}
+NODE = {"topics", "trajectory", "joint_names"}
 """Flags of the node; the others are of the check."""
 
 IN_TIME = 0.99
@@ -58,7 +58,8 @@ def deploy(arguments: Deploy) -> None:
     if arguments.how == "ros2":
         from reachlab.deploy.ros2 import run_node
 
-        run_node(arguments.policy, arguments.topics, trajectory=arguments.trajectory)
+        names = arguments.joint_names
+        run_node(arguments.policy, arguments.topics, trajectory=arguments.trajectory, joint_names=names)
         return
     prepare()
     from reachlab.deploy.check import check

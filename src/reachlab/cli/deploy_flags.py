@@ -49,6 +49,8 @@ class Deploy(Checked):
     faults: Faults = field(default_factory=Faults)
     trajectory: bool = False
     """Node: publish trajectories of one point, for arms without a forward position controller."""
+    joint_names: tuple[str, ...] = ()
+    """Node: names of the joints in messages, in the order of `policy.json`, where they are not those."""
     topics: Topics = field(default_factory=Topics)
     json: bool = False
     """Check: print the result as one JSON object on standard output."""

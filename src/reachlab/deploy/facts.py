@@ -36,7 +36,7 @@ def describe(env: Env, policy: Policy, step: Behaviour) -> dict[str, Any]:
         "objects": [int(scene.shape)] * scene.objects * (BODIES + "kind" in step.inputs),
         "object_size": list(scene.size),
         "object_velocity": scene.objects > 0 and step.reads(BODIES + "velocity"),
-        "body_velocity": scene.moved > 0 and step.reads(BODIES + "velocity"),
+        "obstacle_velocity": scene.moved > 0 and step.reads(BODIES + "velocity"),
         "goal": _goal(setup)
         | {"placed": [one.name.removeprefix("placed_") for one in step.place.outputs] if step.place else []},
         "observation": {

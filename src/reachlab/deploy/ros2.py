@@ -5,9 +5,9 @@ from __future__ import annotations
 import contextlib
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,7 +20,13 @@ EARLY = 0.25
 """Share of a control period by which a measurement may come before its time and still begins a control step."""
 
 RECENT = 0.2
-"""Time between two poses of an object from which its velocity follows, and age of a wrench, at most [s]."""
+"""Time between two poses or joint vectors from which a velocity follows, and age of a wrench, at most [s]."""
+
+SLOW = 0.1
+"""Speed below which an arm is measured to rest [rad/s or m/s]."""
+
+OLD = 0.06
+"""Age of measured joints from which on they are not used [s]."""
 
 TICKS = 8
 """How often in a control period the node looks whether it is time for a step without a new measurement."""
@@ -50,19 +56,40 @@ def ros2() -> Iterator[Any]:
         rclpy.try_shutdown()
 
 
-def run_node(folder: Path, topics: Topics, *, trajectory: bool) -> None:
-    """Run the node until it is interrupted.
+def run_node(folder: Path, topics: Topics, *, trajectory: bool, joint_names: Sequence[str] = ()) -> None:
+    """Run the node until it is interrupted; joints have the policy's names, or those that are given in their place.
 
     Raises:
-        InputError: ROS 2 is missing, or the folder is none that was exported.
+        InputError: ROS 2 is missing, the folder is none that was exported, or there are not as many names as joints.
     """
     controller, facts = start_controller(folder, feels=True), read_facts(folder)
     sees = "bodies_kind" in facts["inputs"] and facts["inputs"]["bodies_kind"] != [len(facts.get("objects", []))]
-    needs = {"sees": sees, "feels": "wrench" in facts["inputs"]}
+    if joint_names and len(joint_names) != len(controller.joints):
+        raise InputError(
+            f"{len(joint_names)} joint names are given, and the policy has {', '.join(controller.joints)}."
+        )
+    needs = {"sees": sees, "feels": "wrench" in facts["inputs"], "fastest": facts["goal"].get("fastest", 0.0)}
+    needs["names"] = joint_names or controller.joints
     with ros2() as rclpy:
         node = PolicyNode(rclpy.create_node("reachlab_policy"), controller, topics, trajectory=trajectory, **needs)
         with contextlib.suppress(KeyboardInterrupt, rclpy.executors.ExternalShutdownException):
             rclpy.spin(node.node)
+
+
+class Seen(NamedTuple):
+    """A place or joints `[k]`, when they were seen [s], and their velocity by the time before, 0 without one."""
+
+    place: np.ndarray
+    time: float
+    velocity: np.ndarray
+
+
+def seen(place: Sequence[float], when: float, before: Seen | None) -> Seen:
+    """What is seen at a time [s], after what was seen before."""
+    now, velocity = np.array(place), np.zeros(len(place))
+    if before and 0.0 < (since := when - before.time) < RECENT:
+        velocity = (now - before.place) / since
+    return Seen(now, when, velocity)
 
 
 class PolicyNode:
@@ -80,10 +107,23 @@ class PolicyNode:
         topics: Topics,
         *,
         trajectory: bool,
+        names: Sequence[str] = (),
         sees: bool = False,
         feels: bool = False,
+        fastest: float = 0.0,
     ) -> None:
-        """The policy's side of a node of rclpy: of a policy that has to be told of obstacles or the wrench, or not."""
+        """The policy's side of a node of rclpy.
+
+        Args:
+            node: the node.
+            controller: of the policy.
+            topics: names of topics.
+            trajectory: commands are trajectories.
+            names: of the joints in messages, in the policy's order; by default the policy's.
+            sees: the policy has to be told of obstacles.
+            feels: it has to be told of the wrench.
+            fastest: its goals move, and so fast at most [m/s]; one that was faster has jumped.
+        """
         from geometry_msgs.msg import PoseStamped, WrenchStamped
         from rclpy.qos import qos_profile_sensor_data
         from sensor_msgs.msg import JointState
@@ -91,13 +131,18 @@ class PolicyNode:
         from trajectory_msgs.msg import JointTrajectory
 
         self.node, self._controller, self._trajectory = node, controller, trajectory
+        self._names, self._fastest = list(names or controller.joints), fastest
         self._goal: list[float] | None = None
+        self._goal_seen: Seen | None = None
+        self._joints_seen: Seen | None = None
         self._topics, self._objects = topics, list[dict[str, Any]]()
+        self._object_seen: Seen | None = None
         self._obstacles: list[dict[str, Any]] | None = None if sees else []
         self._measured: tuple[np.ndarray, np.ndarray] | None = None
         self._wrench: tuple[float, list[float]] | None = None
-        self._due, self._told = 0.0, ""
-        self._resets = True  # commands begin where the arm is
+        self._due, self._told, self._lacks = 0.0, "", ""
+        self._resets, self._begun, self._stops = True, False, False  # commands begin where the arm is
+        self._sent, self._rests = controller.home, True
         kind, topic = (JointTrajectory, topics.trajectories) if trajectory else (Float64MultiArray, topics.commands)
         self._publisher = node.create_publisher(kind, topic, 1)
         node.create_subscription(JointState, topics.joint_states, self._on_joints, qos_profile_sensor_data)
@@ -110,47 +155,71 @@ class PolicyNode:
         if feels:
             node.create_subscription(WrenchStamped, topics.wrenches, self._on_wrench, qos_profile_sensor_data)
         node.create_subscription(Empty, topics.reset, self._on_reset, 1)
-        node.create_subscription(Empty, topics.stop, lambda _: controller.stop(), 1)
+        node.create_subscription(Empty, topics.stop, self._on_stop, 1)
         node.create_timer(controller.period / TICKS, self._on_tick)
 
     def _on_reset(self, _: Any) -> None:
-        self._resets, self._measured = True, None
+        """Begin anew once the arm rests, to which it is brought if it moves."""
+        self._resets, self._stops, self._measured = True, False, None
+        self._controller.stop()
+
+    def _on_stop(self, _: Any) -> None:
+        """Brake, also where a reset was asked for just before."""
+        self._stops = True
+        self._controller.stop()
+
+    def _age(self, stamp: Any) -> float:
+        """Age of what has a stamp [s]; 0 without one."""
+        seconds = stamp.sec + stamp.nanosec / 1e9
+        return max(self.node.get_clock().now().nanoseconds / 1e9 - seconds, 0.0) if seconds else 0.0
 
     def _on_goal(self, message: Any) -> None:
         place, turn = message.pose.position, message.pose.orientation
         goal = [place.x, place.y, place.z]
+        if self._fastest:
+            self._goal_seen = seen(goal, time.monotonic() - self._age(message.header.stamp), self._goal_seen)
         if self._controller.asks_orientation:
             goal += [turn.w, turn.x, turn.y, turn.z]
         self._goal = goal
 
     def _on_object(self, message: Any) -> None:
         """Keep where the object was seen, and its velocity if it was seen just before."""
-        place, turn, stamp = message.pose.position, message.pose.orientation, message.header.stamp
-        age = self.node.get_clock().now().nanoseconds / 1e9 - stamp.sec - stamp.nanosec / 1e9
-        position, seen = np.array([place.x, place.y, place.z]), time.monotonic() - max(age, 0.0)
-        now = {"position": position, "quaternion": np.array([turn.w, turn.x, turn.y, turn.z]), "time": seen}
-        for before in self._objects:
-            if 0.0 < (since := seen - before["time"]) < RECENT:
-                now["velocity"] = (position - before["position"]) / since
-        self._objects = [now]
+        place, turn, when = message.pose.position, message.pose.orientation, time.monotonic()
+        before = self._object_seen
+        now = self._object_seen = seen([place.x, place.y, place.z], when - self._age(message.header.stamp), before)
+        turned = np.array([turn.w, turn.x, turn.y, turn.z])
+        self._objects = [{"position": now.place, "quaternion": turned, "time": now.time}]
+        if before and 0.0 < now.time - before.time < RECENT:
+            self._objects[0]["velocity"] = now.velocity
 
     def _on_obstacles(self, message: Any) -> None:
         self._obstacles = from_markers(message, time.monotonic())
 
     def _on_wrench(self, message: Any) -> None:
         force, torque = message.wrench.force, message.wrench.torque
-        self._wrench = time.monotonic(), [force.x, force.y, force.z, torque.x, torque.y, torque.z]
+        when = time.monotonic() - self._age(message.header.stamp)
+        self._wrench = when, [force.x, force.y, force.z, torque.x, torque.y, torque.z]
 
     def _on_joints(self, message: Any) -> None:
-        try:
-            rows = [message.name.index(name) for name in self._controller.joints]
-            speeds = message.velocity or [0.0] * len(message.position)
-            q, qd = (np.array([part[row] for row in rows]) for part in (message.position, speeds))
-            self._measured = q, qd
-        except (ValueError, IndexError):
-            self._measured = (np.array(message.position), np.array(message.velocity))
-        if time.monotonic() >= self._due - EARLY * self._controller.period:
+        """Keep what is measured, of a message of all joints that is not old; of others there is none."""
+        now, age = time.monotonic(), self._age(message.header.stamp)
+        places, speeds = (dict(zip(message.name, part, strict=False)) for part in (message.position, message.velocity))
+        lacking = ", ".join(name for name in self._names if name not in places)
+        if lacking or age > OLD:
+            old = f"joint states are {age:.2g} s old by their stamps, and are not used: do clocks differ?"
+            lacks = f"joint states without {lacking} are not used: are joints called otherwise, see --joint-names?"
+            self._warn_once(lacks if lacking else old)
+            return
+        self._joints_seen = seen([places[name] for name in self._names], now - age, self._joints_seen)
+        told = np.array([speeds[name] for name in self._names]) if {*self._names} <= speeds.keys() else None
+        self._measured = self._joints_seen.place, self._joints_seen.velocity if told is None else told
+        if now >= self._due - EARLY * self._controller.period:
             self._step()
+
+    def _warn_once(self, what: str) -> None:
+        if self._lacks != (kind := what[:40]):
+            self._lacks = kind
+            self.node.get_logger().warning(what)
 
     def _on_tick(self) -> None:
         if self._due and time.monotonic() >= self._due + EARLY * self._controller.period:
@@ -162,32 +231,42 @@ class PolicyNode:
         self._due = now + controller.period if late else self._due + controller.period
         measured, self._measured = self._measured, None
         q, qd = measured or (None, None)
-        if not self._begin(q):
+        waits = self._begin(q, qd) if self._resets else ""
+        if not self._begun:
+            self._tell(waits)
             return
         beside: dict[str, Any] = {"objects": self._objects} if self._objects else {}
-        if self._obstacles:
+        if self._obstacles is not None:
             beside["obstacles"] = self._obstacles
         if self._wrench and now - self._wrench[0] < RECENT:
             beside["wrench"] = self._wrench[1]
+        if self._goal_seen:
+            velocity = self._goal_seen.velocity
+            moves = now - self._goal_seen.time < RECENT and np.linalg.norm(velocity) <= self._fastest
+            beside["velocity"] = velocity * moves
         command = controller.step(q, qd, None if self._obstacles is None else self._goal, now, **beside)
+        self._rests, self._sent = np.array_equal(command, self._sent), command
         missing = "" if self._goal else f"goal has come on '{self._topics.goals}'"
         missing = f"obstacles have come on '{self._topics.obstacles}'" if self._obstacles is None else missing
         waiting = missing and f"no {missing}, and the arm is held where it is"
-        self._tell(controller.problem if controller.braking else waiting)
+        self._tell(waits or (controller.problem if controller.braking else waiting))
         self._publish(command)
 
-    def _begin(self, q: np.ndarray | None) -> bool:
-        """Begin anew where the arm is measured, if that is asked for; whether there is anything to control."""
-        controller = self._controller
-        if not self._resets or q is None:
-            return not self._resets
-        inside = q.shape == controller.home.shape and np.isfinite(q).all()
-        if inside and ((q >= controller.limits.lower) & (q <= controller.limits.upper)).all():
-            controller.reset(q)
-            self._goal, self._resets, self._told = None, False, ""
-            return True
-        self._tell("waiting: the arm is not measured within its limits")
-        return False
+    def _begin(self, q: np.ndarray | None, qd: np.ndarray | None) -> str:
+        """Begin anew where the arm is measured to rest; why that is not done yet, if so."""
+        if q is None or qd is None:
+            return self._told
+        if not (self._rests and np.abs(qd).max() <= SLOW):
+            return "waiting: the arm is not measured to rest"
+        try:
+            self._controller.reset(q)
+        except ValueError as error:
+            return f"waiting: {error}"
+        if self._stops:
+            self._controller.stop()
+        self._goal, self._goal_seen, self._resets, self._begun, self._told = None, None, False, True, ""
+        self._sent = q
+        return ""
 
     def _tell(self, problem: str) -> None:
         """Write into the log what is wrong, once."""
@@ -206,4 +285,4 @@ class PolicyNode:
 
         point = JointTrajectoryPoint(positions=command.tolist())
         point.time_from_start = Duration(seconds=self._controller.period).to_msg()
-        self._publisher.publish(JointTrajectory(joint_names=self._controller.joints, points=[point]))
+        self._publisher.publish(JointTrajectory(joint_names=self._names, points=[point]))

@@ -32,16 +32,14 @@ def check_over_ros2(folder: Path, *, sim: str | None, episodes: int, seed: int, 
     """Play held-out episodes in real time, with real messages between two nodes in two processes.
 
     Raises:
-        InputError: ROS 2 is missing, the policy is one that topics cannot carry, or its node does not start.
+        InputError: ROS 2 is missing, or the policy's node does not start.
     """
     config, facts = settings_of(folder, sim), read_facts(folder)
-    if facts["goal"]["moves"]:
-        raise InputError("goals that move have no topic: check this policy without --over-ros2.")
     topics = Topics()
     with ros2() as rclpy:
         plant = Plant(config, seed)
         node = rclpy.create_node("reachlab_plant")
-        link = RosLink(node, [joint["name"] for joint in facts["joints"]], topics)
+        link = RosLink(node, [joint["name"] for joint in facts["joints"]], topics, moves=facts["goal"]["moves"])
         executor = rclpy.executors.SingleThreadedExecutor()
         executor.add_node(node)
         spinning = threading.Thread(target=executor.spin, daemon=True)
@@ -70,14 +68,14 @@ def _policy_node(folder: Path) -> Iterator[None]:
 class RosLink:
     """Topics to the policy's node."""
 
-    def __init__(self, node: Any, joints: list[str], topics: Topics) -> None:
-        """The plant's side of a node of rclpy, whose messages come in another thread."""
+    def __init__(self, node: Any, joints: list[str], topics: Topics, *, moves: bool) -> None:
+        """The plant's side of a node of rclpy, whose messages come in another thread; its goals may move."""
         from geometry_msgs.msg import PoseStamped, WrenchStamped
         from sensor_msgs.msg import JointState
         from std_msgs.msg import Empty, Float64MultiArray
         from visualization_msgs.msg import MarkerArray
 
-        self._joints, self._node = joints, node
+        self._joints, self._node, self._moves = joints, node, moves
         self._states = node.create_publisher(JointState, topics.joint_states, 1)
         self._goals = node.create_publisher(PoseStamped, topics.goals, 1)
         self._objects = node.create_publisher(PoseStamped, topics.objects, 1)
@@ -114,8 +112,8 @@ class RosLink:
         raise InputError(f"the policy's node does not take the arm over within {PATIENCE:g} s.")
 
     def send(self, measurement: Measurement) -> None:
-        """Publish a measurement, and the goal where it is new."""
-        if measurement.goal and measurement.goal != self._asked:
+        """Publish a measurement, and the goal where it is new or moves."""
+        if measurement.goal and (self._moves or measurement.goal != self._asked):
             self._asked = measurement.goal
             self._goals.publish(self._pose(measurement.goal))
         for one in measurement.objects:

@@ -56,9 +56,22 @@ def check_names(config: RunConfig) -> None:
             choose(kind, name, table)
 
 
-def _contradictions(config: RunConfig, changed: set[str]) -> Iterator[str]:
-    """Sentences on settings that cannot be together."""
-    rules, loop, sim = config.rules, config.loop, config.sim
+def check_env(config: RunConfig) -> None:
+    """Make sure that there are environments with these settings.
+
+    Raises:
+        InputError: a name that does not exist, or settings that contradict each other.
+    """
+    check_names(config)
+    for sentence in _impossible(config):
+        raise InputError(sentence)
+
+
+def _impossible(config: RunConfig) -> Iterator[str]:
+    """Sentences on settings with which there is no environment."""
+    rules, sim = config.rules, config.sim
+    if not isinstance(rules, kind := TASKS[config.task].load()):
+        yield f"rules of {config.task!r} are a {kind.__name__}, got {type(rules).__name__}: begin with `configure`."
     observation, task = design_of(rules), rules.task()
     if sentence := rules.contradiction():
         yield sentence
@@ -74,6 +87,20 @@ def _contradictions(config: RunConfig, changed: set[str]) -> Iterator[str]:
     for who, words in needs.items():
         for word in sorted(words - given):
             yield f"{who} needs {WORDS[word]}."
+    for name in config.randomise:
+        choose("randomise", name, RANDOMISED)
+    if "object" not in rules.gives and (of_objects := {"objects", "sight"}.intersection(config.randomise)):
+        yield f"randomise {min(of_objects)} needs an object, as in task push, and {config.task!r} has none."
+    if "view" in config.randomise and not observation.pictured:
+        yield (
+            "randomise view has an effect only with an observation with a picture, as image:"
+            f" {rules.observation!r} holds none."
+        )
+
+
+def _contradictions(config: RunConfig, changed: set[str]) -> Iterator[str]:
+    """Sentences on settings that cannot be together in a training."""
+    rules, loop = config.rules, config.loop
     if loop.chained_starts and {"bodies", "object"} & rules.gives:
         yield (
             f"with chained_starts {loop.chained_starts:g} episodes would start inside bodies, which leave only a start"
@@ -84,15 +111,6 @@ def _contradictions(config: RunConfig, changed: set[str]) -> Iterator[str]:
             f"num_envs {loop.num_envs} cannot be divided among {config.ppo.minibatches} minibatches: choose a divisor."
         )
     yield from _remembered_otherwise(config)
-    for name in config.randomise:
-        choose("randomise", name, RANDOMISED)
-    if "object" not in rules.gives and (of_objects := {"objects", "sight"}.intersection(config.randomise)):
-        yield f"randomise {min(of_objects)} needs an object, as in task push, and {config.task!r} has none."
-    if "view" in config.randomise and not observation.pictured:
-        yield (
-            "randomise view has an effect only with an observation with a picture, as image:"
-            f" {rules.observation!r} holds none."
-        )
     if "action_repeat" in changed and loop.action_repeat > rules.max_steps:
         yield (
             f"an action cannot be held for action_repeat {loop.action_repeat} in an episode of max_steps"
@@ -135,7 +153,7 @@ def check(config: RunConfig, base: RunConfig | None = None) -> None:
     Raises:
         InputError: a name that does not exist, settings that contradict each other, or one without effect.
     """
-    check_names(config)
+    check_env(config)
     settings, usual = (flatten(to_json(one)) for one in (config, base or preset_of(config)))
     changed = {name for name, value in settings.items() if usual.get(name, value) != value}
     for sentence in _contradictions(config, changed):

@@ -104,6 +104,8 @@ def _checked(settings: dict[str, Any]) -> dict[str, Any]:
             "a goal environment cannot end an episode once the goal was held for hold_steps, which its last step does"
             " not tell: set at_goal to 'continue', or hold_steps to 0."
         )
+    if rules.ends_on_contact:
+        raise InputError("a goal environment cannot end on contact, which no goal tells: set end_on_contact to False.")
     return kept
 
 

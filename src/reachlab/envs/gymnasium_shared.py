@@ -24,7 +24,7 @@ from reachlab.tasks.task import Bounds
 
 RENDER_MODES = ("rgb_array",)
 
-METADATA: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 30}
+METADATA: dict[str, Any] = {"render_modes": list(RENDER_MODES)}
 
 
 class Episodes:

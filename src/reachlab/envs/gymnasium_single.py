@@ -48,6 +48,7 @@ class ReachEnv(gymnasium.Env[Any, np.ndarray]):
         """
         self.render_mode = checked_render_mode(render_mode)
         self._episodes = Episodes(1, task, settings, AutoresetMode.DISABLED)
+        self.metadata = {**METADATA, "render_fps": round(1 / self._episodes.env.setup.period)}
         self.observation_space = observation_space(self._episodes.env.schema)
         self.action_space = action_space(self._episodes.env)
 

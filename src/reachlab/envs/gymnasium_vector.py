@@ -62,8 +62,9 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
         self._mode = modes[choose("autoreset mode", name, modes)]
         self._numpy = choose("arrays", arrays, ARRAYS) == "numpy"
         self.render_mode = checked_render_mode(render_mode)
-        self.metadata = {**METADATA, "autoreset_mode": self._mode}
         self._episodes = Episodes(num_envs, task, settings, self._mode, in_numpy=self._numpy)
+        rate = round(1 / self._episodes.env.setup.period)
+        self.metadata = {**METADATA, "render_fps": rate, "autoreset_mode": self._mode}
         self.num_envs = num_envs = self._episodes.env.num_envs
         self.single_observation_space = observation_space(self._episodes.env.schema)
         self.single_action_space = action_space(self._episodes.env)

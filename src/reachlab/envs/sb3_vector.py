@@ -54,6 +54,15 @@ class ReachVecEnv(VecEnv):
         self.reset_infos = _infos(info)
         return observation
 
+    def set_options(self, options: list[dict[str, Any]] | dict[str, Any] | None = None) -> None:
+        """Take no options.
+
+        Raises:
+            InputError: there are some.
+        """
+        if options and options != [{}] * self.num_envs:
+            raise InputError("environments of Stable-Baselines3 take no options: `ReachVectorEnv` takes targets.")
+
     def step_async(self, actions: np.ndarray) -> None:
         """Keep the actions `[B, a]` for `step_wait`."""
         self._actions = actions

@@ -7,7 +7,7 @@ import functools
 import logging
 from typing import Any
 
-from reachlab.envs.consistency import check, check_names
+from reachlab.envs.consistency import check, check_env
 from reachlab.envs.delays import age
 from reachlab.envs.presets import configure, in_simulator, of_other_tasks, preset
 from reachlab.robots.kinematics.chain import significant
@@ -44,9 +44,9 @@ def make_setup(config: RunConfig) -> TaskSetup:
     """The task of a configuration on its arm, whose joints follow at once.
 
     Raises:
-        InputError: a name that does not exist, or a rule that does not fit the arm.
+        InputError: a name that does not exist, settings that contradict each other, or one that does not fit the arm.
     """
-    check_names(config)
+    check_env(config)
     task = _task(type(config.rules))
     robot = load_robot(
         config.robot,

@@ -146,10 +146,10 @@ def _asks(rules: Clutter, period: float) -> str:
         ("moving",): f"balls and capsules cross the arm's way at {rules.body_speed:g} m/s",
     }
     beside = known.get(rules.scene, f"there are scenes of {', '.join(rules.scene)}")
-    return f"{reach.asks(rules, period)}; {beside}, and nothing may be touched"
+    return f"{reach.asks(rules, period)}; {beside}" + ", and nothing may be touched" * rules.end_on_contact
 
 
 def _succeeds(rules: Clutter, period: float) -> str:
     from reachlab.tasks import reach
 
-    return f"{reach.succeeds(rules, period)}, and the arm has touched nothing"
+    return reach.succeeds(rules, period) + ", and the arm has touched nothing" * rules.end_on_contact

@@ -26,8 +26,15 @@ class Slide(Handling):
     object_shape: str = "puck"
     object_size: Annotated[float, Range(0.015, 0.05)] = 0.03
     object_friction: Annotated[float, Range(0.02, 2.0)] = 0.05
-    beyond: tuple[float, float] = (0.1, 0.4)
+    beyond: tuple[Positive, Positive] = (0.1, 0.4)
     """How far the goals are out of the arm's reach, at least and at most [m]."""
+
+    def contradiction(self) -> str | None:
+        """What of these settings cannot be together."""
+        low, high = self.beyond
+        if low > high:
+            return f"beyond has a least distance above the largest, {low:g} against {high:g} m: exchange them."
+        return super().contradiction()
 
     @classmethod
     def task(cls) -> Task:

@@ -32,7 +32,8 @@ int main(int count, char **words)
     static char line[65536];
     static reachlab_state state;
     static reachlab_input input;
-    int begun = 0;
+    const reachlab_real home[REACHLAB_COMMANDS] = {{home}};
+    int begun = 0, stopped = 0;
     FILE *log = count == 2 ? fopen(words[1], "r") : NULL;
     if (!log) {
         fprintf(stderr, "usage: policy LOG, of Controller.save_log\n");
@@ -40,16 +41,17 @@ int main(int count, char **words)
     }
 {{refused}}    while (fgets(line, sizeof line, log)) {
         reachlab_real q[REACHLAB_COMMANDS], goal[7] = { 0 }, command[REACHLAB_COMMANDS];
-        if (numbers(line, "reset", q, REACHLAB_COMMANDS) == REACHLAB_COMMANDS) {
-            reachlab_reset(&state, q);
-            begun = 1;
+        if (strstr(line, "\"reset\": ")) { /* without joints a controller begins at home */
+            int told = numbers(line, "reset", q, REACHLAB_COMMANDS) == REACHLAB_COMMANDS;
+            begun = reachlab_reset(&state, told ? q : home) == REACHLAB_OK;
+            stopped = 0;
             continue;
         }
-        begun |= strstr(line, "\"reset\"") != NULL;
-        if (!begun || strstr(line, "\"reset\"") || strstr(line, "\"stop\"")) continue;
+        stopped |= strstr(line, "\"stop\": ") != NULL;
+        if (!begun || strstr(line, "\"stop\": ")) continue;
         numbers(line, "q", input.q, (int) (sizeof input.q / sizeof *input.q));
         numbers(line, "qd", input.qd, (int) (sizeof input.qd / sizeof *input.qd));
-        int brake = !numbers(line, "goal", goal, 7);
+        int brake = stopped | !numbers(line, "goal", goal, 7);
 {{goal}}
         brake |= reachlab_step(&state, &input, brake, command);
         for (int i = 0; i < REACHLAB_COMMANDS; ++i) printf("%.17g%c", command[i], i + 1 < REACHLAB_COMMANDS ? ' ' : '\n');

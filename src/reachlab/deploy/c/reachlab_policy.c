@@ -41,13 +41,15 @@ static int all_finite(const real *numbers, int count)
     return all;
 }
 
-void reachlab_reset(reachlab_state *state, const real q[REACHLAB_COMMANDS])
+int reachlab_reset(reachlab_state *state, const real q[REACHLAB_COMMANDS])
 {
     static const real lower[REACHLAB_COMMANDS] = {{lower}}, upper[REACHLAB_COMMANDS] = {{upper}};
     static const reachlab_state rest = { .stop_step = {{rested}} };
+    if (!all_finite(q, REACHLAB_COMMANDS)) return REACHLAB_NOT_FINITE;
     *state = rest;
     for (int i = 0; i < REACHLAB_COMMANDS; ++i)
-        state->position[i] = !(q[i] > lower[i]) ? lower[i] : q[i] > upper[i] ? upper[i] : q[i];
+        state->position[i] = q[i] < lower[i] ? lower[i] : q[i] > upper[i] ? upper[i] : q[i];
+    return REACHLAB_OK;
 }
 
 int reachlab_step(reachlab_state *state, const reachlab_input *input, int brake, real command[REACHLAB_COMMANDS])

@@ -37,8 +37,9 @@ typedef struct {
 
 enum { REACHLAB_OK = 0, REACHLAB_NOT_FINITE = 1 };
 
-/* Begins anew with an arm that rests at joints q; beyond a limit the limit is taken. */
-void reachlab_reset(reachlab_state *state, const reachlab_real q[REACHLAB_COMMANDS]);
+/* Begins anew with an arm that rests at joints q; beyond a limit the limit is taken. Where a number is not finite
+ * REACHLAB_NOT_FINITE is returned, and the state stays as it is: command nothing then. */
+int reachlab_reset(reachlab_state *state, const reachlab_real q[REACHLAB_COMMANDS]);
 
 /* The next command, within the limits of position, speed, acceleration and jerk that were exported.
  *

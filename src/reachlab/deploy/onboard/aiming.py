@@ -18,6 +18,15 @@ are looked for from many joints at once: a round takes 0.4 ms, and that of a poi
 NEARBY = 0.1
 """How far outside the box of the goals that were trained a goal may be [m]."""
 
+RARE = 1.5
+"""Times between two places of a goal that moves after which, without another, it stands."""
+
+SEEN = 0.25
+"""Time between two places of it from which a velocity follows, at most [s]."""
+
+THERE = 0.01
+"""How far from a goal the tool may be at the joints that are given for it [m]."""
+
 Goal = dict[str, Any]
 """Numbers by name: `position [3]` m and, as needed, `quaternion [4]` wxyz, `velocity [3]` m/s and `joints [n]`."""
 
@@ -47,7 +56,7 @@ class Aim:
         self._given: tuple[Any, ...] | None = None
         self._search: Generator[None, None, Any] | None = None
         self._refused = ""
-        self._time = 0.0
+        self._seen: tuple[np.ndarray, float, float, np.ndarray] | None = None
 
     def take(self, goal: Any, time: float, velocity: Any, joints: Any, near: np.ndarray) -> str:
         """Take a goal, and give why it is refused, if it is.
@@ -61,7 +70,7 @@ class Aim:
         """
         if goal is None:
             hidden = self.goal is not None and self.hides
-            self.goal, self._given = UNSEEN if hidden else None, None
+            self.goal, self._given, self._seen = UNSEEN if hidden else None, None, None
             return ""
         joints = joints if self._facts["joints"] else None
         given = tuple(one if one is None or isinstance(one, str) else one.tobytes() for one in (goal, joints))
@@ -70,7 +79,7 @@ class Aim:
             return wrong
         if self._facts["moves"]:
             known = self._seen_velocity(goal[:3], time) if velocity is None else velocity
-            self.goal, self._time = {"position": goal[:3].tolist(), "velocity": known.tolist()}, time
+            self.goal = {"position": goal[:3].tolist(), "velocity": known.tolist()}
             return ""
         if given != self._given:
             self._given, self._search, self._refused = given, None, ""
@@ -103,17 +112,30 @@ class Aim:
             return {"position": goal[:3].tolist(), **turned}
         if joints is not None:
             position, quaternion = self._step["tool"](joints.tolist())
+            if float(np.linalg.norm(goal[:3] - position)) > THERE:
+                self._refused = (
+                    f"the goal's joints have the tool at {in_words(np.array(position))}, and not at the goal"
+                )
+                return None
             return {"position": position, "quaternion": quaternion, "joints": joints.tolist()}
         self._search = self._step["place"](near=near.tolist(), position=goal[:3].tolist(), **turned)
         return None
 
     def _seen_velocity(self, place: np.ndarray, time: float) -> np.ndarray:
-        """Velocity `[3]` m/s of a goal that is now at `[3]` m; nothing of one that has jumped."""
-        last, passed = self.goal, time - self._time
-        if last is None or last is UNSEEN or passed <= 0:
-            return np.zeros(3)
-        velocity = (place - last["position"]) / passed
-        return velocity if np.sqrt(velocity @ velocity) <= self._facts["fastest"] else np.zeros(3)
+        """Velocity `[3]` m/s of a goal that is now at `[3]` m; nothing of one that has jumped or stands.
+
+        It follows from the last two places that differ: goals may come less often than control steps.
+        """
+        before, then, usual, velocity = self._seen or (place, time, 0.0, np.zeros(3))
+        passed = time - then
+        if (place != before).any():
+            velocity = (place - before) / passed if 0.0 < passed <= SEEN else np.zeros(3)
+            velocity = velocity * (np.sqrt(velocity @ velocity) <= self._facts["fastest"])
+            before, then, usual = place, time, passed
+        elif passed > RARE * usual:
+            before, then, velocity = place, time, np.zeros(3)
+        self._seen = before, then, usual, velocity
+        return velocity
 
     def _look_for_joints(self) -> str:
         """Take some rounds of the search, and give why the goal is refused where it ends without joints."""

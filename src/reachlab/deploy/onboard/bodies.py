@@ -16,6 +16,9 @@ SHAPES = {"position": (3,), "quaternion": (4,), "half": (3,), "radius": (), "vel
 OLD = 0.1
 """Age of a measurement of an object from which on it is not believed [s]."""
 
+GONE = 0.5
+"""Age of a measurement of an obstacle that moves from which on it is not believed [s]."""
+
 USUAL = {"quaternion": [1.0, 0.0, 0.0, 0.0], "half": [0.0] * 3, "radius": 0.0, "velocity": [0.0] * 3}
 """What a body has where nothing else is given."""
 
@@ -48,10 +51,15 @@ class Followed:
         """Put velocities into the numbers of `placed` of those obstacles that are given without one.
 
         They are those between the last two places that differ, or nothing where these are more than `OLD` apart.
+
+        Raises:
+            ValueError: one was measured too long before these seconds.
         """
         last, self._last = self._last, {}
         for number, one in enumerate(obstacles):
             place, time = one["position"], float(one.get("time", seconds))
+            if seconds - time > GONE:
+                raise ValueError(f"obstacle {number + 1} was measured more than {GONE:g} s ago, and they move")
             before, then, known = last.get(number, (place, time, np.zeros(3)))
             if (place != before).any() or time - then > OLD:
                 known = (place - before) / (time - then) if 0.0 < time - then <= OLD else np.zeros(3)
@@ -59,6 +67,35 @@ class Followed:
             self._last[number] = before, then, known
             if "velocity" not in one:
                 around["velocity"][6 * number : 6 * number + 3] = known.tolist()
+
+
+class Beside:
+    """What a policy is told of bodies."""
+
+    def __init__(self, facts: dict[str, Any]) -> None:
+        """By its facts."""
+        self._room = facts["inputs"].get("bodies_kind", [0])[0]
+        self._objects = facts.get("objects", []), facts.get("object_size")
+        self._moving = bool(facts.get("object_velocity", False))
+        self._followed = Followed() if facts.get("obstacle_velocity", False) else None
+
+    def clear(self) -> None:
+        """Forget what was."""
+        if self._followed:
+            self._followed.clear()
+
+    def numbers(self, obstacles: Any, objects: Any, seconds: float) -> dict[str, list[float]]:
+        """Inputs of the printed step, of what `read_bodies` gives; none of a policy that does not observe bodies.
+
+        Raises:
+            ValueError: see `placed`.
+        """
+        if not self._room:
+            return {}
+        around = placed(obstacles, self._room, objects, *self._objects, moving=self._moving, seconds=seconds)
+        if self._followed:
+            self._followed.fill(around, obstacles, seconds)
+        return {f"bodies_{name}": numbers for name, numbers in around.items()}
 
 
 def placed(
@@ -77,12 +114,15 @@ def placed(
     that along z alone a capsule. A box is made larger by its radius.
 
     Raises:
-        ValueError: one of them is none, there are more obstacles, not all objects, or of one it is not known where it
-            is, since it was measured too long before `seconds`, or how it is `moving`.
+        ValueError: one of them is none, obstacles are None, there are more of them, not all objects, or of one it is
+            not known where it is, since it was measured too long before `seconds`, or how it is `moving`.
     """
     if isinstance(obstacles, str) or isinstance(objects, str):
         raise ValueError("obstacles and objects are not lists of dicts of numbers")
     fixed, moved = room - len(free), len(free)
+    if obstacles is None and fixed:
+        raise ValueError("it is not known what is beside the arm: give obstacles, [] where there are none")
+    obstacles = obstacles or []
     if len(obstacles) > fixed:
         raise ValueError(
             f"there are {len(obstacles)} obstacles, and the policy knows {fixed} at most: give the nearest"
@@ -94,8 +134,10 @@ def placed(
     for number, one in enumerate(objects, 1):
         if moving and "velocity" not in one:
             raise ValueError(f"object {number} has no velocity, and the policy goes by it: give it in m/s")
-        if seconds - float(one.get("time", seconds)) > OLD:
-            raise ValueError(f"object {number} was measured more than {OLD:g} s ago")
+        age = seconds - float(one.get("time", seconds))
+        if abs(age) > OLD:
+            when = f"more than {OLD:g} s ago" if age > 0.0 else "later than now: give times of the same clock"
+            raise ValueError(f"object {number} was measured {when}")
     parts: dict[str, list[float]] = {"position": [], "quaternion": [], "velocity": [], "size": [], "kind": []}
     _add(parts, obstacles, "obstacle")
     for _ in range(fixed - len(obstacles)):

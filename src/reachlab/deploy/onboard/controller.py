@@ -18,12 +18,12 @@ import numpy as np
 
 from reachlab.control.motion_limits import MotionLimits
 from reachlab.deploy.onboard.aiming import Aim
-from reachlab.deploy.onboard.bodies import Followed, placed
+from reachlab.deploy.onboard.bodies import Beside
 from reachlab.deploy.onboard.folder import FORMAT, LIMITS, read_folder
 from reachlab.deploy.onboard.log import Log, read_log
 from reachlab.deploy.onboard.reading import felt, in_words, read_bodies, read_numbers, read_seconds
 from reachlab.deploy.onboard.step import load_step
-from reachlab.deploy.onboard.watching import JUMP, Watch
+from reachlab.deploy.onboard.watching import JUMP, STOOD, Watch
 from reachlab.deploy.onboard.ways import PlannerProcess, Told, Way
 
 ASIDE = 0.01
@@ -77,9 +77,7 @@ class Controller:
         self.joints = [joint["name"] for joint in joints]
         self.home, self.period = np.array(facts["arm"]["home"], float), float(facts["control_period"])
         self._lower, self._upper, self._inputs = limits["lower"], limits["upper"], facts["inputs"]
-        self._objects = facts.get("objects", []), facts.get("object_size")
-        self._moving = bool(facts.get("object_velocity", False))
-        self._followed = Followed() if facts.get("body_velocity", False) else None
+        self._beside = Beside(facts)
         step = load_step(folder)
         self._decide, self._tool = step["decide"], step["tool"]
         self._aim = Aim(facts["goal"], len(self.joints), step)
@@ -121,9 +119,9 @@ class Controller:
         self.motion = self.limits.at_rest(np.clip(q, self._lower, self._upper))
         self._watch.reset(q)
         self._aim.clear()
-        for kept in (self._followed, self._way):
-            if kept:
-                kept.clear()
+        self._beside.clear()
+        if self._way:
+            self._way.clear()
         self._action, self.problem = [0.0] * self._inputs["last_action"][0], ""
         self._memory = [0.0] * self._inputs.get("memory", [0])[0]
         self._stopped, self.braking, self._is_new = "", False, False
@@ -176,9 +174,11 @@ class Controller:
         """
         q, qd, goal, velocity, joints, wrench = map(read_numbers, (q, qd, goal, velocity, joints, wrench))
         seconds, around, things = read_seconds(time), read_bodies(obstacles), read_bodies(objects)
-        self._hold_where_measured(q)
-        before = self.motion.position
+        lost, before = self._is_lost(q), self.motion.position
         problem, brake = self._watch.look(q, qd, seconds, before)
+        brake |= lost
+        if self._watch.passed > STOOD:
+            self.motion = self.limits.at_rest(before)
         wanted, refused = before, self._stopped
         was = self.braking and not bool((self.motion.stop_step >= self.limits.steps).all())
         if not refused and seconds is not None:
@@ -186,7 +186,7 @@ class Controller:
                 refused = self._aim.take(goal, seconds, velocity, joints, before)
                 # An arm that rests because it has to finds out in every step whether it still has to.
                 if self._aim.goal is not None and not (refused or brake or was):
-                    bodies = around or [], things or [], seconds
+                    bodies = around, things or [], seconds
                     wanted, refused = self._command(self._aim.goal, bodies, picture, wrench)
             except Exception as error:  # whatever it is, an arm in motion is brought to rest
                 refused = f"{type(error).__name__}: {error}"
@@ -199,19 +199,23 @@ class Controller:
         self._log.add((q, qd, goal, seconds, velocity, around, things, joints, wrench, command, *told))
         return command.copy()
 
-    def _hold_where_measured(self, q: Any) -> None:
-        """In a first step without a reset, stay where the arm is, if that is not home: no command may leap there."""
-        was_new, self._is_new, begin = self._is_new, False, self.motion.position
-        if not was_new or not isinstance(q, np.ndarray) or q.shape != begin.shape or not np.isfinite(q).all():
-            return
+    def _is_lost(self, q: Any) -> bool:
+        """Whether it is not known, without a reset, where the arm is; if not at home it stays there: nothing leaps."""
+        begin, lower, upper = self.motion.position, self._lower - ASIDE, self._upper + ASIDE
+        if not self._is_new:
+            return False
+        if not isinstance(q, np.ndarray) or q.shape != begin.shape:
+            return True
         away = np.abs(q - begin)
-        if (away > JUMP).any():
+        self._is_new = not (away <= JUMP).all()
+        if self._is_new and ((lower <= q) & (q <= upper)).all():
             self._start(q)
             i = int(away.argmax())
             self._stopped = (
                 f"joint {self.joints[i]!r} is measured at {in_words(q[i])}, and without a reset commands begin at home,"
                 f" {in_words(begin[i])}: call reset with the joints at which the arm is measured to rest"
             )
+        return self._is_new
 
     @property
     def waits(self) -> bool:
@@ -257,15 +261,9 @@ class Controller:
             if picture is None or list(np.shape(picture)) != inputs["picture"]:
                 return f"the policy needs a picture of {inputs['picture']} pixels"
             given["picture"] = picture
-        obstacles, objects, seconds = bodies
         try:
             given.update(felt(wrench, inputs))
-            if "bodies_kind" in inputs:
-                room = inputs["bodies_kind"][0]
-                around = placed(obstacles, room, objects, *self._objects, moving=self._moving, seconds=seconds)
-                if self._followed:
-                    self._followed.fill(around, obstacles, seconds)
-                given.update({f"bodies_{name}": numbers for name, numbers in around.items()})
+            given.update(self._beside.numbers(*bodies))
         except ValueError as error:
             return str(error)
         return ""

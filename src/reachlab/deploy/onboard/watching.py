@@ -12,6 +12,12 @@ from reachlab.deploy.onboard.reading import in_words
 GRACE = 0.06
 """Time for which the last good measurement is used where none comes that can be [s]; then the arm brakes."""
 
+PERIODS = 3
+"""The same in control periods, for policies whose are long."""
+
+STOOD = 0.5
+"""Time without a call after which an arm rests where it was sent [s]."""
+
 BEYOND = 0.2
 """How far a joint may be measured past its limits, where it swings for moments, or away from its command [rad or m]."""
 
@@ -37,6 +43,7 @@ class Watch:
 
     Attributes:
         q, qd: the last measurement that was good.
+        passed: time since the call before, 0 in the first one [s].
     """
 
     def __init__(self, facts: dict[str, Any], widest: dict[str, np.ndarray]) -> None:
@@ -46,6 +53,7 @@ class Watch:
         self._fast = FASTER * widest["speed"]
         self._away = BEYOND + 2 * np.array(facts["arm"]["lag"], float) * widest["speed"]
         self._period = float(facts["control_period"])
+        self._grace = max(GRACE, PERIODS * self._period)
         self._repeats = max(int(GRACE / self._period + 1e-6), 2)
         self.reset(np.array(facts["arm"]["home"], float))
 
@@ -53,6 +61,7 @@ class Watch:
         """Begin anew with an arm that rests at joints `[n]`."""
         self.q, self.qd = q.copy(), np.zeros_like(q)
         self._time: float | None = None
+        self.passed = 0.0
         self._good, self._same, self._command, self._measured = 0.0, 0, q.copy(), False
         self._passed: deque[float] = deque(maxlen=CALLS)
 
@@ -68,6 +77,7 @@ class Watch:
         if time is None:
             return "the time is not a finite number", True
         before, self._time = self._time, time
+        self.passed = 0.0 if before is None else time - before
         if before is None:
             self._good = time
         elif time <= before:
@@ -79,13 +89,13 @@ class Watch:
         if not wrong:
             frozen = self._frozen(q, qd, command)
             self.q, self.qd, self._good, self._measured = q, qd, time, True
-        if before is not None and time - before > GRACE:
+        if self.passed > self._grace:
             self._passed.clear()
-            return f"called {time - before:.3f} s after the last time, more than {GRACE:g} s", True
+            return f"called {self.passed:.3f} s after the last time, more than {self._grace:g} s", True
         if frozen:
             return frozen, True
-        rate, too_fast = ("", False) if before is None else self._off_rate(time - before)
-        return wrong or rate, too_fast or (bool(wrong) and time - self._good >= GRACE - 1e-9)
+        rate, too_fast = ("", False) if before is None else self._off_rate(self.passed)
+        return wrong or rate, too_fast or (bool(wrong) and time - self._good >= self._grace - 1e-9)
 
     def _off_rate(self, passed: float) -> tuple[str, bool]:
         """What is wrong with the rate of calls, and whether they are too many: commands then leave limits of speed."""

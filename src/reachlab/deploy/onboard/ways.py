@@ -124,6 +124,7 @@ class Way:
         self._told: dict[str, Any] | None = None
         self._goal: Any = None
         self._motion: Trajectory | None = None
+        self._seconds, self._since, self._came = -np.inf, 0.0, 0.0
         self._forget(trust=True)
         self._checked, self._outstanding, self._asked = None, None, self._asked + 1
 
@@ -140,10 +141,12 @@ class Way:
             seconds: of this control step.
         """
         scene = {name: given["bodies_" + name] for name in ("kind", "position", "quaternion", "size")}
+        if seconds < self._seconds:  # the clock has run back
+            self._since = self._came = seconds
         if goal["joints"] != self._goal:
             self._goal = goal["joints"]
             self._forget(trust=True)
-        elif self._mode == "follow" and seconds - self._seconds > LATE * self._period:
+        elif self._mode == "follow" and not 0.0 < seconds - self._seconds <= LATE * self._period:
             self._forget(trust=False)
         elif self._mode == "none" and scene != self._scene:
             self._forget(trust=True)
@@ -183,8 +186,11 @@ class Way:
         if told is None:
             return
         if "current" not in told:
-            told = {**told, "current": told.get("number") == self._asked}
-        self._told, self._outstanding = told, None
+            number = told.get("number")
+            told = {**told, "current": number == self._asked, "awaited": number == self._outstanding}
+        self._told = told
+        if told.get("awaited", True) or "ended" in told:
+            self._outstanding = None
         if "ended" in told:
             self._mode = "ended"
         elif not told["current"]:
