@@ -8,16 +8,17 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
-from faults.controllers import hostile_commands, written
+from faults.controllers import broken, hostile_commands, written
 from reachlab.cli import main as cli
 from reachlab.control.bodies import Shape
 from reachlab.deploy.check import PipeLink, start_controller
-from reachlab.deploy.onboard.bodies import placed
+from reachlab.deploy.onboard.aiming import Aim
+from reachlab.deploy.onboard.bodies import GONE, OLD, Beside, placed
 from reachlab.deploy.onboard.controller import NO_GOAL, Controller
 from reachlab.deploy.onboard.reading import read_bodies
 from reachlab.deploy.ros2 import PolicyNode
@@ -361,6 +362,65 @@ def test_calls_at_another_rate_are_named_and_too_many_brake_the_arm(precise: Pat
     assert controller.braking == brakes
 
 
+@pytest.mark.parametrize("first", [None, [np.nan] * 7, [1e6] + [0.0] * 6, "x", [0.0] * 3])
+def test_without_a_reset_nothing_moves_until_an_arm_was_measured(precise: Path, first: Any) -> None:
+    controller = Controller(precise)
+    for number in range(10):
+        command = controller.step(first, [0.0] * 7, GOAL, number * controller.period)
+        np.testing.assert_array_equal(command, controller.home)
+    assert controller.braking
+    assert controller.problem
+    away = controller.home + 0.6
+    np.testing.assert_allclose(controller.step(away, [0.0] * 7, GOAL, 10 * controller.period), away)
+    assert "without a reset commands begin at home" in controller.problem
+
+
+def test_after_a_long_time_without_a_call_it_goes_on_from_rest(precise: Path) -> None:
+    controller = Controller(precise)
+    controller.reset(controller.home)
+    play(controller, 20)
+    sent = controller.motion.position.copy()
+    assert np.abs(controller.motion.speed).max() > 0.2, "else this test asks for nothing"
+    commands = [sent] * 4
+    for number in range(40):
+        commands.append(controller.step(commands[-1], 0 * sent, GOAL, 100.0 + number * controller.period))
+        if number == 0:
+            assert controller.problem.startswith("called 99.")
+    assert broken(commands, controller) == []
+    assert (commands[-1] != sent).any(), "it moves again"
+
+
+def test_joints_that_are_not_those_of_the_goal_are_refused(clutter: Path) -> None:
+    controller = Controller(clutter, planner=False)
+    controller.reset(controller.home)
+    place, _ = controller._tool(controller.home.tolist())
+    around: dict[str, Any] = {"obstacles": [], "joints": controller.home}
+    assert play(controller, 1, goal=place, **around) == [""]
+    problem = play(controller, 1, first=1, goal=np.add(place, [0.0, 0.1, 0.0]), **around)[0]
+    assert problem.startswith("the goal's joints have the tool at ")
+
+
+def test_a_policy_of_obstacles_is_told_of_them(clutter: Path) -> None:
+    controller = Controller(clutter, planner=False)
+    controller.reset(controller.home)
+    place, _ = controller._tool(controller.home.tolist())
+    said = "it is not known what is beside the arm: give obstacles, [] where there are none"
+    assert play(controller, 1, goal=place, joints=controller.home) == [said]
+    assert play(controller, 20, first=1, goal=place, joints=controller.home, obstacles=[])[-1] == ""
+
+
+@pytest.mark.parametrize("every", [1, 2, 3, 5])
+def test_a_goal_that_moves_has_its_velocity_however_rarely_it_comes(every: int) -> None:
+    box = {"low": [-1.0] * 3, "high": [1.0] * 3}
+    aim, seen = Aim({"orientation": False, "moves": True, "joints": False, "fastest": 1.0, **box}, 7, {}), []
+    for step in range(40):
+        moved = min(step // every * every, 20)
+        assert aim.take(np.array([0.004 * moved, 0.0, 0.0]), 0.02 * step, None, None, np.zeros(7)) == ""
+        seen.append(cast("dict[str, Any]", aim.goal)["velocity"])
+    np.testing.assert_allclose(seen[every:21], [[0.2, 0.0, 0.0]] * (21 - every), atol=1e-9)
+    assert seen[-1] == [0.0, 0.0, 0.0], "it stands"
+
+
 def test_numbers_are_printed_to_four_digits(precise: Path) -> None:
     problem = play(Controller(precise), 1, goal=[0.1 + 0.2, 3.0, 0.4])[0]
     assert problem.startswith("the goal [0.3, 3, 0.4] is out of the workspace, [")
@@ -389,3 +449,17 @@ def test_the_node_says_that_no_goal_has_come(precise: Path) -> None:
     policy._on_goal(message)
     policy._step()
     assert said[1:] == ["all is well again"]
+
+
+def test_what_moves_is_not_believed_for_long(clutter: Path) -> None:
+    facts = json.loads((clutter / "policy.json").read_text())
+    one = {"position": [0.5, 0.0, 0.3], "radius": 0.05, "time": 10.0}
+    still, moving = Beside(facts), Beside(facts | {"obstacle_velocity": True})
+    for beside in (still, moving):
+        assert beside.numbers(read_bodies([one]), [], 10.0 + 0.9 * GONE)["bodies_position"][:3] == one["position"]
+    assert still.numbers(read_bodies([one]), [], 3600.0), "what does not move may have been seen long ago"
+    with pytest.raises(ValueError, match=r"obstacle 1 was measured more than 0\.5 s ago, and they move"):
+        moving.numbers(read_bodies([one]), [], 10.0 + 1.1 * GONE)
+    for when, said in ((10.0 - 1.1 * OLD, "more than 0.1 s ago"), (10.0 + 1.1 * OLD, "later than now")):
+        with pytest.raises(ValueError, match=f"object 1 was measured {said}"):
+            placed([], 1, read_bodies([{"position": [0.5, 0.0, 0.3], "time": when}]), [2], [0.03], seconds=10.0)

@@ -201,6 +201,25 @@ def test_after_measurements_were_lost_it_plans_from_where_it_stands(controller: 
     assert not touches(arm.path, WALL)
 
 
+def test_after_a_clock_that_ran_back_it_plans_anew(controller: Controller) -> None:
+    arm = Arm(controller)
+    while mode(controller) != "follow":
+        arm.step()
+    for _ in range(5):
+        arm.step()
+    arm.clock -= 10.0
+    arm.step()
+    assert controller.problem.startswith("the clock runs back")
+    while controller.braking:
+        assert mode(controller) == "follow"
+        arm.step()
+    assert mode(controller) != "follow", "the arm has left the motion"
+    for _ in range(200):
+        arm.step()
+    assert arm.distance < 0.005
+    assert not touches(arm.path, WALL)
+
+
 def test_a_log_is_taken_again_to_the_last_bit(folder: Path, controller: Controller, tmp_path: Path) -> None:
     arm = Arm(controller)
     for _ in range(150):
@@ -272,6 +291,8 @@ def test_a_planner_that_does_not_answer_is_not_waited_for_in_a_step(controller: 
     controller._way.planner.close()
     controller._way.planner = Told()
     arm, longest = Arm(controller, paced=False), 0.0
+    arm.step()
+    arm.clock -= 1000.0  # what a clock does that runs back
     for _ in range(round(DEADLINE / controller.period) + 40):
         begun = time.perf_counter()
         arm.step()

@@ -47,6 +47,8 @@ int main(int count, char **words)
     long steps = count == 2 ? atol(words[1]) : 0, broken = 0, refused = 0;
     for (int i = 0; i < REACHLAB_COMMANDS; ++i) start[i] = 0.5 * (LOWER[i] + UPPER[i]);
     if (reachlab_reset(&arm, start) != REACHLAB_OK) return 2;
+    start[REACHLAB_COMMANDS - 1] = NAN;
+    if (reachlab_reset(&arm, start) != REACHLAB_NOT_FINITE) return 2;
     for (int k = 0; k < 4; ++k) memcpy(past[k], arm.position, sizeof start);
     for (long step = 0; step < steps; ++step) {
         reachlab_input input;

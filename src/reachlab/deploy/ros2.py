@@ -131,7 +131,7 @@ class PolicyNode:
         from trajectory_msgs.msg import JointTrajectory
 
         self.node, self._controller, self._trajectory = node, controller, trajectory
-        self._names, self._fastest = list(names or controller.joints), fastest
+        self._names, self._fastest, self._sees = list(names or controller.joints), fastest, sees
         self._goal: list[float] | None = None
         self._goal_seen: Seen | None = None
         self._joints_seen: Seen | None = None
@@ -236,7 +236,7 @@ class PolicyNode:
             self._tell(waits)
             return
         beside: dict[str, Any] = {"objects": self._objects} if self._objects else {}
-        if self._obstacles is not None:
+        if self._sees and self._obstacles is not None:
             beside["obstacles"] = self._obstacles
         if self._wrench and now - self._wrench[0] < RECENT:
             beside["wrench"] = self._wrench[1]

@@ -133,7 +133,7 @@ class Aim:
             velocity = velocity * (np.sqrt(velocity @ velocity) <= self._facts["fastest"])
             before, then, usual = place, time, passed
         elif passed > RARE * usual:
-            before, then, velocity = place, time, np.zeros(3)
+            velocity = np.zeros(3)
         self._seen = before, then, usual, velocity
         return velocity
 

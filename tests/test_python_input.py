@@ -1,0 +1,117 @@
+"""What is given from Python: taken as one would expect, or refused in one sentence."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from importlib.metadata import EntryPoint
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import jax
+import numpy as np
+import pytest
+
+import reachlab
+from reachlab.agents.acting import _is_told
+from reachlab.envs.consistency import check
+from reachlab.envs.gymnasium_single import ReachEnv
+from reachlab.scale.training import failure_file, run_training
+from reachlab.settings import extensions
+from reachlab.settings.config import RunConfig
+from reachlab.settings.validation import InputError
+from reachlab.tasks.rewards import REWARDS, reward_terms
+
+
+@pytest.mark.parametrize(
+    ("config", "sentence"),
+    [
+        (lambda: reachlab.configure("precise", randomise=("dynamic",)), "randomise 'dynamic' is not one of"),
+        (lambda: reachlab.configure("precise", observation="push"), "observation 'push' needs an object beside"),
+        (lambda: reachlab.configure("tutorial", observation="pose"), "observation 'pose' needs a goal whose joints"),
+        (lambda: reachlab.configure("push", sim="kinematic"), "task 'push' needs objects that move"),
+        (lambda: reachlab.configure("precise", hold_steps=200), "cannot be held for hold_steps 200 in an episode of"),
+        (
+            lambda: RunConfig(task="precise"),
+            "rules of 'precise' are a Precise, got TaskSettings: begin with `configure`",
+        ),
+        (lambda: reachlab.configure("slide", beyond=(0.4, 0.1)), "beyond has a least distance above the largest"),
+    ],
+)
+def test_environments_that_cannot_be_are_refused(config: Any, sentence: str) -> None:
+    with pytest.raises(InputError, match=sentence):
+        reachlab.Env(config(), 2)
+
+
+@pytest.mark.parametrize("beyond", [(float("nan"), 1.0), (0.1, float("inf")), (-5.0, -4.0)])
+def test_distances_are_numbers_above_0(beyond: tuple[float, float]) -> None:
+    with pytest.raises(InputError, match="beyond"):
+        check(reachlab.configure("slide", beyond=beyond))
+
+
+def test_joints_may_be_numbers_of_any_kind() -> None:
+    chain = reachlab.load_robot("panda").chain
+    expected = reachlab.forward_kinematics(chain, jax.numpy.array([0.0, 1.0, 0.0, -1.0, 0.0, 1.0, 0.0]))
+    for q in ([0, 1, 0, -1, 0, 1, 0], np.array([0, 1, 0, -1, 0, 1, 0]), np.array([0.0, 1.0, 0.0, -1.0, 0.0, 1.0, 0.0])):
+        pose = reachlab.forward_kinematics(chain, q)
+        np.testing.assert_array_equal(pose.position, expected.position)
+        np.testing.assert_array_equal(pose.quaternion, expected.quaternion)
+    with pytest.raises(InputError, match=r"have 7 numbers in their last axis, and the shape is \(2,\)"):
+        reachlab.forward_kinematics(chain, [0.0, 1.0])
+    found = reachlab.inverse_kinematics(chain, expected, [0] * 7, jax.random.key(0))
+    assert found.converged
+    double = expected._replace(quaternion=2.0 * expected.quaternion)
+    with pytest.raises(InputError, match="quaternions of poses are of length 1, and one of the target's has 2"):
+        reachlab.inverse_kinematics(chain, double, [0] * 7, jax.random.key(0))
+
+
+def test_a_function_is_told_where_episodes_begin_if_it_asks_for_it() -> None:
+    told = (lambda seen, begins: (seen, begins), lambda seen, begins=None: (seen, begins))
+    others = (lambda seen: seen, lambda seen, speed=0.6: speed * seen, lambda *seen: seen, max, np.tanh)
+    assert all(map(_is_told, told))
+    assert not any(map(_is_told, cast("Any", others)))
+
+
+@pytest.mark.parametrize(
+    ("terms", "sentence"),
+    [
+        ({"success": np.zeros(3)}, "has a term 'success', which is the verdict's name: call it another"),
+        ({"near": np.zeros((3, 1))}, r"gives term 'near' in shape \(3, 1\): one number an environment is needed"),
+        (np.zeros(3), "gives ndarray: it has to give terms by name"),
+    ],
+)
+def test_a_reward_of_another_form_is_refused(terms: Any, sentence: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(REWARDS, "mine", lambda *_: terms)
+    outcome: Any = SimpleNamespace(gap=np.zeros(3))
+    with pytest.raises(InputError, match=f"reward 'mine' {sentence}"):
+        reward_terms(SimpleNamespace(reward="mine"), outcome)
+
+
+def test_films_of_environments_take_their_time() -> None:
+    assert ReachEnv("tutorial").metadata["render_fps"] == 240
+    assert ReachEnv("precise").metadata["render_fps"] == 50
+
+
+def test_xla_is_quiet_in_a_program_that_imports_reachlab() -> None:
+    code = "import os, reachlab; print(os.environ['TF_CPP_MIN_LOG_LEVEL'])"
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env={}, check=True)
+    assert told.stdout == "3\n"
+
+
+def test_a_training_of_a_sweep_imports_what_is_installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    config = {"format": 2, "task": "nowhere", "imports": []}
+    run_training(str(tmp_path / "run"), config, "success_rate", 1)
+    said = json.loads(failure_file(tmp_path / "run").read_text())["error"]
+    assert said.startswith("task 'nowhere' is not one of: ")
+    assert said.endswith("One of your own is imported first: by --import FILE, or in Python.")
+    entries = [EntryPoint("mine", "nowhere_at_all", extensions.GROUP)]
+    monkeypatch.setattr(extensions, "entry_points", lambda group: entries if group == extensions.GROUP else [])
+    extensions.import_installed.cache_clear()
+    try:
+        run_training(str(tmp_path / "run"), config, "success_rate", 1)
+        said = json.loads(failure_file(tmp_path / "run").read_text())["error"]
+        assert said.startswith("extension 'nowhere_at_all' cannot be imported")
+    finally:
+        extensions.import_installed.cache_clear()

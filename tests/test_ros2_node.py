@@ -1,0 +1,212 @@
+"""The node of ROS 2: which messages it believes, and what it does about a reset and a stop."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from faults.controllers import broken, written
+from reachlab.deploy.onboard.controller import Controller
+from reachlab.deploy.ros2 import PolicyNode, run_node
+from reachlab.deploy.topics import Topics
+from reachlab.settings.validation import InputError
+
+pytest.importorskip("rclpy")
+
+UR = ["shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint", "wrist_3_joint"]
+"""Names of the joints of a UR5e in its driver, which are not those of the policy."""
+
+STAMPED = 1000.0
+"""What the node's clock shows at its start [s]."""
+
+
+@pytest.fixture(scope="module")
+def precise(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return written(tmp_path_factory.mktemp("precise") / "policy", "precise", robot="ur5e")
+
+
+@pytest.fixture(scope="module")
+def track(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return written(tmp_path_factory.mktemp("track") / "policy", "track", robot="panda")
+
+
+class Driver:
+    """An arm that is where it was commanded to be a control period ago, and the node that commands it, in one clock."""
+
+    def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch, **more: Any) -> None:
+        self.controller = Controller(folder)
+        self.said, self.commands, self.topics, self.now = list[str](), list[np.ndarray](), dict[str, Any](), 5.0
+        node = SimpleNamespace(
+            create_publisher=lambda *_: SimpleNamespace(publish=lambda told: self.commands.append(np.array(told.data))),
+            create_subscription=lambda _, topic, act, __: self.topics.update({topic: act}),
+            create_timer=lambda *_: None,
+            get_logger=lambda: SimpleNamespace(warning=self.said.append),
+            get_clock=lambda: SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=(STAMPED + self.now) * 1e9)),
+        )
+        monkeypatch.setattr("reachlab.deploy.ros2.time", SimpleNamespace(monotonic=lambda: self.now))
+        self.names = more.get("names") or self.controller.joints
+        PolicyNode(node, self.controller, Topics(), trajectory=False, **more)
+        self.q, self.qd = self.controller.home.copy(), np.zeros(len(self.controller.home))
+
+    def stamped(self, message: Any, age: float = 0.0) -> Any:
+        seconds = STAMPED + self.now - age
+        message.header.stamp.sec, message.header.stamp.nanosec = int(seconds), int(seconds % 1 * 1e9)
+        return message
+
+    def tell(self, names: Any = None, q: Any = None, qd: Any = None, age: float = 0.0) -> None:
+        """A message of joints, by default of this arm."""
+        from sensor_msgs.msg import JointState
+
+        position, velocity = (np.asarray(own if told is None else told) for told, own in ((q, self.q), (qd, self.qd)))
+        message = JointState(name=names or self.names, position=position.tolist(), velocity=velocity.tolist())
+        self.topics[Topics().joint_states](self.stamped(message, age))
+
+    def run(self, periods: int, **told: Any) -> None:
+        for _ in range(periods):
+            before = len(self.commands)
+            self.tell(**told)
+            if len(self.commands) > before:
+                self.qd = (self.commands[-1] - self.q) / self.controller.period
+                self.q = self.commands[-1]
+            self.now += self.controller.period
+
+    def ask(self, place: Any) -> None:
+        from geometry_msgs.msg import PoseStamped
+
+        message = PoseStamped()
+        message.pose.position.x, message.pose.position.y, message.pose.position.z = map(float, place)
+        self.topics[Topics().goals](self.stamped(message))
+
+    def send(self, topic: str) -> None:
+        from std_msgs.msg import Empty
+
+        self.topics[topic](Empty())
+
+    @property
+    def aside(self) -> np.ndarray:
+        """A goal beside the middle of those that were trained."""
+        return np.mean(self.controller.goal_box, axis=0) + np.array([0.05, 0.1, 0.0])
+
+
+# --- which messages are believed ------------------------------------------------------------------
+
+
+def test_joints_of_other_names_are_never_taken_by_their_order(precise: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    driver = Driver(precise, monkeypatch)
+    driver.run(5, names=UR)
+    assert not driver.commands
+    (said,) = driver.said
+    assert said.startswith("joint states without shoulder_pan, shoulder_lift, elbow, wrist_1, wrist_2, wrist_3 are not")
+
+
+def test_names_that_are_given_stand_for_the_policys_in_any_order(
+    precise: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    driver = Driver(precise, monkeypatch, names=UR)
+    order = [2, 0, 1, 5, 4, 3]
+    for _ in range(3):
+        driver.tell(names=[UR[i] for i in order], q=driver.q[order])
+        driver.now += driver.controller.period
+    np.testing.assert_allclose(driver.commands[-1], driver.q)
+    with pytest.raises(InputError, match="2 joint names are given, and the policy has shoulder_pan, "):
+        run_node(precise, Topics(), trajectory=False, joint_names=("a", "b"))
+
+
+def test_a_grippers_message_takes_no_measurement_away(precise: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    driver = Driver(precise, monkeypatch)
+    driver.run(2)
+    driver.ask(driver.aside)
+    for _ in range(20):
+        driver.run(1)
+        driver.tell(names=["finger"], q=[0.02], qd=[0.0])
+        assert driver.controller.problem == ""
+
+
+def test_joints_that_are_old_by_their_stamps_are_not_used(precise: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    driver = Driver(precise, monkeypatch)
+    driver.run(5, age=0.4)
+    assert not driver.commands
+    assert driver.said == ["joint states are 0.4 s old by their stamps, and are not used: do clocks differ?"]
+    driver.run(5, age=0.01)
+    assert driver.commands
+
+
+def test_speeds_that_are_not_told_follow_from_the_joints(precise: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    driver = Driver(precise, monkeypatch)
+    driver.run(2)
+    seen: list[Any] = []
+    monkeypatch.setattr(driver.controller, "step", lambda *told, **_: seen.append(told[1]) or driver.controller.home)
+    driver.tell(q=driver.q, qd=[])
+    driver.now += 0.02
+    driver.tell(q=driver.q + 0.002, qd=[])
+    np.testing.assert_allclose(seen[-1], 0.1, rtol=1e-3)
+
+
+def test_a_goal_that_moves_has_its_velocity_at_any_rate(track: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    driver = Driver(track, monkeypatch, fastest=1.0)
+    driver.run(2)
+    seen: list[Any] = []
+    monkeypatch.setattr(driver.controller, "step", lambda *_, velocity, **__: seen.append(velocity) or driver.q)
+    begin = driver.now
+    for period in range(20):
+        if period % 3 == 0:
+            driver.ask(driver.aside + np.array([0.1 * (driver.now - begin), 0.0, 0.0]))
+        driver.run(1)
+    np.testing.assert_allclose(seen[4:], [[0.1, 0.0, 0.0]] * 16, atol=1e-5)
+    driver.run(15)
+    assert not seen[-1].any(), "a goal that nothing is heard of stands"
+
+
+# --- reset and stop -------------------------------------------------------------------------------
+
+
+def test_a_reset_brings_an_arm_that_moves_to_rest_first(precise: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    driver = Driver(precise, monkeypatch)
+    driver.run(2)
+    driver.ask(driver.aside)
+    driver.run(10)
+    assert np.abs(driver.qd).max() > 0.2, "else this test asks for nothing"
+    driver.send(Topics().reset)
+    driver.run(40)
+    assert broken(driver.commands, driver.controller) == []
+    assert np.abs(driver.qd).max() == 0.0
+    driver.ask(driver.aside)
+    driver.run(5)
+    assert np.abs(driver.qd).max() > 0.0, "it goes on after the reset"
+
+
+@pytest.mark.parametrize("begun", [False, True])
+def test_a_stop_after_a_reset_holds(precise: Path, begun: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    driver = Driver(precise, monkeypatch)
+    if begun:
+        driver.run(3)
+        driver.send(Topics().reset)
+    driver.send(Topics().stop)
+    driver.run(3)
+    driver.ask(driver.aside)
+    driver.run(20)
+    assert driver.controller.problem == "stop() was called"
+    np.testing.assert_array_equal(driver.q, driver.controller.home)
+    driver.send(Topics().reset)
+    driver.run(3)
+    driver.ask(driver.aside)
+    driver.run(5)
+    assert driver.controller.problem == ""
+    assert (driver.q != driver.controller.home).any()
+
+
+def test_an_arm_that_moves_or_is_past_its_limits_is_not_taken_over(
+    precise: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    driver = Driver(precise, monkeypatch)
+    driver.run(3, qd=np.full(6, 0.5))
+    assert driver.said == ["waiting: the arm is not measured to rest"]
+    driver.run(3, q=driver.controller.limits.upper + 0.1)
+    assert "waiting: joint 'shoulder_pan' is at " in driver.said[-1]
+    assert not driver.commands
+    driver.run(3, q=driver.controller.limits.upper + 0.001)
+    np.testing.assert_allclose(driver.commands[-1], driver.controller.limits.upper, atol=1e-7)
