@@ -51,6 +51,19 @@ def test_distances_are_numbers_above_0(beyond: tuple[float, float]) -> None:
         check(reachlab.configure("slide", beyond=beyond))
 
 
+def test_numbers_of_numpy_are_numbers() -> None:
+    config = reachlab.configure("precise", seed=np.int64(3), success_distance=np.float32(0.5), hold_steps=np.array(4))
+    assert (config.seed, config.rules.success_distance, vars(config.rules)["hold_steps"]) == (3, 0.5, 4)
+    assert type(config.seed) is int
+    with pytest.raises(InputError, match=r"seed must be a whole number.*, got 0\.5"):
+        reachlab.configure("precise", seed=np.float64(0.5))
+
+
+def test_a_file_of_a_scene_is_found_from_any_folder() -> None:
+    config = reachlab.configure("clutter", scene=("mine.json", "wall"))
+    assert vars(config.rules)["scene"] == (str(Path("mine.json").absolute()), "wall")
+
+
 def test_joints_may_be_numbers_of_any_kind() -> None:
     chain = reachlab.load_robot("panda").chain
     expected = reachlab.forward_kinematics(chain, jax.numpy.array([0.0, 1.0, 0.0, -1.0, 0.0, 1.0, 0.0]))

@@ -160,7 +160,12 @@ class PipeLink:
 
 def serve(folder: Path, pipe: Connection) -> None:
     """Run the controller of an export at the other end of a pipe, until that is closed."""
-    controller = start_controller(folder, feels=True)
+    try:
+        controller = start_controller(folder, feels=True)
+    except (InputError, OSError) as error:
+        pipe.recv()
+        pipe.send(str(error))
+        return
     period, told, due = controller.period, None, time.perf_counter()
     with contextlib.suppress(EOFError, BrokenPipeError, ConnectionResetError):
         while True:

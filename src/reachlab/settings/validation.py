@@ -150,7 +150,11 @@ class Checked:
 
     def __post_init__(self) -> None:
         for name, hint in hints(type(self)).items():
-            _check(name, getattr(self, name), hint)
+            value: Any = getattr(self, name)
+            if getattr(value, "shape", None) == ():  # a number of NumPy or JAX
+                value = value.item()
+                object.__setattr__(self, name, value)
+            _check(name, value, hint)
 
 
 @functools.cache

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from reachlab.settings.config import LearnerConfig, LoopConfig, PPOConfig, SimConfig
@@ -103,6 +104,8 @@ class Clutter(Precise):
     def __post_init__(self) -> None:
         """Give ways round furniture the time that they take."""
         super().__post_init__()
+        scene = tuple(str(Path(name).absolute()) if name.endswith(".json") else name for name in self.scene)
+        object.__setattr__(self, "scene", scene)
         if self.scene != ("balls",) and self.max_steps == Clutter.max_steps:
             object.__setattr__(self, "max_steps", AROUND_FURNITURE)
 

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.typing import ArrayLike
+from numpy.typing import ArrayLike
 
 from reachlab.robots.kinematics.chain import Chain
 from reachlab.robots.kinematics.scalars import (

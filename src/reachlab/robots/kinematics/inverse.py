@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.core import Tracer
-from jax.typing import ArrayLike
+from numpy.typing import ArrayLike
 
 from reachlab.robots.kinematics.chain import Chain
 from reachlab.robots.kinematics.forward import (
