@@ -200,10 +200,13 @@ def test_c_decides_as_python_does_and_keeps_every_limit_whatever_it_is_given(fol
 @needs_compiler
 @pytest.mark.parametrize("flags", [SANITIZED, ["-O2"]], ids=["sanitized", "as_its_head_says"])
 def test_the_example_in_c_prints_the_commands_of_a_log(folder: Path, tmp_path: Path, flags: list[str]) -> None:
-    controller = Controller(folder)
-    controller.reset(controller.home)
+    controller = Controller(folder)  # without a reset it begins at home
     q, qd, commands = controller.home, 0 * controller.home, []
-    for number in range(120):
+    for number in range(160):
+        if number == 70:
+            controller.stop()
+        if number == 100:
+            controller.reset(q)
         goal = [0.5, 0.2, 0.4] if number < 60 else [0.45, -0.2, 0.5]
         command = controller.step(q, qd, goal, number * controller.period)
         commands.append(command)

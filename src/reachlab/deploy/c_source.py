@@ -66,7 +66,7 @@ def c_sources(facts: dict[str, Any], limits: MotionLimits, step: Behaviour) -> d
         "functions": "\n".join(map(c_function, programs)),
         "lower": c_numbers(limits.lower),
         "upper": c_numbers(limits.upper),
-        "home": c_numbers(np.array(facts["arm"]["home"])),
+        "home": ", ".join(map(repr, facts["arm"]["home"])),
         "rested": c_numbers(np.full(limits.n, limits.steps)),
         "checked": " && ".join(f"all_finite(input->{one.name}, {one.size})" for one in inputs if one.kind == "real"),
         "decided": ", ".join(decided),

@@ -32,7 +32,7 @@ int main(int count, char **words)
     static char line[65536];
     static reachlab_state state;
     static reachlab_input input;
-    const reachlab_real home[REACHLAB_COMMANDS] = {{home}};
+    static const reachlab_real home[REACHLAB_COMMANDS] = { {{home}} };
     int begun = 0, stopped = 0;
     FILE *log = count == 2 ? fopen(words[1], "r") : NULL;
     if (!log) {

@@ -15,7 +15,7 @@ GRACE = 0.06
 PERIODS = 3
 """The same in control periods, for policies whose are long."""
 
-STOOD = 0.5
+STOOD = 1.0
 """Time without a call after which an arm rests where it was sent [s]."""
 
 BEYOND = 0.2
