@@ -17,6 +17,7 @@ from reachlab.deploy.lerobot_env import LeRobotVectorEnv
 from reachlab.deploy.lerobot_policy import LeRobotPolicy
 from reachlab.envs.earlier_configs import from_json
 from reachlab.envs.setup import configure_env, in_evaluation
+from reachlab.settings.validation import InputError
 from reachlab.tasks import TASKS
 
 __all__ = ["LeRobotPolicy", "make_env"]
@@ -47,10 +48,12 @@ def make_env(
         InputError: a task, folder, camera or setting that does not exist, or a value that is not allowed.
     """
     del use_async_envs
+    if settings.get("shaping"):
+        raise InputError("an exported controller shapes its commands itself: leave shaping out.")
     name = (cfg and cfg.task) or task
     if name not in TASKS and Path(name).is_dir():
         trained = from_json(read_facts(Path(name))["settings"])
-        config = in_evaluation(trained, trained.sim, **settings)
+        config = in_evaluation(trained, settings.pop("sim", trained.sim), **settings)
     else:
         config = configure_env(name, **settings)
     return LeRobotVectorEnv(config, n_envs, cameras, size)

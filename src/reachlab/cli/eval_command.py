@@ -126,7 +126,7 @@ def _show_evaluation(
 
 
 def _means(reports: Sequence[dict[str, Any]], subjects: Sequence[Subject]) -> list[dict[str, Any]]:
-    """Means over the runs that differ by their seeds alone, in each simulator."""
+    """Means over the runs that differ by their seeds alone, of each agent in each simulator."""
     from reachlab.evaluation.intervals import mean_report
 
     groups: dict[str, dict[int, str]] = {}
@@ -134,8 +134,10 @@ def _means(reports: Sequence[dict[str, Any]], subjects: Sequence[Subject]) -> li
         alike = jsonlib.dumps(flatten(to_json(subject.config)) | {"seed": 0})
         groups.setdefault(alike, {}).setdefault(subject.config.seed, subject.name)
     made = []
-    for names, sim in itertools.product(groups.values(), dict.fromkeys(report["sim"] for report in reports)):
-        own = [report for report in reports if report.get("run") in names.values() and report["sim"] == sim]
+    kinds = dict.fromkeys((report["sim"], report["agent"]) for report in reports)
+    for names, kind in itertools.product(groups.values(), kinds):
+        of_kind = [report for report in reports if (report["sim"], report["agent"]) == kind]
+        own = [report for report in of_kind if report.get("run") in names.values()]
         if len(own) > 1:
             made.append(mean_report(own) | {"run": f"mean of {len(own)} seeds"})
     return made

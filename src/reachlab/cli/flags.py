@@ -94,7 +94,7 @@ class Distil(Training):
     """Simulator, kinematic or mujoco; by default the teacher's."""
     seed: Seed = 0
     """Seed of everything random."""
-    randomise: tuple[str, ...] = ()
+    randomise: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="[STR ...]", help_behavior_hint="")] = None
     """What varies from episode to episode, of dynamics, delay and view; by default what varied for the teacher."""
     total_steps: Steps = DISTILLATION["total_steps"]
     """Environment steps after which training ends: 4,096 an iteration with the default `--action-repeat`."""

@@ -232,6 +232,8 @@ def _resumed(flags: type, chosen: argparse.Namespace) -> RunConfig | None:
     """Settings of the run or the sweep that is resumed, if there is one."""
     if not chosen.resume:
         return None
+    if chosen.config:
+        raise InputError("--resume goes on with the settings that are there: leave --config out.")
     if flags is Sweep:
         from reachlab.scale.sweep import read_sweep
 

@@ -127,8 +127,8 @@ def _joints(robot: Robot) -> list[dict[str, Any]]:
     """Each joint's limits [rad or m], servo and home."""
     import numpy as np
 
-    from reachlab.robots.derive.isolation import own_servos
     from reachlab.robots.derive.servos import find_loads, largest_inertia
+    from reachlab.robots.kinematics.limits import own_servos
 
     model, chain = robot.spec(pictures=False).compile(), robot.chain
     actuators = own_servos(model)

@@ -46,7 +46,7 @@ def _distillation(arguments: Distil) -> RunConfig:
         raise InputError("distil needs a teacher: name the run directory of one, as `reachlab train` makes it.")
     taught = find_run(arguments.teacher).read_config(check_robot=False)
     config = in_simulator(taught, arguments.sim or taught.sim)
-    changes["randomise"] = arguments.randomise or taught.randomise
+    changes["randomise"] = taught.randomise if arguments.randomise is None else arguments.randomise
     return distillation(str(arguments.teacher), config, **changes)
 
 
@@ -93,6 +93,8 @@ def _collector(arguments: Train | Distil, config: RunConfig) -> AbstractContextM
     if not isinstance(arguments, Train) or not arguments.workers:
         if isinstance(arguments, Train) and arguments.address:
             raise InputError("address is that of a cluster whose workers collect: say how many with --workers.")
+        if isinstance(arguments, Train):
+            choose("engine", arguments.engine, ENGINES)
         return nullcontext()
     if choose("engine", arguments.engine, ENGINES) != "ray":
         raise InputError(f"engine {arguments.engine!r} carries the trainings of a sweep: use --engine ray here.")

@@ -156,7 +156,10 @@ def _serve_page(arguments: View) -> None:
                 note(f"{one.name} is computed here and streamed to the page: {one.why}.")
         if all(one.functions for one in shown) and not is_shipped(runs[0]) and not other_goals(arguments):
             file = runs[0].path / PAGE
-            say(f"The same page as a file: {file}, {write_parts(shown, body, file) / 1e6:.2f} MB")
+            try:
+                say(f"The same page as a file: {file}, {write_parts(shown, body, file) / 1e6:.2f} MB")
+            except InputError as error:  # it is served all the same
+                note(f"Warning: {error}")
         server.serve([partial(Remote, one) for one in shown], lambda: interrupts.received is not None)
 
 

@@ -102,7 +102,7 @@ class Loop:
         Where everything is traced three programs are compiled at once.
         """
         env, config = self.env, self.config
-        resume = resume and self.run.newest_manifest() is not None
+        resume = resume and self.run.has_checkpoints  # damaged ones too: then it is said, and nothing is lost
         if not env.traced:
             state = self.method.initial_state(env, config, config.seed, self.given)
             self._step = self.method.compile_iteration(env, config, state, self.collect)

@@ -14,13 +14,12 @@ import numpy as np
 from reachlab.robots.catalogue import ROBOTS, KnownRobot, find_model_file
 from reachlab.robots.derive.arm import Arm, find_arm
 from reachlab.robots.derive.gripper import GRIPPED, UnrecognisedError, driven, mounted_gripper, own_gripper
-from reachlab.robots.derive.isolation import own_servos
 from reachlab.robots.derive.servos import LAG, Loads, default_torques, find_loads, payload, servos, too_heavy, too_weak
 from reachlab.robots.derive.workspace import Derived, derive, orientation
 from reachlab.robots.files.gripper import GRASP, SLIDES
 from reachlab.robots.files.model_file import ModelFile, with_gripper, with_own_gripper
 from reachlab.robots.files.urdf import JointFacts
-from reachlab.robots.kinematics.limits import is_limited, speed_limits, torque_limits
+from reachlab.robots.kinematics.limits import is_limited, own_servos, speed_limits, torque_limits
 from reachlab.robots.robot import CATALOGUE, DEFAULT, DERIVED, FILE, JERK_RATE, RAMP_RATE, Robot
 from reachlab.robots.shapes.self_contact import untouching
 from reachlab.settings.cache import kept
@@ -174,7 +173,7 @@ def _limits(
         return tuple(default if own is None else own for own, default in zip(stated, defaults, strict=True))
 
     facts = [file.joints.get(joint, JointFacts()) for joint in arm.names]
-    speeds = [fact.speed or own for fact, own in zip(facts, speed_limits(arm.whole, n), strict=True)]
+    speeds = [fact.speed or own for fact, own in zip(facts, speed_limits(arm.whole, arm.isolation.joints), strict=True)]
     speed = filled("speed", speeds, [DEFAULT_SPEED] * n)
     held = default_torques(loads, np.array(speed)).tolist()
     for joint in own_servos(arm.model):

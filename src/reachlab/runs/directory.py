@@ -240,6 +240,11 @@ class RunDirectory:
         manifest, state = self._load(template)
         return manifest.counters, state
 
+    @property
+    def has_checkpoints(self) -> bool:
+        """Whether there are checkpoints, which may be damaged."""
+        return bool(checkpoint.find(self.checkpoints))
+
     def newest_manifest(self) -> Manifest | None:
         """Manifest of the newest checkpoint that has one; None if there is no checkpoint."""
         for folder in checkpoint.find(self.checkpoints):

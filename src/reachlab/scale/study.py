@@ -138,10 +138,10 @@ class Study:
         return settings_of(trial.params, self._space)
 
     def is_poor(self, trial: Any, validations: Mapping[int, float]) -> bool:
-        """Whether a new validation of a trial, by its steps, is poorer than half of the others; all are noted."""
+        """Whether a new validation of a trial, by its number, is poorer than half of the others; all are noted."""
         known = self._study.get_trials(deepcopy=False)[trial.number].intermediate_values
-        for steps in sorted(validations.keys() - known.keys()):
-            trial.report(validations[steps], steps)
+        for number in sorted(validations.keys() - known.keys()):
+            trial.report(validations[number], number)
             if trial.should_prune():
                 return True
         return False

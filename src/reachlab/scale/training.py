@@ -31,7 +31,7 @@ def failure_file(path: Path) -> Path:
 
 
 def read_validations(path: Path) -> dict[int, float]:
-    """Values of a training's validations so far, by steps; they are in a file beside its run directory."""
+    """Values of a training's validations so far, by their numbers; they are in a file beside its run directory."""
     try:
         return dict(json.loads(path.with_suffix(".json").read_text()))
     except FileNotFoundError:
@@ -61,11 +61,12 @@ def run_training(path: str, config: dict[str, Any], goal: str, validations: int)
 
     def validate(now: Progress) -> None:
         before = validations_until(now.steps - settings.loop.iteration_steps)
-        if before == validations_until(now.steps) or now.steps >= now.total_steps:
+        number = validations_until(now.steps)
+        if before == number or now.steps >= now.total_steps:
             return
         value = GOALS[goal].of(now.evaluate(VALIDATED).to_json())
         if value is not None:
-            values = read_validations(run.path) | {now.steps: value}
+            values = read_validations(run.path) | {number: value}
             write_json(run.path.with_suffix(".json"), list(values.items()))
 
     use_compilation_cache()

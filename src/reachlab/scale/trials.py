@@ -112,8 +112,8 @@ class Trials:
                 yield
                 running = self._engine.running(training)
                 # The validations of a seed come after those of the one before.
-                first = index * config.loop.total_steps
-                validations = {first + steps: value for steps, value in read_validations(path).items()}
+                first = index * (settings.validations + 1)
+                validations = {first + number: value for number, value in read_validations(path).items()}
                 if not poor and self._study.is_poor(trial, validations):
                     poor = True
                     self._engine.stop(training)

@@ -13,8 +13,8 @@ from mujoco.batch import Batch
 from reachlab.control.bodies import Bodies
 from reachlab.control.contact_model import FixedBodies
 from reachlab.jax_setup import jit
-from reachlab.robots.derive.isolation import own_servos
 from reachlab.robots.kinematics.forward import forward_kinematics
+from reachlab.robots.kinematics.limits import own_servos
 from reachlab.robots.robot import Robot
 from reachlab.settings.config import SimConfig
 from reachlab.sims.mujoco_model import PAYLOAD, Layout, physics_model, servo_lag

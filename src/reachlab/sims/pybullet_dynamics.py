@@ -11,7 +11,7 @@ import numpy as np
 
 from reachlab.control.bodies import Shape
 from reachlab.render.observation_camera import CROSS
-from reachlab.robots.derive.isolation import own_servos
+from reachlab.robots.kinematics.limits import own_servos
 from reachlab.robots.robot import PybulletModel, Robot
 from reachlab.sims.objects import ROLLING, TURNING
 from reachlab.sims.pybullet_world import World

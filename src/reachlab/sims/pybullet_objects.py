@@ -13,7 +13,7 @@ from reachlab.control.bodies import Bodies
 from reachlab.control.situation import Goal
 from reachlab.render.marks import Marks
 from reachlab.render.view_randomisation import Views
-from reachlab.robots.derive.isolation import own_servos
+from reachlab.robots.kinematics.limits import own_servos
 from reachlab.robots.robot import PybulletModel, Robot
 from reachlab.settings.config import SimConfig
 from reachlab.sims.mujoco_model import physics_model, servo_lag

@@ -13,7 +13,7 @@ from reachlab.robots.derive.tool import find_tools
 from reachlab.robots.files.gripper import SLIDES
 from reachlab.robots.files.model_file import ModelFile
 from reachlab.robots.files.picture_files import some
-from reachlab.robots.kinematics.chain import Chain, chain_from_model, listed, path_joints
+from reachlab.robots.kinematics.chain import Chain, chain_from_model, listed, moving_joints, path_joints
 from reachlab.robots.kinematics.limits import LARGEST, is_limited
 
 
@@ -72,6 +72,8 @@ def find_arm(file: ModelFile, tool: str | None, base: str | None) -> Arm:
     shorter = path_joints(whole, found[0], below) if found else []
     fingers = file.own.joints if file.own else [whole.joint(slide).id for slide in SLIDES] if file.mounted else ()
     notices += _notices(whole, numbers, shorter, fingers)
+    if any((one ^ other).intersection(numbers) for one, other in _held_together(whole)):
+        notices.append("Constraints that connect or weld the arm to something that stands are left out.")
     key = mujoco.mj_name2id(whole, mujoco.mjtObj.mjOBJ_KEY, "home")
     rest = whole.key_qpos[key] if key >= 0 else whole.qpos0
     if file.own:
@@ -106,6 +108,13 @@ def _check_joints(file: ModelFile, whole: mujoco.MjModel, numbers: list[int]) ->
                 f"joint {whole.joint(number).name!r} has the position limits {low:g} to {high:g}: the upper one has to"
                 " be the larger one"
             )
+    for one, other in _held_together(whole):
+        if (one - other) and (other - one) and (looped := (one ^ other).intersection(numbers)):
+            names = " and ".join(repr(whole.joint(number).name) for number in sorted(looped))
+            raise ValueError(
+                f"an equality constraint closes a loop through the joint {names} of the arm, and every joint of a chain"
+                " has to move by itself: choose a --tool before it"
+            )
     for what, joints in _couplings(file, whole):
         coupled = joints.intersection(numbers)
         if len(coupled) > 1 or (coupled and coupled == joints):
@@ -129,6 +138,18 @@ def _couplings(file: ModelFile, model: mujoco.MjModel) -> Iterator[tuple[str, se
     for name, fact in file.joints.items():
         if fact.mimics:
             yield f"its mimic of {fact.mimics!r}", {mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)}
+
+
+def _held_together(model: mujoco.MjModel) -> Iterator[tuple[set[int], set[int]]]:
+    """Joints that move each of two bodies which a constraint connects or welds."""
+    kinds = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))
+    for i in np.flatnonzero(model.eq_active0):
+        ends = [int(model.eq_obj1id[i]), int(model.eq_obj2id[i])]
+        if model.eq_type[i] not in kinds:
+            continue
+        if model.eq_objtype[i] == int(mujoco.mjtObj.mjOBJ_SITE):
+            ends = [int(model.site_bodyid[site]) for site in ends]
+        yield moving_joints(model, ends[0]), moving_joints(model, ends[1])
 
 
 def _joints_of(model: mujoco.MjModel, tendon: int) -> set[int]:

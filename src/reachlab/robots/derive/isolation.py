@@ -65,21 +65,6 @@ class Isolation:
     fingers: tuple[Finger, ...] = ()
 
 
-def own_servos(model: mujoco.MjModel) -> dict[int, int]:
-    """Number of the file's position servo by number of its joint, of the joints that have just one actuator.
-
-    It draws its joint to its command, by a spring as stiff as its gain, and damps it.
-    """
-    gain, bias = model.actuator_gainprm[:, 0], model.actuator_biasprm[:, 1]
-    on_joints = model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT)
-    servos = on_joints & (gain > 0) & (bias == -gain) & (model.actuator_gear[:, 0] == 1)
-    servos &= model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_AFFINE)
-    servos &= model.actuator_dyntype == int(mujoco.mjtDyn.mjDYN_NONE)
-    joints, counts = np.unique(model.actuator_trnid[on_joints, 0], return_counts=True)
-    alone = servos & np.isin(model.actuator_trnid[:, 0], joints[counts == 1])
-    return {int(model.actuator_trnid[actuator, 0]): int(actuator) for actuator in np.flatnonzero(alone)}
-
-
 def isolate(model: mujoco.MjModel, joints: Sequence[int], home: np.ndarray) -> Isolation:
     """What has to change in a file for an arm with these joints, the others locked where `home [nq]` has them."""
     data = mujoco.MjData(model)
@@ -124,12 +109,13 @@ def apply(spec: mujoco.MjSpec, isolation: Isolation) -> None:
 
 
 def _keep(spec: mujoco.MjSpec, own: set[str], grips: bool) -> None:
-    """Take out the joints that are not among `own`, what refers to them, and what couples those of a gripper."""
+    """Take out the joints that are not among `own`, what refers to them, and what else moves or holds bodies."""
     others = [joint for joint in spec.joints if joint.name not in own]
-    if not others and not grips:
-        return
     moved = [one for one in spec.actuators if one.trntype != mujoco.mjtTrn.mjTRN_JOINT or one.target not in own]
-    for elements in (spec.keys, spec.equalities, spec.tuples, moved, spec.tendons, others):
+    foreign = [spec.equalities, moved]
+    if others or grips:
+        foreign = [spec.keys, *foreign, spec.tuples, spec.tendons, others]
+    for elements in foreign:
         for element in elements:
             spec.delete(element)
 
@@ -140,9 +126,14 @@ def _add_servo(spec: mujoco.MjSpec, joint: str, servo: Servo) -> None:
         if actuator.target == joint:
             spec.delete(actuator)
     added = spec.add_actuator(name=f"reachlab_servo_{joint}", target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    # The file's defaults are those of its own motors.
+    no, limited = mujoco.mjtLimited.mjLIMITED_FALSE, np.isfinite(servo.torque)
+    added.gear, added.dyntype = [1.0, 0.0, 0.0, 0.0, 0.0, 0.0], mujoco.mjtDyn.mjDYN_NONE
+    added.ctrllimited = added.actlimited = no
+    added.ctrlrange = added.actrange = [0.0, 0.0]
+    added.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE if limited else no
+    added.forcerange = [-servo.torque, servo.torque] if limited else [0.0, 0.0]
     added.set_to_position(kp=servo.stiffness, kv=servo.damping)
-    if np.isfinite(servo.torque):
-        added.forcerange = [-servo.torque, servo.torque]
 
 
 def _couple(spec: mujoco.MjSpec, joints: Sequence[mujoco.MjsJoint], first: Finger, finger: Finger) -> None:

@@ -75,10 +75,11 @@ class Folders:
             yield self.packages[package]
         above = [folder for start in self._starts() for folder in (start, *start.parents)]
         for folder in (*above, *_listed("ROS_PACKAGE_PATH")):
+            if _shared(folder):
+                continue
             if folder.name == package or _package_name(folder / "package.xml") == package:
                 yield folder
-            if not _shared(folder):
-                yield folder / package
+            yield folder / package
         for folder in _listed("AMENT_PREFIX_PATH"):
             yield folder / "share" / package
 

@@ -17,7 +17,7 @@ from reachlab.robots.files.gripper import GRIPPERS, OwnGripper, fit, mount
 from reachlab.robots.files.mesh_search import Folders
 from reachlab.robots.files.mjcf import rewrite_mjcf
 from reachlab.robots.files.picture_files import MESHES, MISSING, MOST_MESH, PictureFiles, some
-from reachlab.robots.files.pictures import leave_out, without_pictures
+from reachlab.robots.files.pictures import leave_out, weighs, without_pictures
 from reachlab.robots.files.repair import repair
 from reachlab.robots.files.safe_xml import MOST_NESTING, XmlFiles
 from reachlab.robots.files.urdf import JointFacts, rewrite_urdf
@@ -89,8 +89,10 @@ class ModelFile:
         if len(spec.bodies) > MOST_BODIES:
             raise InputError(f"has {len(spec.bodies):,} bodies; at most {MOST_BODIES:,} are read.")
         if self.kind == "URDF":
-            for mesh in spec.meshes:  # no mass comes from them, and those that are not closed have no volume
-                mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+            weighed = {geom.meshname for geom in spec.geoms if weighs(spec, geom)}
+            for mesh in spec.meshes:  # of others no mass comes, and those that are not closed have no volume
+                if mesh.name not in weighed:
+                    mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
         leave_out(spec, without | {MISSING})
         if not pictures:
             without_pictures(spec)

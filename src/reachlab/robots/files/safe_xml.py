@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import math
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
@@ -27,6 +28,9 @@ LARGEST = {
     **dict.fromkeys(("gridsize", "nchannel"), 12),
 }
 """Largest number of attributes with which memory and time grow."""
+
+MOST_DRAWN = 2**25
+"""Numbers that all elements together may stand for by their sizes: pixels, heights, entries."""
 
 BYTE_ORDERS = (b"\xff\xfe", b"\xfe\xff")
 """How text in UTF-16 begins."""
@@ -103,7 +107,7 @@ class XmlFiles:
         self.file = file
         self.files: set[Path] = set()
         self.hash = hashlib.sha256()
-        self._find, self._left, self._tags = find, MOST_XML, 0
+        self._find, self._left, self._tags, self._drawn = find, MOST_XML, 0, 0.0
 
     def root(self) -> Element:
         """Root of the robot file itself.
@@ -146,7 +150,22 @@ class XmlFiles:
         if "<xacro:" in text or file.suffix == ".xacro":
             stem = file.name.removesuffix(".xacro").removesuffix(".urdf")
             raise InputError(f"is a xacro file: expand it with `xacro {file.name} > {stem}_expanded.urdf`.")
-        return parse_xml(text)
+        root = parse_xml(text)
+        self._drawn += sum(map(_drawn, root.iter()))
+        if self._drawn > MOST_DRAWN:
+            raise InputError(f"asks for textures, height fields and data of more than {MOST_DRAWN:,} numbers together.")
+        return root
+
+
+def _drawn(element: Element) -> float:
+    """How many numbers an element stands for by its sizes; `parse_xml` has looked at each of them."""
+
+    def sides(*keys: str) -> float:
+        return math.prod(number(element, key) for key in keys) if all(key in element.attrib for key in keys) else 0.0
+
+    cube = 6.0 if element.get("type", "cube") != "2d" else 1.0
+    entries = sides("size") if element.tag == "numeric" else 0.0
+    return cube * sides("width", "height") + sides("nrow", "ncol") + entries
 
 
 def _decoded(data: bytes) -> str:

@@ -111,6 +111,11 @@ def path_joints(model: mujoco.MjModel, tool: str, base: int = 0) -> list[int]:
     return joints
 
 
+def moving_joints(model: mujoco.MjModel, body: int) -> set[int]:
+    """Numbers of the joints that move a body."""
+    return {joint for one in _path(model, body) for joint in _joints(model, one)}
+
+
 def chain_from_model(model: mujoco.MjModel, tool: str) -> Chain:
     """Chain from the world to the site or body `tool` of a compiled MuJoCo model, which joints move.
 

@@ -15,19 +15,61 @@ TURNS, TRAVEL = 2 * np.pi, 1.0
 LARGEST = 100.0
 """Position limits beyond this, either way, are none that any arm has [rad or m]."""
 
+ON_JOINTS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+"""How actuators act that turn a joint; others have numbers of other things."""
+
 Limits = tuple[float | None, ...]
 """A limit of each joint, None where the file states none."""
 
 
+def own_servos(model: mujoco.MjModel) -> dict[int, int]:
+    """Number of the file's position servo by number of its joint, of the joints that have just one actuator.
+
+    It draws its joint to its command, by a spring as stiff as its gain, and damps it.
+    """
+    gain, bias = model.actuator_gainprm[:, 0], model.actuator_biasprm[:, 1]
+    on_joints = model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT)
+    servos = on_joints & (gain > 0) & (bias == -gain) & (model.actuator_gear[:, 0] == 1)
+    servos &= model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_AFFINE)
+    servos &= model.actuator_dyntype == int(mujoco.mjtDyn.mjDYN_NONE)
+    joints, counts = np.unique(model.actuator_trnid[on_joints, 0], return_counts=True)
+    alone = servos & np.isin(model.actuator_trnid[:, 0], joints[counts == 1])
+    return {int(model.actuator_trnid[actuator, 0]): int(actuator) for actuator in np.flatnonzero(alone)}
+
+
+def servo_range(model: mujoco.MjModel, joint: int) -> tuple[float, float] | None:
+    """Least and largest command that the file's own position servo of a joint takes [rad or m]; None without bounds."""
+    servo = own_servos(model).get(joint)
+    if servo is None or not model.actuator_ctrllimited[servo]:
+        return None
+    low, high = model.actuator_ctrlrange[servo].tolist()
+    return low, high
+
+
 def position_limits(model: mujoco.MjModel, joint: int) -> tuple[float, float]:
-    """Lower and upper limit of a joint [rad or m], as float32 numbers not beyond the file's."""
+    """Lower and upper limit of a joint [rad or m], as float32 numbers not beyond the file's, nor its servo's.
+
+    Raises:
+        ValueError: the servo takes no command within the joint's limits.
+    """
     free = TRAVEL if model.jnt_type[joint] == int(mujoco.mjtJoint.mjJNT_SLIDE) else TURNS
-    low, high = model.jnt_range[joint] if is_limited(model, joint) else (-free, free)
+    low, high = model.jnt_range[joint] if _is_ranged(model, joint) else (-free, free)
+    if taken := servo_range(model, joint):
+        if max(low, taken[0]) >= min(high, taken[1]):
+            raise ValueError(
+                f"joint {model.joint(joint).name!r} has the position limits {low:g} to {high:g}, and its servo takes"
+                f" commands from {taken[0]:g} to {taken[1]:g}: they have to overlap"
+            )
+        low, high = max(low, taken[0]), min(high, taken[1])
     return _inward(low, np.inf), _inward(high, -np.inf)
 
 
 def is_limited(model: mujoco.MjModel, joint: int) -> bool:
-    """Whether the file gives a joint position limits that can be meant."""
+    """Whether the file gives a joint, or its servo, position limits that can be meant."""
+    return _is_ranged(model, joint) or servo_range(model, joint) is not None
+
+
+def _is_ranged(model: mujoco.MjModel, joint: int) -> bool:
     return bool(model.jnt_limited[joint]) and bool(np.abs(model.jnt_range[joint]).max() <= LARGEST)
 
 
@@ -38,20 +80,22 @@ def _inward(limit: float, inside: float) -> float:
     return float(np.nextafter(np.float32(rounded), np.float32(inside))) if beyond else rounded
 
 
-def speed_limits(model: mujoco.MjModel, n: int) -> Limits:
-    """Speed limits `[n]` [rad/s or m/s], which MJCF has no place for but `<numeric name="speed_limit">`.
+def speed_limits(model: mujoco.MjModel, joints: Sequence[int]) -> Limits:
+    """Speed limits of joints [rad/s or m/s], which MJCF has no place for but `<numeric name="speed_limit">`.
 
-    Of one for every joint of the file, an arm that ends at an earlier tool takes the first.
+    It has one for each of these joints, or one for each of the file's, at least up to the last of these.
 
     Raises:
         InputError: it has another number of entries, or a negative one.
     """
+    n = len(joints)
     if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, "speed_limit") < 0:
         return (None,) * n
     speeds = model.numeric("speed_limit").data
-    if not n <= len(speeds) <= model.njnt or min(speeds) < 0:
+    rows = range(n) if len(speeds) == n else joints
+    if not max(rows) < len(speeds) <= model.njnt or min(speeds) < 0:
         raise InputError(f"numeric 'speed_limit' has to be a positive number for each of the {n} joints, got {speeds}.")
-    return tuple(float(speed) or None for speed in speeds[:n])
+    return tuple(float(speeds[row]) or None for row in rows)
 
 
 def torque_limits(model: mujoco.MjModel, joints: Sequence[int]) -> Limits:
@@ -59,7 +103,7 @@ def torque_limits(model: mujoco.MjModel, joints: Sequence[int]) -> Limits:
     torques: dict[int, float | None] = dict.fromkeys(map(int, joints))
     for actuator in range(model.nu):
         joint = int(model.actuator_trnid[actuator, 0])
-        if model.actuator_trntype[actuator] == int(mujoco.mjtTrn.mjTRN_TENDON):
+        if model.actuator_trntype[actuator] not in ON_JOINTS:
             continue
         if joint in torques and (most := _most(model, actuator)):
             torques[joint] = (torques[joint] or 0.0) + most

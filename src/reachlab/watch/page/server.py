@@ -225,7 +225,7 @@ class _Handler(BaseHTTPRequestHandler):
     def _is_own(self) -> bool:
         """Whether it was asked by the address that was printed: a name that leads here too may be another page's."""
         host, origin = self.headers.get("Host", ""), self.headers.get("Origin", "")
-        return _is_address(host) and origin in ("", f"http://{host}")
+        return (_is_address(host) or f"http://{host}" == self._page().url) and origin in ("", f"http://{host}")
 
     def _say(self, status: HTTPStatus, message: dict[str, Any]) -> None:
         text = json.dumps(message, separators=(",", ":")).encode()
