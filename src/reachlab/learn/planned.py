@@ -28,11 +28,10 @@ LESSONS = 24
 FIRST = 1.0
 """Length of the beginning of a way from which half of these are [rad]."""
 
-BESIDE, DRAWN = (0.1, 2.5), 24
+BESIDE, DRAWN = (0.1, 0.9), 24
 """How far from a goal joints are from which it cannot be reached straight [rad], and how many are drawn to find some.
 
-Without ways from there a policy learns that the way to a goal that is near is straight, and stands where it is not. As
-many are between 0.1 and 0.5 as between 0.5 and 2.5.
+Without ways from there a policy learns that the way to a goal that is near is straight, and stands where it is not.
 """
 
 APART = 0.005
@@ -123,7 +122,7 @@ class Teacher:
         goal = goal.astype(float)
         self._place(bodies, goal)
         for way in rng.normal(size=(DRAWN, len(goal))):
-            q = goal + np.exp(rng.uniform(*np.log(BESIDE))) / np.linalg.norm(way) * way
+            q = goal + rng.uniform(*BESIDE) / np.linalg.norm(way) * way
             if self._free(q) and not self._checker.straight(q, goal):
                 return q
         return None
