@@ -24,8 +24,8 @@ from reachlab.evaluation.report import FRESH_SEED, evaluate
 from reachlab.jax_setup import jit
 from reachlab.learn.train import train
 from reachlab.robots.catalogue import ROBOTS
-from reachlab.robots.derive.isolation import own_servos
 from reachlab.robots.kinematics.forward import forward_kinematics
+from reachlab.robots.kinematics.limits import own_servos
 from reachlab.robots.loading import load_robot
 from reachlab.robots.robot import PybulletModel, Robot
 from reachlab.sims.mujoco_model import physics_model

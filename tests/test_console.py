@@ -157,6 +157,18 @@ def test_a_mean_is_of_runs_that_differ_by_their_seeds_alone() -> None:
     assert not _means([{**REPORT, "success_rate": 1.0}], [Subject("", configure())])
 
 
+def test_each_agent_has_a_mean_of_its_own() -> None:
+    subjects = [Subject(name, configure(seed=seed)) for seed, name in enumerate("ab")]
+    rates = {("a", "trained"): 0.5, ("b", "trained"): 0.6, ("a", "hybrid"): 1.0, ("b", "hybrid"): 1.0}
+    reports = [{**REPORT, "run": run, "agent": agent, "success_rate": rate} for (run, agent), rate in rates.items()]
+    means = _means(reports, subjects)
+    assert [(mean["agent"], mean["run"]) for mean in means] == [
+        ("trained", "mean of 2 seeds"),
+        ("hybrid", "mean of 2 seeds"),
+    ]
+    assert [mean["success_rate"] for mean in means] == pytest.approx([0.55, 1.0])
+
+
 def test_problems_of_one_kind_are_told_in_one_line() -> None:
     said = {"called at 175 Hz: call it every 0.004 s": 3, "called at 180.5 Hz: call it every 0.004 s": 5, "no goal": 1}
     assert _by_kind(said) == {"called at 180.5 Hz: call it every 0.004 s": 8, "no goal": 1}

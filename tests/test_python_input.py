@@ -16,6 +16,7 @@ import pytest
 
 import reachlab
 from reachlab.agents.acting import _is_told
+from reachlab.cli import main as cli
 from reachlab.envs.consistency import check
 from reachlab.envs.gymnasium_single import ReachEnv
 from reachlab.scale.training import failure_file, run_training
@@ -111,6 +112,24 @@ def test_xla_is_quiet_in_a_program_that_imports_reachlab() -> None:
     code = "import os, reachlab; print(os.environ['TF_CPP_MIN_LOG_LEVEL'])"
     told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env={}, check=True)
     assert told.stdout == "3\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (
+            ["train", "--resume", "run", "--config", "a.json"],
+            "goes on with the settings that are there: leave --config",
+        ),
+        (["train", "--engine", "nonsense", "--out", "run"], "engine 'nonsense' is not one of"),
+    ],
+)
+def test_flags_without_effect_are_refused(
+    words: list[str], sentence: str, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(words) == cli.WRONG_INPUT
+    assert sentence in capsys.readouterr().err
 
 
 def test_a_training_of_a_sweep_imports_what_is_installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -367,6 +367,18 @@ def test_another_number_of_threads_is_refused(tmp_path: Path, config: RunConfig)
         train(config, tmp_path / "run", resume=True)
 
 
+def test_a_run_all_of_whose_manifests_are_damaged_is_not_begun_anew(tmp_path: Path, config: RunConfig) -> None:
+    interrupted(config, tmp_path / "run")
+    (folder,) = (tmp_path / "run/checkpoints").iterdir()
+    rows = (tmp_path / "run/metrics.jsonl").read_bytes()
+    (folder / "manifest.json").write_text("{")
+    with pytest.raises(InputError, match=r"manifest\.json"):
+        train(config, tmp_path / "run", resume=True)
+    assert rows
+    assert (tmp_path / "run/metrics.jsonl").read_bytes() == rows
+    assert folder.exists()
+
+
 DETERMINISTIC_LATE = """
 import sys
 from pathlib import Path

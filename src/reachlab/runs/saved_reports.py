@@ -46,11 +46,21 @@ def write_report(folder: Path, name: str, report: Mapping[str, Any], episodes: M
 def read_reports(folder: Path) -> Iterator[tuple[dict[str, Any], dict[str, np.ndarray]]]:
     """Each report whose episodes were kept, with the arrays of these, in the order of their names.
 
+    Of a run's own policy they are those of the newest checkpoint that was evaluated.
+
     Raises:
         InputError: a file is damaged.
     """
-    for file in sorted(folder.glob("*.safetensors")):
-        yield _read(file)
+    found = [_read(file) for file in sorted(folder.glob("*.safetensors"))]
+    steps = [_steps(report) for report, _ in found]
+    newest = max((one for one in steps if one is not None), default=None)
+    yield from (one for one, of in zip(found, steps, strict=True) if of in (None, newest))
+
+
+def _steps(report: dict[str, Any]) -> int | None:
+    """Steps after which the policy of a report was saved; None of an agent that is none of a run."""
+    checkpoint = report.get("checkpoint")
+    return checkpoint.get("steps") if isinstance(checkpoint, dict) else None
 
 
 def _read(file: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:

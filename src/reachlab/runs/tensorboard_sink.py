@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from reachlab.runs.directory import RunDirectory
 from reachlab.settings.validation import InputError, installing
 
 
@@ -25,8 +26,10 @@ class TensorBoard:
         self._make_writer = SummaryWriter
 
     def open(self, folder: Path) -> None:
-        """Begin an event file."""
-        self._writer = self._make_writer(str(folder))
+        """Begin an event file; numbers of steps that were lost, and are taken again, are in it no more."""
+        run = RunDirectory(folder)
+        rows = run.read_metrics() if run.metrics_file.exists() else []
+        self._writer = self._make_writer(str(folder), purge_step=rows[-1]["steps"] + 1 if rows else None)
 
     def write(self, row: Mapping[str, Any]) -> None:
         """Write each number under its name; `steps` are the axis of the charts."""

@@ -119,9 +119,8 @@ class Controller:
         self.motion = self.limits.at_rest(np.clip(q, self._lower, self._upper))
         self._watch.reset(q)
         self._aim.clear()
-        self._beside.clear()
-        if self._way:
-            self._way.clear()
+        for kept in filter(None, (self._beside, self._way)):
+            kept.clear()
         self._action, self.problem = [0.0] * self._inputs["last_action"][0], ""
         self._memory = [0.0] * self._inputs.get("memory", [0])[0]
         self._stopped, self.braking, self._is_new = "", False, False
@@ -174,11 +173,8 @@ class Controller:
         """
         q, qd, goal, velocity, joints, wrench = map(read_numbers, (q, qd, goal, velocity, joints, wrench))
         seconds, around, things = read_seconds(time), read_bodies(obstacles), read_bodies(objects)
-        lost, before = self._is_lost(q), self.motion.position
-        problem, brake = self._watch.look(q, qd, seconds, before)
-        brake |= lost
-        if self._watch.passed > STOOD:
-            self.motion = self.limits.at_rest(before)
+        problem, brake = self._look(q, qd, seconds)
+        before = self.motion.position
         wanted, refused = before, self._stopped
         was = self.braking and not bool((self.motion.stop_step >= self.limits.steps).all())
         if not refused and seconds is not None:
@@ -199,13 +195,19 @@ class Controller:
         self._log.add((q, qd, goal, seconds, velocity, around, things, joints, wrench, command, *told))
         return command.copy()
 
+    def _look(self, q: Any, qd: Any, seconds: float | None) -> tuple[str, bool]:
+        """What is wrong with a measurement, and whether to brake for it."""
+        lost, sent = self._is_lost(q), self.motion.position
+        problem, brake = self._watch.look(q, qd, seconds, sent)
+        if self._watch.passed > STOOD:
+            self.motion = self.limits.at_rest(sent)
+        return problem, brake or lost
+
     def _is_lost(self, q: Any) -> bool:
         """Whether it is not known, without a reset, where the arm is; if not at home it stays there: nothing leaps."""
         begin, lower, upper = self.motion.position, self._lower - ASIDE, self._upper + ASIDE
-        if not self._is_new:
-            return False
-        if not isinstance(q, np.ndarray) or q.shape != begin.shape:
-            return True
+        if not (self._is_new and isinstance(q, np.ndarray) and q.shape == begin.shape):
+            return self._is_new
         away = np.abs(q - begin)
         self._is_new = not (away <= JUMP).all()
         if self._is_new and ((lower <= q) & (q <= upper)).all():

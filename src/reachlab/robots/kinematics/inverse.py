@@ -169,11 +169,7 @@ def inverse_kinematics(
     Raises:
         InputError: a quaternion is not of length 1, or there are not as many joints as the chain's.
     """
-    target = Pose(jnp.asarray(target.position, float), jnp.asarray(target.quaternion, float))
-    if not isinstance(length := norm(target.quaternion), Tracer) and (jnp.abs(length - 1.0) > UNIT).any():
-        raise InputError(
-            f"quaternions of poses are of length 1, and one of the target's has {length.min():g}: divide by it."
-        )
+    target = _unit(target)
     shape = (max(restarts, 1), chain.n)
     seeds = jax.random.uniform(key, shape, minval=np.array(chain.lower), maxval=np.array(chain.upper))
     start = jnp.broadcast_to(joint_vectors(chain, start), (*target.position.shape[:-1], chain.n))
@@ -203,6 +199,16 @@ def inverse_kinematics(
     q, _, _ = jax.lax.while_loop(unfinished, advance, begun)
     _, _, _, distance, angle, reached = errors(q)
     return IKSolution(q, reached, distance, angle)
+
+
+def _unit(target: Pose) -> Pose:
+    """The same target as arrays; InputError where a quaternion that is known is not of length 1."""
+    target = Pose(jnp.asarray(target.position, float), jnp.asarray(target.quaternion, float))
+    if not isinstance(length := norm(target.quaternion), Tracer) and (jnp.abs(length - 1.0) > UNIT).any():
+        raise InputError(
+            f"quaternions of poses are of length 1, and one of the target's has {length.min():g}: divide by it."
+        )
+    return target
 
 
 def _orientation(chain: Chain, frames: Frames, quaternion: Array) -> tuple[Vec, list[tuple[Scalar, ...]]]:

@@ -1,5 +1,5 @@
 /** Why an arm does not follow its goal. */
-const LEFT = "left the workspace", LATE = "did not arrive in time";
+const LEFT = "left the workspace", LATE = "did not arrive in time", TOUCHED = "touched something";
 
 /** Points of a path at most, and their least distance [m]; and that of the points of a goal's trail. */
 const PATH_POINTS = 300, PATH_STEP = 0.004, TRAIL_STEP = 0.01;
@@ -81,6 +81,7 @@ class Player {
   failure() {
     const { episode } = this, { rules } = this.run;
     if (rules.ends_outside && episode.beyond() > rules.success_distance) return LEFT;
+    if (rules.ends_on_contact && episode.terminated) return TOUCHED;
     return episode.clock >= rules.max_steps && !episode.moves && !episode.near ? LATE : "";
   }
 

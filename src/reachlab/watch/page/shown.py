@@ -38,7 +38,7 @@ ENGINES = ("kinematic", "mujoco")
 SCRIPT = "script"
 """What the page's `ik` is called where there is an object."""
 
-RULES = ("success_distance", "hold_steps", "max_steps", "ends_outside", "settle_steps")
+RULES = ("success_distance", "hold_steps", "max_steps", "ends_outside", "ends_on_contact", "settle_steps")
 """Settings of a task that the page's own scripts ask for; where a task has none it is 0."""
 
 NOTHING: Mapping[str, Any] = MappingProxyType({})
