@@ -192,8 +192,7 @@ def inverse_kinematics(
         return jnp.where(reached[..., None], q, moved), reached, count + 1
 
     def unfinished(carry: tuple[Array, Array, Array]) -> Array:
-        _, reached, count = carry
-        return ~reached.all() & (count < (restarts + 1) * iterations - 1)
+        return ~carry[1].all() & (carry[2] < (restarts + 1) * iterations - 1)
 
     begun = (start, jnp.zeros(start.shape[:-1], bool), jnp.zeros((), jnp.int32))
     q, _, _ = jax.lax.while_loop(unfinished, advance, begun)
