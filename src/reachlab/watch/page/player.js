@@ -32,7 +32,7 @@ class Player {
     this.first = first;
     this.episode = new Episode(this.run, first, this.simulator);
     Object.assign(this, { touched: this.following, atHome: true, over: false, failed: "", way: [], goingBack: false });
-    Object.assign(this, { reachable: true, path: new Trace(PATH_STEP), trail: new Trace(TRAIL_STEP) });
+    Object.assign(this, { moved: new Map(), reachable: true, path: new Trace(PATH_STEP), trail: new Trace(TRAIL_STEP) });
     this.look();
   }
 
@@ -85,11 +85,12 @@ class Player {
     return episode.clock >= rules.max_steps && !episode.moves && !episode.near ? LATE : "";
   }
 
-  /** Begin the next episode; after a failure to follow begin anew from home, once, with the goal where it is. */
+  /** Begin the next episode; after a failure to follow begin anew from home, once, with goal and bodies where they are. */
   proceed() {
-    const { goal, moves, state } = this.episode, again = this.failed && (!this.atHome || this.following);
+    const { moved } = this, { goal, moves, state } = this.episode, again = this.failed && (!this.atHome || this.following);
     this.begin(again ? this.first : undefined);
     if (!again) return;
+    moved.forEach((position, number) => this.moveBody(number, position));
     if (!moves) this.moveGoal(goal, state.goal_quaternion);
     this.atHome = true;
   }
@@ -111,6 +112,7 @@ class Player {
 
   /** Put a body to `[3]` m. */
   moveBody(number, position) {
+    this.moved.set(number, position);
     this.episode.moveBody(number, position);
     Object.assign(this, { touched: true, atHome: false, over: Boolean(this.failed) });
   }
