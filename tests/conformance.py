@@ -61,6 +61,7 @@ class Subject:
             max_steps=EPISODE,
             randomise=(),
             start_noise=0.0,
+            **({"settle_steps": 5} if task == "track" else {}),
         )
         self.sim, self.task = sim, task
         self.env = Env(config, NUM_ENVS)

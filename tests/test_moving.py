@@ -142,7 +142,7 @@ def test_what_cannot_be_is_refused_in_a_sentence(env: Env) -> None:
         configure_env("clutter", body_speed=0.2)
     with pytest.raises(InputError, match=r"body_speed must be at least 0.1 and at most 0.5, got 0.6"):
         configure("clutter", scene=("moving",), body_speed=0.6)
-    with pytest.raises(InputError, match="judges no contacts: use --sim mujoco"):
+    with pytest.raises(InputError, match="task 'clutter' needs contacts, as in simulator mujoco"):
         Env(configure("clutter", scene=("moving",), sim="pybullet"), 1)
 
 

@@ -177,7 +177,7 @@ def test_the_controller_brakes_where_it_does_not_know_the_object(folder: Path, o
     controller.step(controller.home, 0 * controller.home, goal, 0.0, objects=objects)
     assert controller.problem.startswith(sentence)
     assert controller.braking
-    known = [{"position": goal + np.array([0.1, 0.0, 0.0]), "half": [0.02] * 3, "time": 0.3}]
+    known = [{"position": goal + np.array([0.1, 0.0, 0.0]), "half": [0.02] * 3, "time": 0.05}]
     other = Controller(folder)
     other.reset(other.home)
     q = other.home

@@ -177,7 +177,7 @@ def _actions() -> str:
         setup = make_setup(_fitting(action=name, **seen))
         low, high = design.bounds(setup)
         (scale,) = USES["action"][name]
-        unit = f"{number(setup.rules.tool_scale)} m" if scale == "tool_scale" else _joint_unit(name)
+        unit = f"{number(setup.rules.tool_scale)} m" if scale == "tool_scale" else _joint_unit()
         unit = "half of the picture's side" if design.points else unit
         bounds = " × ".join(dict.fromkeys(span([a], [b]) for a, b in zip(low.tolist(), high.tolist(), strict=True)))
         rows.append(
@@ -193,9 +193,9 @@ def _actions() -> str:
     return table(["action", "what it is", "shape", "bounds", "an action of 1", "set by"], rows)
 
 
-def _joint_unit(action: str) -> str:
+def _joint_unit() -> str:
     """Displacement of a joint for an action of 1, where the setting gives one and where it is left to the arm."""
-    given = joint_scale(make_setup(configure("precise", action=action)))
+    given = joint_scale(make_setup(configure("precise", action="joint_delta")))
     return f"{number(float(given[0]))} rad in `precise`; else a control period at full speed"
 
 

@@ -91,16 +91,16 @@ def _impossible(config: RunConfig) -> Iterator[str]:
         choose("randomise", name, RANDOMISED)
     if "object" not in rules.gives and (of_objects := {"objects", "sight"}.intersection(config.randomise)):
         yield f"randomise {min(of_objects)} needs an object, as in task push, and {config.task!r} has none."
-    if "view" in config.randomise and not observation.pictured:
-        yield (
-            "randomise view has an effect only with an observation with a picture, as image:"
-            f" {rules.observation!r} holds none."
-        )
 
 
 def _contradictions(config: RunConfig, changed: set[str]) -> Iterator[str]:
     """Sentences on settings that cannot be together in a training."""
     rules, loop = config.rules, config.loop
+    if "view" in config.randomise and not design_of(rules).pictured:
+        yield (
+            "randomise view has an effect only with an observation with a picture, as image:"
+            f" {rules.observation!r} holds none."
+        )
     if loop.chained_starts and {"bodies", "object"} & rules.gives:
         yield (
             f"with chained_starts {loop.chained_starts:g} episodes would start inside bodies, which leave only a start"

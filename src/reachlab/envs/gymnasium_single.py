@@ -36,6 +36,7 @@ class ReachEnv(gymnasium.Env[Any, np.ndarray]):
         observation_space: what `reset` and `step` give.
         action_space: the box of actions.
         render_mode: `rgb_array`, or None.
+        metadata: render modes, and the pictures a second with which an episode takes its time.
     """
 
     metadata = METADATA
