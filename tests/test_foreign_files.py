@@ -83,15 +83,12 @@ def test_actuators_that_are_not_of_joints_are_none_of_the_arm(tmp_path: Path) ->
     np.testing.assert_allclose(rest(robot), 0.3, atol=0.03)
 
 
-def test_what_holds_an_arm_to_something_that_stands_is_left_out(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_what_holds_an_arm_to_something_that_stands_is_left_out(tmp_path: Path) -> None:
     teleoperated = arm() + '<body name="mocap" mocap="true" pos="0.3 0 0.3"/>'
     robot = made(tmp_path, teleoperated, MOTORS, '<equality><weld body1="mocap" body2="l2"/></equality>')
     assert robot.spec().compile().neq == 0
     np.testing.assert_allclose(rest(robot), 0.3, atol=0.05)
     assert any("connect or weld the arm to something that stands" in notice for notice in robot.notices)
-    del caplog
 
 
 def test_a_loop_through_the_arm_is_refused(tmp_path: Path) -> None:

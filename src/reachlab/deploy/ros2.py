@@ -140,7 +140,7 @@ class PolicyNode:
         self._obstacles: list[dict[str, Any]] | None = None if sees else []
         self._measured: tuple[np.ndarray, np.ndarray] | None = None
         self._wrench: tuple[float, list[float]] | None = None
-        self._due, self._told, self._lacks = 0.0, "", ""
+        self._due, self._told, self._warned = 0.0, "", set[str]()
         self._resets, self._begun, self._stops = True, False, False  # commands begin where the arm is
         self._sent, self._rests = controller.home, True
         kind, topic = (JointTrajectory, topics.trajectories) if trajectory else (Float64MultiArray, topics.commands)
@@ -205,10 +205,12 @@ class PolicyNode:
         now, age = time.monotonic(), self._age(message.header.stamp)
         places, speeds = (dict(zip(message.name, part, strict=False)) for part in (message.position, message.velocity))
         lacking = ", ".join(name for name in self._names if name not in places)
-        if lacking or age > OLD:
-            old = f"joint states are {age:.2g} s old by their stamps, and are not used: do clocks differ?"
-            lacks = f"joint states without {lacking} are not used: are joints called otherwise, see --joint-names?"
-            self._warn_once(lacks if lacking else old)
+        if lacking:
+            said = f"joint states without {lacking} are not used: are joints called otherwise, see --joint-names?"
+            self._warn_once(lacking, said)
+            return
+        if age > OLD:
+            self._warn_once("old", f"joint states are {age:.2g} s old by their stamps, and not used: do clocks differ?")
             return
         self._joints_seen = seen([places[name] for name in self._names], now - age, self._joints_seen)
         told = np.array([speeds[name] for name in self._names]) if {*self._names} <= speeds.keys() else None
@@ -216,9 +218,9 @@ class PolicyNode:
         if now >= self._due - EARLY * self._controller.period:
             self._step()
 
-    def _warn_once(self, what: str) -> None:
-        if self._lacks != (kind := what[:40]):
-            self._lacks = kind
+    def _warn_once(self, kind: str, what: str) -> None:
+        if kind not in self._warned:
+            self._warned.add(kind)
             self.node.get_logger().warning(what)
 
     def _on_tick(self) -> None:
