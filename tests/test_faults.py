@@ -9,7 +9,7 @@ import json
 import logging
 import os
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -34,8 +34,8 @@ from reachlab.runs.metrics import Metrics
 from reachlab.settings.json_form import to_json
 from reachlab.settings.validation import InputError
 from reachlab.sims.mujoco import MujocoSimulator
-from reachlab.tasks import rewards
 from reachlab.tasks.judging import Outcome
+from reachlab.tasks.rewards import REWARDS
 
 pytestmark = pytest.mark.slow
 
@@ -252,29 +252,18 @@ def test_rows_that_find_no_room_wait(tmp_path: Path) -> None:
 # --- numbers that are not finite ------------------------------------------------------------------
 
 
-@contextlib.contextmanager
-def reward_that_breaks() -> Iterator[None]:
+def breaking(rules: Any, outcome: Outcome) -> dict[str, jnp.ndarray]:
     """Pays nothing finite from an episode's 20th step on."""
-    real = rewards.REWARDS["dense"]
-
-    def broken(rules: Any, outcome: Outcome) -> dict[str, jnp.ndarray]:
-        terms = real(rules, outcome)
-        return terms | {"broken": jnp.where(outcome.timeout, jnp.nan, 0.0)}
-
-    rewards.REWARDS["dense"] = broken  # type: ignore[assignment]
-    try:
-        yield
-    finally:
-        rewards.REWARDS["dense"] = real
+    return REWARDS["dense"](rules, outcome) | {"broken": jnp.where(outcome.timeout, jnp.nan, 0.0)}
 
 
 def test_a_reward_that_is_not_finite_stops_training_with_the_last_good_state_saved(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "run"
     words = ["--num-envs", "8", "--rollout-steps", "8", "--no-stop-early", "--hidden", "8", "--max-steps", "20"]
-    with reward_that_breaks():
-        assert cli.main(["train", "--out", str(out), *words]) == cli.NOT_FINITE
+    monkeypatch.setitem(REWARDS, "breaking", breaking)
+    assert cli.main(["train", "--reward", "breaking", "--out", str(out), *words]) == cli.NOT_FINITE
     said = str(capsys.readouterr().err).splitlines()[-1]
     assert "training stopped after step 128: a number is not finite in: reward, gradient" in said
     assert f"`reachlab train --resume {out}` continues from there" in said
