@@ -136,3 +136,8 @@ def test_a_urdfs_masses_may_come_from_its_meshes(tmp_path: Path) -> None:
 def test_a_small_file_that_asks_for_much_memory_is_refused(tmp_path: Path, elements: str) -> None:
     with pytest.raises(InputError, match="textures, height fields and data of more than 33,554,432 numbers together"):
         made(tmp_path, more=elements)
+
+
+def test_skies_and_cubes_of_usual_sizes_are_read(tmp_path: Path) -> None:
+    cubes = "".join(f'<texture name="t{i}" type="cube" builtin="flat" width="680" height="4080"/>' for i in range(4))
+    assert made(tmp_path, actuators=MOTORS, more=f"<asset>{cubes}</asset>").chain.n == 3

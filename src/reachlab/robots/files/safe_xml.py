@@ -163,9 +163,10 @@ def _drawn(element: Element) -> float:
     def sides(*keys: str) -> float:
         return math.prod(number(element, key) for key in keys) if all(key in element.attrib for key in keys) else 0.0
 
-    cube = 6.0 if element.get("type", "cube") != "2d" else 1.0
+    if element.tag == "texture" and element.get("type", "cube") != "2d":  # six squares, whatever height is said
+        return 6.0 * sides("width") ** 2
     entries = sides("size") if element.tag == "numeric" else 0.0
-    return cube * sides("width", "height") + sides("nrow", "ncol") + entries
+    return sides("width", "height") + sides("nrow", "ncol") + entries
 
 
 def _decoded(data: bytes) -> str:
