@@ -11,6 +11,7 @@ import pytest
 
 from faults.controllers import broken, written
 from reachlab.deploy.onboard.controller import Controller
+from reachlab.deploy.markers import to_markers
 from reachlab.deploy.ros2 import PolicyNode, run_node
 from reachlab.deploy.topics import Topics
 from reachlab.settings.validation import InputError
@@ -74,10 +75,11 @@ class Driver:
                 self.q = self.commands[-1]
             self.now += self.controller.period
 
-    def ask(self, place: Any) -> None:
+    def ask(self, place: Any, frame: str = "") -> None:
         from geometry_msgs.msg import PoseStamped
 
         message = PoseStamped()
+        message.header.frame_id = frame
         message.pose.position.x, message.pose.position.y, message.pose.position.z = map(float, place)
         self.topics[Topics().goals](self.stamped(message))
 
@@ -114,6 +116,43 @@ def test_names_that_are_given_stand_for_the_policys_in_any_order(
     np.testing.assert_allclose(driver.commands[-1], driver.q)
     with pytest.raises(InputError, match="2 joint names are given, and the policy has shoulder_pan, "):
         run_node(precise, Topics(), trajectory=False, joint_names=("a", "b"))
+
+
+@pytest.mark.parametrize("given", ["", "base"])
+def test_places_in_another_frame_than_the_bases_are_not_used(
+    precise: Path, monkeypatch: pytest.MonkeyPatch, given: str
+) -> None:
+    driver = Driver(precise, monkeypatch, frame=given)
+    driver.run(2)
+    driver.ask(driver.aside, "base")
+    driver.run(120)
+    there, mirrored = driver.q, driver.aside - [0.0, 0.2, 0.0]
+    driver.ask(mirrored, "base_link")
+    driver.ask(mirrored, "base_link")
+    driver.run(20)
+    np.testing.assert_allclose(driver.q, there, atol=1e-3)
+    (said,) = (said for said in driver.said if "frame" in said)
+    assert said == "places in frame 'base_link' are not used, but those in 'base', the base's: see --frame"
+    driver.ask(mirrored)
+    driver.run(20)
+    assert np.abs(driver.q - there).max() > 0.1
+
+
+def test_obstacles_of_which_one_is_in_another_frame_are_not_used(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    driver = Driver(written(tmp_path / "policy", "clutter", robot="ur5e"), monkeypatch, sees=True)
+    bodies = [{"position": [0.5, 0.0, z], "radius": 0.05} for z in (0.2, 0.8)]
+    markers = to_markers(bodies)
+    markers.markers[1].header.frame_id = "map"
+    driver.run(2)
+    driver.topics[Topics().obstacles](markers)
+    driver.ask(driver.aside)
+    driver.run(5)
+    np.testing.assert_allclose(driver.q, driver.controller.home, atol=1e-6)
+    driver.topics[Topics().obstacles](to_markers(bodies))
+    driver.run(5)
+    assert np.abs(driver.q - driver.controller.home).max() > 0.01
 
 
 def test_a_grippers_message_takes_no_measurement_away(precise: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,7 +12,7 @@ from reachlab.cli.deploy_flags import Deploy, Export
 from reachlab.cli.preparation import prepare
 from reachlab.settings.validation import InputError
 
-NODE = {"topics", "trajectory", "joint_names"}
+NODE = {"topics", "trajectory", "joint_names", "frame"}
 """Flags of the node; the others are of the check."""
 
 IN_TIME = 0.99
@@ -58,8 +58,7 @@ def deploy(arguments: Deploy) -> None:
     if arguments.how == "ros2":
         from reachlab.deploy.ros2 import run_node
 
-        names = arguments.joint_names
-        run_node(arguments.policy, arguments.topics, trajectory=arguments.trajectory, joint_names=names)
+        run_node(arguments.policy, **{flag: getattr(arguments, flag) for flag in NODE})
         return
     prepare()
     from reachlab.deploy.check import check

@@ -7,20 +7,18 @@ import os
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from reachlab.deploy.check import read_facts, start_controller
 from reachlab.deploy.markers import from_markers
+from reachlab.deploy.seen import RECENT, Seen, seen
 from reachlab.deploy.topics import Topics
 from reachlab.settings.validation import InputError, installing
 
 EARLY = 0.25
 """Share of a control period by which a measurement may come before its time and still begins a control step."""
-
-RECENT = 0.2
-"""Time between two poses or joint vectors from which a velocity follows, and age of a wrench, at most [s]."""
 
 SLOW = 0.1
 """Speed below which an arm is measured to rest [rad/s or m/s]."""
@@ -56,7 +54,9 @@ def ros2() -> Iterator[Any]:
         rclpy.try_shutdown()
 
 
-def run_node(folder: Path, topics: Topics, *, trajectory: bool, joint_names: Sequence[str] = ()) -> None:
+def run_node(
+    folder: Path, topics: Topics, *, trajectory: bool, joint_names: Sequence[str] = (), frame: str = ""
+) -> None:
     """Run the node until it is interrupted; joints have the policy's names, or those that are given in their place.
 
     Raises:
@@ -69,27 +69,11 @@ def run_node(folder: Path, topics: Topics, *, trajectory: bool, joint_names: Seq
             f"{len(joint_names)} joint names are given, and the policy has {', '.join(controller.joints)}."
         )
     needs = {"sees": sees, "feels": "wrench" in facts["inputs"], "fastest": facts["goal"].get("fastest", 0.0)}
-    needs["names"] = joint_names or controller.joints
+    needs |= {"names": joint_names or controller.joints, "frame": frame}
     with ros2() as rclpy:
         node = PolicyNode(rclpy.create_node("reachlab_policy"), controller, topics, trajectory=trajectory, **needs)
         with contextlib.suppress(KeyboardInterrupt, rclpy.executors.ExternalShutdownException):
             rclpy.spin(node.node)
-
-
-class Seen(NamedTuple):
-    """A place or joints `[k]`, when they were seen [s], and their velocity by the time before, 0 without one."""
-
-    place: np.ndarray
-    time: float
-    velocity: np.ndarray
-
-
-def seen(place: Sequence[float], when: float, before: Seen | None) -> Seen:
-    """What is seen at a time [s], after what was seen before."""
-    now, velocity = np.array(place), np.zeros(len(place))
-    if before and 0.0 < (since := when - before.time) < RECENT:
-        velocity = (now - before.place) / since
-    return Seen(now, when, velocity)
 
 
 class PolicyNode:
@@ -108,6 +92,7 @@ class PolicyNode:
         *,
         trajectory: bool,
         names: Sequence[str] = (),
+        frame: str = "",
         sees: bool = False,
         feels: bool = False,
         fastest: float = 0.0,
@@ -120,6 +105,7 @@ class PolicyNode:
             topics: names of topics.
             trajectory: commands are trajectories.
             names: of the joints in messages, in the policy's order; by default the policy's.
+            frame: of the arm's base in messages of places; by default the first that one of them names.
             sees: the policy has to be told of obstacles.
             feels: it has to be told of the wrench.
             fastest: its goals move, and so fast at most [m/s]; one that was faster has jumped.
@@ -132,6 +118,7 @@ class PolicyNode:
 
         self.node, self._controller, self._trajectory = node, controller, trajectory
         self._names, self._fastest, self._sees = list(names or controller.joints), fastest, sees
+        self._frame = frame
         self._goal: list[float] | None = None
         self._goal_seen: Seen | None = None
         self._joints_seen: Seen | None = None
@@ -173,7 +160,18 @@ class PolicyNode:
         seconds = stamp.sec + stamp.nanosec / 1e9
         return max(self.node.get_clock().now().nanoseconds / 1e9 - seconds, 0.0) if seconds else 0.0
 
+    def _foreign(self, header: Any) -> bool:
+        """Whether a place is one in another frame than the base's, and so of no use."""
+        named = header.frame_id
+        self._frame = self._frame or named
+        if foreign := named not in {"", self._frame}:
+            said = f"places in frame '{named}' are not used, but those in '{self._frame}', the base's: see --frame"
+            self._warn_once(named, said)
+        return foreign
+
     def _on_goal(self, message: Any) -> None:
+        if self._foreign(message.header):
+            return
         place, turn = message.pose.position, message.pose.orientation
         goal = [place.x, place.y, place.z]
         if self._fastest:
@@ -184,6 +182,8 @@ class PolicyNode:
 
     def _on_object(self, message: Any) -> None:
         """Keep where the object was seen, and its velocity if it was seen just before."""
+        if self._foreign(message.header):
+            return
         place, turn, when = message.pose.position, message.pose.orientation, time.monotonic()
         before = self._object_seen
         now = self._object_seen = seen([place.x, place.y, place.z], when - self._age(message.header.stamp), before)
@@ -193,7 +193,8 @@ class PolicyNode:
             self._objects[0]["velocity"] = now.velocity
 
     def _on_obstacles(self, message: Any) -> None:
-        self._obstacles = from_markers(message, time.monotonic())
+        if not any(self._foreign(marker.header) for marker in message.markers):
+            self._obstacles = from_markers(message, time.monotonic())
 
     def _on_wrench(self, message: Any) -> None:
         force, torque = message.wrench.force, message.wrench.torque
