@@ -50,8 +50,8 @@ CROSS: Shapes = (
 )
 """A mark under the place of an object: its arms are longer than an object is wide."""
 
-MAX_GEOMS = 500
-"""Shapes that a picture may hold."""
+BESIDE = 500
+"""Shapes that a picture may hold beside those of arm, table, ground and target."""
 
 
 class Tints(NamedTuple):
@@ -140,7 +140,7 @@ class _Painter:
         self._target = np.flatnonzero(self._model.geom_bodyid == self._model.body(TARGET).id)
         self._arm = np.setdiff1d(np.arange(self._model.ngeom), [*parts, *self._target])
         self._colours = self._model.geom_rgba[self._arm, :3].copy()
-        self._scene = mujoco.MjvScene(self._model, maxgeom=MAX_GEOMS)
+        self._scene = mujoco.MjvScene(self._model, maxgeom=self._model.ngeom + BESIDE)
         self._scene.flags[:] = 0
         self._scene.flags[mujoco.mjtRndFlag.mjRND_CULL_FACE] = 1
         self._draw = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_50)

@@ -40,8 +40,8 @@ LOOKS_AT, DISTANCE = (0.27, 0.0, 0.3), 1.75
 AZIMUTH, ELEVATION = 130.0, -22.0
 """Where the camera looks: about the vertical from the arm's front, and up [deg]."""
 
-MAX_GEOMS = 2000
-"""Shapes that a picture may hold; paths that need more of them are cut short."""
+BESIDE = 2000
+"""Shapes that a picture may hold beside those of the scene; paths that need more of them are cut short."""
 
 
 class Camera:
@@ -62,7 +62,7 @@ class Camera:
         self._data = mujoco.MjData(self._model)
         self._joints, self._scale = self._model.jnt_qposadr, robot.scale
         self._target, self._near = (self._model.geom(name).id for name in ("target", "near"))
-        self._scene = mujoco.MjvScene(self._model, maxgeom=MAX_GEOMS)
+        self._scene = mujoco.MjvScene(self._model, maxgeom=self._model.ngeom + self._model.nsite + BESIDE)
         self._draw = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_150)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._draw)
         self._option, self._view = mujoco.MjvOption(), mujoco.MjvCamera()

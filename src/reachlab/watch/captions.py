@@ -67,15 +67,16 @@ def captioned(picture: np.ndarray, caption: Caption) -> Image.Image:
     draw = ImageDraw.Draw(image)
     upper = height + (HEIGHT - LINE) // 2
     right = width - MARGIN
-    draw.text((MARGIN, upper), caption.title, INK, _font("bold", LARGE), anchor="lm")
-    draw.text((MARGIN, upper + LINE), caption.detail, FAINT, _font("plain", SMALL), anchor="lm")
-    errors, time = _figures(caption)
-    draw.text((right, upper), errors, INK, _font("bold", LARGE), anchor="rm")
-    draw.text((right, upper + LINE), time, FAINT, _font("plain", SMALL), anchor="rm")
+    (large, small), (errors, time) = (_font("bold", LARGE), _font("plain", SMALL)), _figures(caption)
+    widest = max(draw.textlength(errors, large), draw.textlength(time, small))
+    room = right - widest - 2 * MARGIN
     if caption.verdict:
-        widest = max(draw.textlength(errors, _font("bold", LARGE)), draw.textlength(time, _font("plain", SMALL)))
         free = max(FIGURES, round(widest) + MARGIN + INNER)
-        _stamp(draw, (right - free, height + HEIGHT // 2), caption.verdict)
+        room = _stamp(draw, (right - free, height + HEIGHT // 2), caption.verdict) - INNER - MARGIN
+    draw.text((MARGIN, upper), _fitting(caption.title, large, room), INK, large, anchor="lm")
+    draw.text((MARGIN, upper + LINE), _fitting(caption.detail, small, room), FAINT, small, anchor="lm")
+    draw.text((right, upper), errors, INK, large, anchor="rm")
+    draw.text((right, upper + LINE), time, FAINT, small, anchor="rm")
     return image
 
 
@@ -109,13 +110,22 @@ def _figures(caption: Caption) -> tuple[str, str]:
     return errors, time if caption.error is None else f"RMS {distance_text(caption.error)} · {time}"
 
 
-def _stamp(draw: ImageDraw.ImageDraw, end: tuple[int, int], verdict: str) -> None:
-    """Draw the verdict, in a frame filled with its colour, to the left of a point."""
+def _fitting(text: str, font: ImageFont.FreeTypeFont, room: float) -> str:
+    """A text as far as there is room for it [pixels]."""
+    if font.getlength(text) <= room:
+        return text
+    kept = next((n for n in range(len(text), 0, -1) if font.getlength(text[:n].rstrip() + "…") <= room), 0)
+    return text[:kept].rstrip() + "…"
+
+
+def _stamp(draw: ImageDraw.ImageDraw, end: tuple[int, int], verdict: str) -> float:
+    """Draw the verdict, in a frame filled with its colour, to the left of a point, and say where that begins."""
     font = _font("bold", LARGE)
     left, top, right, bottom = draw.textbbox(end, verdict, font, anchor="rm")
     box = (left - INNER, top - INNER, right + INNER, bottom + INNER)
     draw.rounded_rectangle(box, radius=INNER, fill=VERDICTS[verdict])
     draw.text(end, verdict, INK, font, anchor="rm")
+    return box[0]
 
 
 @functools.cache

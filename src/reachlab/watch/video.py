@@ -210,7 +210,8 @@ def encode_mp4(out: Path, pictures: Iterable[bytes], size: tuple[int, int], rate
                 pipe.write(picture)
         _, said = process.communicate()
     if process.returncode:
-        raise OSError(said.decode(errors="replace").strip().splitlines()[0].rpartition("] ")[2])
+        first = said.decode(errors="replace").strip().partition("\n")[0]
+        raise OSError(first.rpartition("] ")[2] or f"ffmpeg was ended with {process.returncode}")
 
 
 def _ffmpeg() -> str:

@@ -21,8 +21,10 @@ class BodyMeshes {
     const shape = `${kind} ${size}`, { meshes, group, shadows, marks } = this;
     if (meshes[k]?.shape === shape) return meshes[k];
     if (meshes[k]) {
+      const { shadow, geometry, material } = meshes[k];
       group.remove(meshes[k]);
-      shadows.remove(meshes[k].shadow);
+      shadows.remove(shadow);
+      for (const one of [geometry, material, shadow.children[0].material]) one.dispose();
     }
     const geometry = shapeOf(kind, size), shadow = new THREE.Group();
     const clear = kind === BOX && !moves;

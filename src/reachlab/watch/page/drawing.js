@@ -22,6 +22,7 @@ class Drawing {
     const context = canvas.getContext("webgl2", { antialias: !inSoftware(), stencil: true, alpha: false });
     if (!context) throw new Error("the browser does not draw in three dimensions (WebGL 2)");
     this.renderer = new THREE.WebGLRenderer({ canvas, context });
+    canvas.addEventListener("webglcontextrestored", () => this.renderer.setClearColor(BACKGROUND));
     this.renderer.setClearColor(BACKGROUND);
     this.camera = new THREE.PerspectiveCamera();
     this.camera.up.set(0, 0, 1);

@@ -27,22 +27,27 @@ class Joints {
   tell(q, byHand) {
     if (!byHand) this.wanted = [...q];
     if (!this.part.open) return;
-    this.rows.forEach(({ slider: one, told, degrees, classList }, i) => {
+    this.rows.forEach(({ slider: one, say, degrees, classList }, i) => {
       if (!byHand) one.value = q[i];
       const share = (q[i] - one.min) / (one.max - one.min);
-      told.textContent = degrees ? `${((180 * q[i]) / Math.PI).toFixed(1)}°` : `${(1000 * q[i]).toFixed(1)} mm`;
+      say(degrees ? `${((180 * q[i]) / Math.PI).toFixed(1)}°` : `${(1000 * q[i]).toFixed(1)} mm`);
       classList.toggle("limit", share < AT_LIMIT || share > 1 - AT_LIMIT);
     });
   }
 }
 
-/** A row of the panel: a name, a slider with these settings, and what it says. */
+/** A row of the panel: a name, a slider with these settings, and a function that says what it stands for. */
 function slider(name, settings) {
   const row = document.createElement("label"), text = document.createElement("span");
   const one = document.createElement("input"), told = document.createElement("output");
   Object.assign(one, { type: "range", ...settings });
   text.textContent = name;
   row.className = "slider";
+  told.ariaLive = "off";
   row.append(text, one, told);
-  return Object.assign(row, { slider: one, told });
+  const say = (what) => {
+    told.textContent = what;
+    one.setAttribute("aria-valuetext", what);
+  };
+  return Object.assign(row, { slider: one, say });
 }

@@ -40,6 +40,6 @@ class Perturbation {
   }
 
   tell() {
-    for (const { slider, told } of this.rows) told.textContent = `${Math.exp(Number(slider.value)).toFixed(2)} ×`;
+    for (const { slider, say } of this.rows) say(`${Math.exp(Number(slider.value)).toFixed(2)} ×`);
   }
 }

@@ -53,7 +53,7 @@ class Remote extends Listener {
   }
 
   begin() {
-    this.asked = { begin: true, steps: 0 };
+    this.asked = this.episode ? { begin: true, steps: 0 } : { steps: 0 }; // the first page finds an arm at its begin
   }
 
   step(agent, wanted) {

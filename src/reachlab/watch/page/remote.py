@@ -30,6 +30,9 @@ DIGITS = 6
 PICTURES = 25.0
 """Moments of a recording in a second [1/s], about."""
 
+SHORT = 1e-6
+"""Length of a quaternion below which it has no direction."""
+
 Message = dict[str, Any]
 """What a page is told of a moment: arrays of the state as the page's own functions give them, and what became of it."""
 
@@ -85,7 +88,7 @@ def checked(asked: Asked) -> Asked:
         if (count := len(getattr(asked, name))) not in sizes:
             allowed = " or ".join(map(str, sizes[1:]))
             raise InputError(f"{name} must have {allowed} numbers, got {count}.")
-    if len(asked.goal) > 3 and not any(asked.goal[3:]):
+    if len(asked.goal) > 3 and np.linalg.norm(asked.goal[3:]) < SHORT:
         raise InputError("the goal's quaternion must not be zero.")
     return asked
 

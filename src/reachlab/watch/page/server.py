@@ -76,7 +76,7 @@ class PageServer:
         self._questions: queue.SimpleQueue[Question] = queue.SimpleQueue()
         self._mover, self._moved = "", 0.0
         self._http = _listening(host, port, self)
-        self.url = f"http://{host}:{self._http.server_address[1]}"
+        self.url = f"http://{host.lower()}:{self._http.server_address[1]}"
         threading.Thread(target=self._http.serve_forever, args=(POLL,), daemon=True).start()
 
     def __enter__(self) -> Self:
@@ -224,7 +224,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _is_own(self) -> bool:
         """Whether it was asked by the address that was printed: a name that leads here too may be another page's."""
-        host, origin = self.headers.get("Host", ""), self.headers.get("Origin", "")
+        host, origin = (self.headers.get(name, "").lower() for name in ("Host", "Origin"))
         return (_is_address(host) or f"http://{host}" == self._page().url) and origin in ("", f"http://{host}")
 
     def _say(self, status: HTTPStatus, message: dict[str, Any]) -> None:

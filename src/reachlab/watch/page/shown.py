@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -84,9 +85,9 @@ class Shown:
 
     @property
     def scene(self) -> str:
-        """Name of what is drawn of the arm: of the same arm with another gripper it is another one."""
-        rules = self.env.setup.rules
-        return f"{self.env.setup.robot.name} {rules.mounts} {rules.grips}"
+        """Name of what is drawn of the arm: of another file of its name, or with another gripper, it is another one."""
+        robot = self.env.setup.robot
+        return f"{robot.name} {hashlib.sha256(repr(robot).encode()).hexdigest()[:16]}"
 
 
 def settings_shown(trained: RunConfig, sim: str | None, **changed: Any) -> RunConfig:
