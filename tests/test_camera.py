@@ -154,6 +154,32 @@ def test_obstacles_are_shown_and_move_nothing_else(camera: ObservationCamera) ->
     assert np.linalg.norm(changed - pixel(place, views), axis=1).max() < 8
 
 
+def test_an_arm_of_many_shapes_hides_neither_goal_nor_bodies(tmp_path: Path) -> None:
+    balls = "".join(f'<geom type="sphere" size=".002" pos="0 {0.00005 * i} 0" mass="0"/>' for i in range(600))
+    parts = "".join(
+        f'<body name="{name}" pos="0 0 .2"><joint name="{name}" axis="{axis}" range="-2 2"/>'
+        '<geom type="capsule" size=".03" fromto="0 0 0 0 0 .2" mass="1"/>'
+        for name, axis in (("turn", "0 0 1"), ("lift", "0 1 0"), ("bend", "0 1 0"))
+    )
+    file = tmp_path / "many.xml"
+    bodies = f"{parts}{balls}<site name='tool' pos='0 0 .25'/></body></body></body>"
+    file.write_text(f"<mujoco><compiler angle='radian'/><worldbody>{bodies}</worldbody></mujoco>")
+    robot = load_robot(str(file))
+    drawn = ObservationCamera(robot, threads=1)
+    q, views = np.array([robot.at_home]), make_views(np.zeros((1, SAMPLES)), robot)
+    place = np.mean(robot.workspace, axis=0)[None]
+    ball = jax.tree.map(
+        np.asarray, replace(absent(1, 1, radius=0.04), position=jnp.asarray(place[:, None] - [0, 0.1, 0]))
+    )
+    here, aside, beside = (
+        drawn.pictures(q, goal, bodies, views)[0].astype(int)
+        for goal, bodies in ((place, nothing(1)), (place + np.array([0.0, 0.1, 0.0]), nothing(1)), (place, ball))
+    )
+    drawn.close()
+    assert (np.abs(here - aside) > 20).sum() > 5
+    assert (np.abs(here - beside) > 20).sum() > 5
+
+
 def test_a_picture_depends_on_nothing_but_its_environment(camera: ObservationCamera) -> None:
     q, views = at_home(4), make_views(np.random.default_rng(0).uniform(-1, 1, (4, SAMPLES)), ROBOT)
     together, again = (camera.pictures(q, TARGETS, nothing(4), views) for _ in range(2))

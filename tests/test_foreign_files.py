@@ -91,6 +91,13 @@ def test_what_holds_an_arm_to_something_that_stands_is_left_out(tmp_path: Path) 
     assert any("connect or weld the arm to something that stands" in notice for notice in robot.notices)
 
 
+def test_limits_that_seem_to_be_radians_where_the_file_has_degrees_are_noted(tmp_path: Path) -> None:
+    file = tmp_path / "degrees.xml"
+    file.write_text(f"<mujoco><worldbody>{arm()}</worldbody></mujoco>")
+    said = [one.notices for one in (load_robot(str(file), "tcp"), made(tmp_path))]
+    assert [any("as if their limits were radians" in notice for notice in one) for one in said] == [True, False]
+
+
 def test_a_loop_through_the_arm_is_refused(tmp_path: Path) -> None:
     crank = (
         '<body name="crank" pos="0 0.1 0.3"><joint name="driven" axis="0 1 0"/>'

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import itertools
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -17,6 +19,7 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
+from PIL import Image
 from playwright.sync_api import Browser, Page
 
 from browser.driver import chromium, executable, opened, traffic, wait_until
@@ -384,6 +387,56 @@ def test_the_arm_is_in_view_and_the_panel_beside_it(browser: Browser, both: Path
         assert (x < scene["x"] + scene["width"]).all()
         assert (y > scene["y"]).all()
         assert (y < scene["y"] + scene["height"]).all()
+
+
+NARROW = ((320, 568), (667, 375), (740, 360))
+"""Windows of telephones that are small or held sideways."""
+
+
+@pytest.mark.parametrize("size", [*SIZES, *NARROW])
+def test_nothing_of_the_panel_is_cut_off(browser: Browser, both: Path, size: tuple[int, int]) -> None:
+    with opened(browser, *size) as page:
+        open_live(page, both)
+        page.evaluate("document.getElementById('title').textContent = 'arm_of_a_long_name_and_its_gripper_calibrated'")
+        page.get_by_text("Joints", exact=True).click()
+        wide, shown = page.evaluate(
+            "(panel => [panel.scrollWidth, panel.clientWidth])(document.querySelector('aside'))"
+        )
+        assert wide <= shown
+
+
+def test_controls_have_names_and_say_what_they_stand_for(page: Page, both: Path) -> None:
+    open_live(page, both)
+    for group in ("Agent", "Speed", "View"):
+        assert page.get_by_role("group", name=group).get_by_role("button").count() > 1
+    choose_precise(page)
+    gain = page.get_by_label("Servo gain")
+    gain.fill(str(np.log(0.5)))
+    assert gain.get_attribute("aria-valuetext") == "0.50 ×"
+    page.get_by_role("button", name="Pause").click()
+    page.get_by_text("Joints", exact=True).click()
+    page.wait_for_timeout(200)
+    assert re.fullmatch(
+        r"-?\d+\.\d°", page.locator("#joints .slider input").first.get_attribute("aria-valuetext") or ""
+    )
+
+
+def test_shapes_of_bodies_are_freed_and_a_lost_context_is_made_anew(page: Page, bodies: Path) -> None:
+    open_live(page, bodies)
+    page.locator("#policy").select_option(index=2)
+    page.wait_for_function("reachlab.live.player.run.facts.task === 'clutter'")
+    held = "reachlab.live.drawing.renderer.info.memory.geometries"
+    counts = []
+    for _ in range(12):
+        page.get_by_role("button", name="Reset").click()
+        page.wait_for_timeout(100)
+        counts.append(page.evaluate(held))
+    assert max(counts[2:]) <= min(counts[2:]) + 10, "as many bodies as there are at most, not those of each episode"
+    lose = "window.lost = reachlab.live.drawing.renderer.getContext().getExtension('WEBGL_lose_context')"
+    page.evaluate(f"{lose}; lost.loseContext(); setTimeout(() => lost.restoreContext(), 200)")
+    page.wait_for_timeout(1000)
+    bright = page.screenshot(clip={"x": 4, "y": 4, "width": 4, "height": 4})
+    assert np.asarray(Image.open(io.BytesIO(bright)).convert("RGB")).min() > 200
 
 
 # --- what is drawn and what is drawn at random ----------------------------------------------------

@@ -38,6 +38,16 @@ PATIENCE = 60.0
 
 HTML = "<!doctype html>"
 
+ARM = """<mujoco><compiler angle="radian"/><worldbody>
+<body pos="0 0 .2"><joint name="turn" axis="0 0 1" range="-2 2"/><geom size=".03" type="capsule"
+fromto="0 0 0 0 0 .2"/>
+<body pos="0 0 .2"><joint name="lift" axis="0 1 0" range="-2 2"/><geom size=".03" type="capsule"
+fromto="0 0 0 {0} 0 0"/>
+<body pos="{0} 0 0"><joint name="bend" axis="0 1 0" range="-2 2"/><geom size=".03" type="capsule"
+fromto="0 0 0 {0} 0 0"/>
+<site name="tool" pos="{0} 0 0"/></body></body></body></worldbody></mujoco>"""
+"""An arm of links of a length [m]."""
+
 
 def shown(task: str = "tutorial", **settings: Any) -> Shown:
     """A baseline in an environment, moved by Python."""
@@ -301,6 +311,15 @@ def test_of_several_pages_the_first_lets_time_go_on(server: PageServer, monkeypa
     assert ask(server, "other", agent="ik", steps=5)["clock"] == [8]
 
 
+def test_a_page_that_is_opened_finds_the_first_episode_and_a_second_one_what_the_first_does(arm: Shown) -> None:
+    with serving(partial(Remote, arm)) as server:
+        first = ask(server)
+        place = sampled(arm.env, [(arm.seed, 0)]).goal.position[0]
+        np.testing.assert_allclose(first["goal_position"], place, atol=1e-5)
+        ask(server, agent="ik", steps=3)
+        assert ask(server, "other")["clock"] == [3]
+
+
 # --- the server -----------------------------------------------------------------------------------
 
 
@@ -336,6 +355,13 @@ def test_the_next_port_is_taken_and_nothing_is_printed(capfd: pytest.CaptureFixt
     assert capfd.readouterr() == ("", "")
 
 
+def test_a_host_is_answered_by_its_name_in_small_letters_and_large_ones() -> None:
+    with PageServer("LocalHost", 20_200) as server:
+        server.add(HTML, last=True)
+        port = server.url.removeprefix("http://localhost:")
+        assert [request(server, Host=f"{host}:{port}")[0] for host in ("localhost", "LOCALHOST")] == [200, 200]
+
+
 def test_a_host_that_is_not_this_machine_is_refused() -> None:
     with pytest.raises(InputError, match=r"host '192.0.2.1' is no address of this machine \(.+\): leave it out"):
         PageServer("192.0.2.1", 8080)
@@ -343,6 +369,17 @@ def test_a_host_that_is_not_this_machine_is_refused() -> None:
 
 def test_what_other_machines_reach_is_known() -> None:
     assert [is_local(host) for host in ("127.0.0.1", "localhost", "0.0.0.0")] == [True, True, False]
+
+
+def test_arms_of_one_name_are_drawn_as_what_they_are(tmp_path: Path) -> None:
+    arms = []
+    for length in (0.2, 0.3):
+        file = tmp_path / str(length) / "arm.xml"
+        file.parent.mkdir()
+        file.write_text(ARM.format(length))
+        arms.append(shown(robot=str(file)))
+    assert [one.title for one in arms] == ["arm", "arm"]
+    assert arms[0].scene != arms[1].scene
 
 
 def test_names_are_escaped_in_the_page(arm: Shown) -> None:

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from faults.controllers import broken, written
-from reachlab.deploy.onboard.controller import Controller
 from reachlab.deploy.markers import to_markers
+from reachlab.deploy.onboard.controller import Controller
 from reachlab.deploy.ros2 import PolicyNode, run_node
 from reachlab.deploy.topics import Topics
 from reachlab.settings.validation import InputError

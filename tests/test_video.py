@@ -187,6 +187,17 @@ def test_what_ffmpeg_refuses_is_told_in_a_sentence(
         film("film.mp4")
 
 
+def test_an_ffmpeg_that_is_killed_is_told_in_a_sentence(
+    film: Callable[..., Clip], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    killed = tmp_path / "killed"
+    killed.write_text("#!/bin/sh\nkill -9 $$\n")
+    killed.chmod(0o755)
+    monkeypatch.setattr(video, "_ffmpeg", lambda: str(killed))
+    with pytest.raises(InputError, match=r"cannot be written to '.*': ffmpeg was ended with -9"):
+        film("film.mp4")
+
+
 @pytest.mark.parametrize("ending", ENCODERS)
 def test_where_no_file_can_be_nothing_is_filmed(film: Callable[..., Clip], ending: str) -> None:
     with pytest.raises(InputError, match="cannot be written to"):
@@ -215,6 +226,23 @@ def test_a_caption_tells_the_angle_and_the_mean_and_its_verdict_covers_neither(f
     stamped = np.argwhere((ended == VERDICTS["success"]).all(axis=-1))[:, 1]
     assert np.array_equal(ended[:, stamped.max() + 1 :], long[:, stamped.max() + 1 :]), "the figures are all there"
     assert np.argwhere((short != long).any(axis=-1))[:, 1].min() > stamped.max()
+
+
+def test_a_long_caption_ends_where_the_verdict_or_the_figures_begin() -> None:
+    picture, words = (
+        np.zeros((10, 640, 3), np.uint8),
+        "a task of a long name · an arm of a longer one · pybullet · trained · 0.25× speed",
+    )
+    name = "franka_research_3_with_a_gripper_of_another_maker_and_a_name_that_never_ends"
+    for verdict in ("", "success"):
+        short, long = (
+            np.asarray(captioned(picture, Caption(title, detail, 0.1234, 5.0, verdict, angle=2.5)))
+            for title, detail in (("a", "b"), (name, words))
+        )
+        room = np.argwhere((short != long).any(axis=-1))[:, 1].max()
+        stamped = np.argwhere((short == VERDICTS["success"]).all(axis=-1))[:, 1]
+        assert room < (stamped.min() if verdict else 640 - 110) - 5
+        assert room > 300
 
 
 def test_a_film_shows_the_trail_of_a_target_that_moves(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -16,6 +16,9 @@ from reachlab.robots.files.picture_files import some
 from reachlab.robots.kinematics.chain import Chain, chain_from_model, listed, moving_joints, path_joints
 from reachlab.robots.kinematics.limits import LARGEST, is_limited
 
+NARROW = 4 * np.pi * np.pi / 180
+"""Range that two turns have where the number of their radians is taken for degrees [rad]."""
+
 
 @dataclass(frozen=True)
 class Arm:
@@ -167,10 +170,15 @@ def _notices(whole: mujoco.MjModel, numbers: list[int], shorter: list[int], grip
         joint for joint in range(whole.njnt) if joint not in (*numbers, *gripper) and whole.jnt_type[joint] != free
     ]
     absurd = [joint for joint in numbers if whole.jnt_limited[joint] and not is_limited(whole, joint)]
+    hinges = [joint for joint in numbers if whole.jnt_type[joint] == int(mujoco.mjtJoint.mjJNT_HINGE)]
+    narrow = np.ptp(whole.jnt_range[hinges], axis=1) < NARROW
+    in_degrees = hinges if (narrow & whole.jnt_limited[hinges].astype(bool)).all() else []
     noted = {
         "Joints of the gripper that are joints of the arm here; a --tool before them leaves them out": beyond,
         "Joints that are not on the way to the tool are locked": others,
         f"Position limits beyond ±{LARGEST:g} rad or m are taken as none, so a turn or a metre either way": absurd,
+        "All joints turn so little as if their limits were radians where the file has degrees, "
+        'which an MJCF has without <compiler angle="radian"/>': in_degrees,
     }
     return [
         f"{what}: {some(whole.joint(joint).name or f'number {joint}' for joint in joints)}."
