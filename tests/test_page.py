@@ -421,7 +421,7 @@ def test_controls_have_names_and_say_what_they_stand_for(page: Page, both: Path)
     )
 
 
-def test_shapes_of_bodies_are_freed_and_a_lost_context_is_made_anew(page: Page, bodies: Path) -> None:
+def test_shapes_of_bodies_are_freed(page: Page, bodies: Path) -> None:
     open_live(page, bodies)
     page.locator("#policy").select_option(index=2)
     page.wait_for_function("reachlab.live.player.run.facts.task === 'clutter'")
@@ -432,10 +432,15 @@ def test_shapes_of_bodies_are_freed_and_a_lost_context_is_made_anew(page: Page, 
         page.wait_for_timeout(100)
         counts.append(page.evaluate(held))
     assert max(counts[2:]) <= min(counts[2:]) + 10, "as many bodies as there are at most, not those of each episode"
+
+
+def test_a_lost_context_is_made_anew_on_the_same_ground(browser: Browser, both: Path) -> None:
     lose = "window.lost = reachlab.live.drawing.renderer.getContext().getExtension('WEBGL_lose_context')"
-    page.evaluate(f"{lose}; lost.loseContext(); setTimeout(() => lost.restoreContext(), 200)")
-    page.wait_for_timeout(1000)
-    bright = page.screenshot(clip={"x": 4, "y": 4, "width": 4, "height": 4})
+    with opened(browser, *SIZES[0]) as page:
+        open_live(page, both)
+        page.evaluate(f"{lose}; lost.loseContext(); setTimeout(() => lost.restoreContext(), 200)")
+        page.wait_for_timeout(1000)
+        bright = page.screenshot(clip={"x": 4, "y": 4, "width": 4, "height": 4})
     assert np.asarray(Image.open(io.BytesIO(bright)).convert("RGB")).min() > 200
 
 

@@ -207,8 +207,8 @@ def _limits(env: Env, facts: dict[str, Any]) -> MotionLimits:
 def compare(folder: Path, env: Env, policy: Policy, situations: int = SITUATIONS) -> dict[str, float]:
     """Largest differences of an export from a policy in so many situations of held-out episodes, by what computes it.
 
-    Of ONNX Runtime's actions in the size of their box, of the commands of the printed step [rad or m], and of those of
-    the C sources from those of the shell, where a compiler is there [rad or m].
+    Of ONNX Runtime's actions in the size of their box, of the commands of the printed step [rad or m], and, where a
+    compiler is there, of those of the C sources from those of the shell [rad or m], and of their actions [of the box].
     """
     onnx, facts, functions = OnnxNetwork(folder), read_folder(folder), as_measured(env.functions)
     printed, limits, low = load_step(folder)["decide"], _limits(env, facts), env.action_bounds[0]
@@ -233,7 +233,7 @@ def compare(folder: Path, env: Env, policy: Policy, situations: int = SITUATIONS
             note("ONNX Runtime", (computed - actions) / size)
             note("ONNX Runtime", 0.0 if memory is None else after - memory)
             for row, given in enumerate(rows_of(state, picture, facts["inputs"])):
-                _, wanted, *after = map(np.array, printed(**given))
+                action, wanted, *after = map(np.array, printed(**given))
                 note("step.py", wanted - commands[row])
                 note("step.py", 0.0 if memory is None else after[0] - memory[row])
                 if c is not None:
@@ -242,6 +242,9 @@ def compare(folder: Path, env: Env, policy: Policy, situations: int = SITUATIONS
                     c.set(c.state, **motion._asdict(), **kept)
                     c.set(c.input, **given)
                     note("reachlab_policy.c", c.step()[0] - limits.advance(motion, wanted).position)
+                    # One step from rest is as long as limits allow, whatever is wanted: the action says what is.
+                    note("reachlab_policy.c", (np.array(c.state.last_action) - action) / size)
+                    note("reachlab_policy.c", 0.0 if memory is None else np.array(c.state.memory) - after[0].ravel())
     return dict(worst)
 
 

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 
 from reachlab.emit.builder import objects
+from reachlab.emit.operations import INTEGER, REAL, TRUTH
 from reachlab.emit.program import Atom, is_computed
-from reachlab.emit.tracer import Tracer
+from reachlab.emit.tracer import Tracer, kind_of_type
 from reachlab.settings.validation import InputError
+
+FILLED = "GatherScatterMode.FILL_OR_DROP"
+"""JAX's word for what gives a number of its own where there is none."""
+
+OUTSIDE = {REAL: np.nan, INTEGER: -(2**31), TRUTH: True}
+"""What it gives, by kind."""
 
 
 def _corner(tracer: Tracer, starts: Sequence[Any], sizes: Sequence[int], room: Sequence[int]) -> Atom:
@@ -55,7 +62,21 @@ def gather(tracer: Tracer, equation: Any, array: np.ndarray, indices: np.ndarray
             offset[axis] = here[of]
         corner = _corner(tracer, starts, sizes, array.shape)
         result[here] = _at(tracer, array, corner, int(np.ravel_multi_index(offset, array.shape)))
+        if str(equation.params["mode"]) == FILLED:
+            result[here] = _filled(tracer, equation, result[here], zip(starts, sizes, array.shape, strict=True))
     return result
+
+
+def _filled(tracer: Tracer, equation: Any, number: Any, axes: Iterable[tuple[Any, int, int]]) -> Any:
+    """A number of an array, or what JAX has in its place where a start, along an axis, leaves no room for a size."""
+    fill, compute = equation.params["fill_value"], tracer.builder.compute
+    if fill is None:
+        fill = OUTSIDE[kind_of_type(equation.outvars[0].aval.dtype)]
+    for start, size, room in axes:
+        if is_computed(start) or not 0 <= start <= room - size:
+            inside = compute("both", compute("less_or_equal", 0, start), compute("less_or_equal", start, room - size))
+            number = compute("choose", inside, number, fill)
+    return number
 
 
 def scatter(tracer: Tracer, equation: Any, array: np.ndarray, indices: np.ndarray, updates: np.ndarray) -> np.ndarray:
@@ -74,6 +95,8 @@ def scatter(tracer: Tracer, equation: Any, array: np.ndarray, indices: np.ndarra
         for axis, of in zip(within, numbers.update_window_dims, strict=True):
             target[axis] += here[of]
         if all(0 <= at < size for at, size in zip(target, array.shape, strict=True)):
-            before = result[tuple(target)] if equation.primitive.name == "scatter-add" else 0
-            result[tuple(target)] = tracer.builder.compute("add", before, updates[here])
+            new = updates[here]
+            if equation.primitive.name == "scatter-add":
+                new = tracer.builder.compute("add", result[tuple(target)], new)
+            result[tuple(target)] = new
     return result

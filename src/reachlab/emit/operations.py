@@ -50,7 +50,9 @@ OPERATIONS: dict[str, Operation] = {
     "subtract": Operation("{0} - {1}"),
     "multiply": Operation("{0} * {1}"),
     "divide": Operation("{0} / {1} if {1} else divide({0}, {1})", "{0} / {1}"),
-    "remainder": Operation("fmod({0}, {1}) if {1} else nan", "np.fmod({0}, {1})", "FMOD({0}, {1})", "{0} % {1}"),
+    "remainder": Operation(
+        "fmod({0}, {1}) if {1} and isfinite({0}) else nan", "np.fmod({0}, {1})", "FMOD({0}, {1})", "{0} % {1}"
+    ),
     "remainder_of_integers": Operation(
         "int(fmod({0}, {1})) if {1} else 0", "np.fmod({0}, {1})", "{1} ? {0} % {1} : 0", "{1} ? {0} % {1} : 0"
     ),
@@ -64,9 +66,9 @@ OPERATIONS: dict[str, Operation] = {
     "absolute": Operation("abs({0})", "np.abs({0})", "FABS({0})", "Math.abs({0})"),
     "sign": Operation("1 if {0} > 0 else -1 if {0} < 0 else {0}", "np.sign({0})", "{0} > 0 ? 1 : {0} < 0 ? -1 : {0}"),
     "square_root": _function("sqrt({0}) if {0} >= 0.0 else nan", "sqrt"),
-    "sine": _function("sin({0})", "sin"),
-    "cosine": _function("cos({0})", "cos"),
-    "tangent": _function("tan({0})", "tan"),
+    "sine": _function("sin({0}) if isfinite({0}) else nan", "sin"),
+    "cosine": _function("cos({0}) if isfinite({0}) else nan", "cos"),
+    "tangent": _function("tan({0}) if isfinite({0}) else nan", "tan"),
     "arc_sine": _function("asin({0}) if -1.0 <= {0} <= 1.0 else nan", "asin", numpy="arcsin"),
     "arc_cosine": _function("acos({0}) if -1.0 <= {0} <= 1.0 else nan", "acos", numpy="arccos"),
     "arc_tangent": _function("atan({0})", "atan", numpy="arctan"),
@@ -77,9 +79,9 @@ OPERATIONS: dict[str, Operation] = {
     "logarithm": _function("log({0}) if {0} > 0.0 else nan if {0} else -inf", "log"),
     "hyperbolic_tangent": _function("tanh({0})", "tanh"),
     "power": Operation("power({0}, {1})", "np.power({0}, {1})", "POW({0}, {1})", "Math.pow({0}, {1})"),
-    "floor": _function("float(floor({0}))", "floor"),
-    "ceiling": _function("float(ceil({0}))", "ceil"),
-    "round": Operation("float(round({0}))", "np.round({0})", "RINT({0})", "toEven({0})"),
+    "floor": _function("float(floor({0})) if isfinite({0}) else {0}", "floor"),
+    "ceiling": _function("float(ceil({0})) if isfinite({0}) else {0}", "ceil"),
+    "round": Operation("float(round({0})) if isfinite({0}) else {0}", "np.round({0})", "RINT({0})", "toEven({0})"),
     # Of what is not a number nothing is least or most, and the sum is none either: as in JAX and NumPy.
     "least": Operation(
         "{0} if {0} <= {1} else {1} if {1} < {0} else {0} + {1}",
@@ -101,10 +103,10 @@ OPERATIONS: dict[str, Operation] = {
     "choose": Operation("{1} if {0} else {2}", "np.where({0}, {1}, {2})", "{0} ? {1} : {2}"),
     "real": Operation("float({0})", "({0}).astype(float)", "(real) {0}", "+{0}"),
     "integer": Operation(
-        "int({0}) if isfinite({0}) else 0",
+        "int(min(max({0}, -2147483520.0), 2147483520.0)) if {0} == {0} else 0",
         "np.clip(np.nan_to_num({0}), -2147483520.0, 2147483520.0).astype(int)",
         "WHOLE({0})",
-        "Number.isFinite({0}) ? Math.trunc({0}) : 0",
+        "Math.trunc(Math.min(Math.max({0}, -2147483520), 2147483520)) || 0",
     ),
     "finite": Operation("isfinite({0})", "np.isfinite({0})", "isfinite({0})", "Number.isFinite({0})"),
 }

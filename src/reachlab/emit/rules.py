@@ -4,18 +4,23 @@ from __future__ import annotations
 
 import functools
 import itertools
+import math
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from reachlab.emit.indexing import dynamic_slice, gather, scatter
-from reachlab.emit.operations import INTEGER, TRUTH
+from reachlab.emit.loops import case, cond, scan, while_loop
+from reachlab.emit.operations import INTEGER, REAL, TRUTH
 from reachlab.emit.tracer import Rule, Tracer, Values, as_array, kind_of_type
 from reachlab.settings.validation import InputError
 
 SMALL_PRODUCT = 64
 """Products of numbers up to which a matrix product is written out."""
+
+NEUTRAL = {"add": 0, "multiply": 1, "least": math.inf, "most": -math.inf, "both": True, "either": False}
+"""What changes nothing that an operation is done with."""
 
 TO_EVEN = 1
 """JAX's number for rounding to the nearest integer, of two to the even one."""
@@ -72,21 +77,16 @@ def _convert(tracer: Tracer, equation: Any, array: np.ndarray) -> np.ndarray:
     wanted, given = (kind_of_type(one) for one in (equation.params["new_dtype"], equation.invars[0].aval.dtype))
     if wanted == TRUTH != given:
         return tracer.each("unequal", array, 0)
+    if wanted == INTEGER and given == REAL and equation.params["new_dtype"] not in (np.int32, np.int64):
+        made = f"{tracer.place(equation)} makes {equation.params['new_dtype']} of real numbers"
+        raise InputError(f"{made}, which cannot be printed: use int32 there.")
     return array if wanted == given else tracer.each(wanted, array)
 
 
 def _choose(tracer: Tracer, equation: Any, chosen: np.ndarray, *cases: np.ndarray) -> np.ndarray:
     if kind_of_type(equation.invars[0].aval.dtype) == TRUTH:
         return tracer.each("choose", chosen, cases[1], cases[0])
-    return _case(tracer, chosen, cases)
-
-
-def _case(tracer: Tracer, chosen: np.ndarray, cases: Sequence[np.ndarray]) -> np.ndarray:
-    """The case of a number that is chosen."""
-    result = cases[-1]
-    for number in reversed(range(len(cases) - 1)):
-        result = tracer.each("choose", tracer.each("less_or_equal", chosen, number), cases[number], result)
-    return result
+    return case(tracer, chosen, cases)
 
 
 def _divide(tracer: Tracer, equation: Any, a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -99,7 +99,7 @@ def _remainder(tracer: Tracer, equation: Any, a: np.ndarray, b: np.ndarray) -> n
 
 def _integer_power(tracer: Tracer, equation: Any, array: np.ndarray) -> np.ndarray:
     exponent = equation.params["y"]
-    product = functools.reduce(lambda a, b: tracer.each("multiply", a, b), [array] * abs(exponent), as_array(1.0))
+    product = functools.reduce(lambda a, b: tracer.each("multiply", a, b), [array] * abs(exponent), as_array(1))
     return product if exponent >= 0 else tracer.each("divide", 1.0, product)
 
 
@@ -123,9 +123,10 @@ def _rows(array: np.ndarray, axis: int) -> Values:
 
 
 def _fold(tracer: Tracer, operation: str, array: np.ndarray, axes: Sequence[int]) -> np.ndarray:
-    """An operation on all numbers along axes, one after the other."""
+    """An operation on all numbers along axes, one after the other; of none it is what changes no other."""
     for axis in sorted(axes, reverse=True):
-        array = functools.reduce(lambda a, b: tracer.each(operation, a, b), _rows(array, axis))
+        rows = _rows(array, axis) or [np.full(np.delete(array.shape, axis), NEUTRAL[operation], object)]
+        array = functools.reduce(lambda a, b: tracer.each(operation, a, b), rows)
     return array
 
 
@@ -139,7 +140,7 @@ def _running(operation: str) -> Rule:
     def rule(tracer: Tracer, equation: Any, array: np.ndarray) -> np.ndarray:
         axis, step = equation.params["axis"], -1 if equation.params["reverse"] else 1
         sums = itertools.accumulate(_rows(array, axis)[::step], lambda a, b: tracer.each(operation, a, b))
-        return np.stack(list(sums)[::step], axis)
+        return np.stack(list(sums)[::step], axis) if array.size else array
 
     return rule
 
@@ -163,10 +164,13 @@ def _dot(tracer: Tracer, equation: Any, left: np.ndarray, right: np.ndarray) -> 
     (one, other), (rows, columns) = equation.params["dimension_numbers"]
     rest = [axis for axis in range(left.ndim) if axis not in (*one, *rows)]
     others = [axis for axis in range(right.ndim) if axis not in (*other, *columns)]
-    batch, size = [left.shape[axis] for axis in rows], int(np.prod([left.shape[axis] for axis in one]))
-    a = left.transpose([*rows, *rest, *one]).reshape(int(np.prod(batch)), -1, size)
-    b = right.transpose([*columns, *other, *others]).reshape(int(np.prod(batch)), size, -1)
-    shape = [*batch, *(left.shape[axis] for axis in rest), *(right.shape[axis] for axis in others)]
+    batch, size = [left.shape[axis] for axis in rows], math.prod([left.shape[axis] for axis in one])
+    high, wide = [left.shape[axis] for axis in rest], [right.shape[axis] for axis in others]
+    a = left.transpose([*rows, *rest, *one]).reshape(math.prod(batch), math.prod(high), size)
+    b = right.transpose([*columns, *other, *others]).reshape(math.prod(batch), size, math.prod(wide))
+    shape = [*batch, *high, *wide]
+    if not math.prod(shape):
+        return np.empty(shape, object)
     return np.stack([_matrix(tracer, *pair) for pair in zip(a, b, strict=True)]).reshape(shape)
 
 
@@ -174,43 +178,6 @@ def _matrix(tracer: Tracer, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     if a.size * b.shape[1] > SMALL_PRODUCT:
         return tracer.builder.product(a, b)
     return _fold(tracer, "add", tracer.each("multiply", a[:, :, None], b[None]), [1])
-
-
-# --- loops and cases ------------------------------------------------------------------------------
-
-
-def _scan(tracer: Tracer, equation: Any, *given: np.ndarray) -> Values:
-    settings, body = equation.params, equation.params["jaxpr"]
-    constants, carries, length = settings["num_consts"], settings["num_carry"], settings["length"]
-    fixed, now, rows = given[:constants], list(given[constants : constants + carries]), given[constants + carries :]
-    if not rows and len(body.jaxpr.outvars) == carries:
-        kinds = [kind_of_type(one.aval.dtype) for one in body.jaxpr.invars[constants:]]
-        return tracer.loop(now, kinds, lambda now: tracer.run(body, [*fixed, *now]), length)
-    step, kept = -1 if settings["reverse"] else 1, []
-    for i in range(length)[::step]:
-        after = tracer.run(body, [*fixed, *now, *(as_array(row[i]) for row in rows)])
-        now, results = after[:carries], after[carries:]
-        kept.append(results)
-    return now + [np.stack(each) for each in zip(*kept[::step], strict=True)]
-
-
-def _while(tracer: Tracer, equation: Any, *given: np.ndarray) -> Values:
-    settings, body = equation.params, equation.params["body_jaxpr"]
-    one, other = settings["cond_nconsts"], settings["cond_nconsts"] + settings["body_nconsts"]
-    kinds = [kind_of_type(each.aval.dtype) for each in body.jaxpr.invars[other - one :]]
-    return tracer.loop(
-        list(given[other:]),
-        kinds,
-        lambda now: tracer.run(body, [*given[one:other], *now]),
-        None,
-        lambda now: tracer.run(settings["cond_jaxpr"], [*given[:one], *now])[0],
-    )
-
-
-def _cond(tracer: Tracer, equation: Any, chosen: np.ndarray, *given: np.ndarray) -> Values:
-    """All branches are computed, and one is chosen."""
-    branches = [tracer.run(one, given) for one in equation.params["branches"]]
-    return [_case(tracer, chosen, cases) for cases in zip(*branches, strict=True)]
 
 
 ELEMENTWISE = {
@@ -287,8 +254,8 @@ RULES: dict[str, Rule] = {
     "dynamic_slice": dynamic_slice,
     "gather": gather,
     **dict.fromkeys(("scatter", "scatter-add"), scatter),
-    "scan": _scan,
-    "while": _while,
-    "cond": _cond,
+    "scan": scan,
+    "while": while_loop,
+    "cond": cond,
 }
 """All other primitives that can be printed, and how."""

@@ -21,6 +21,9 @@ Values = list[np.ndarray]
 Rule = Callable[..., Any]
 """What a primitive comes to: of the tracer, the equation and its arguments."""
 
+PYTHON = {REAL: float, INTEGER: int, TRUTH: bool}
+"""Numbers of Python by kind."""
+
 CALLS = ("jit", "pjit", "closed_call", "core_call", "custom_jvp_call", "custom_vjp_call", "checkpoint", "remat2")
 """Equations that are a function of their own."""
 
@@ -62,7 +65,9 @@ class Tracer:
 
         for equation in closed.jaxpr.eqns:
             results = self._results(equation, [read(variable) for variable in equation.invars])
-            known.update(zip(equation.outvars, results, strict=True))
+            known.update(
+                (one, _typed(result, one.aval.dtype)) for one, result in zip(equation.outvars, results, strict=True)
+            )
         return [read(variable) for variable in closed.jaxpr.outvars]
 
     def _results(self, equation: Any, given: Values) -> Values:
@@ -144,6 +149,16 @@ class Tracer:
 def as_array(value: Any) -> np.ndarray:
     """A number as an array of one, and an array as it is."""
     return value if isinstance(value, np.ndarray) else objects([value], ())
+
+
+def _typed(array: np.ndarray, dtype: Any) -> np.ndarray:
+    """An array whose constants are numbers of Python as its type has them: what is made of them has its kind."""
+    if jax.dtypes.issubdtype(dtype, jax.dtypes.prng_key):  # pyright: ignore[reportPrivateImportUsage]
+        return array
+    kind = PYTHON[kind_of_type(dtype)]
+    if all(is_computed(one) or type(one) is kind for one in array.flat):
+        return array
+    return objects([one if is_computed(one) else kind(one) for one in array.flat], array.shape)
 
 
 def _evaluated(equation: Any, given: Values) -> Values:
