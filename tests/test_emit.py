@@ -25,6 +25,7 @@ from reachlab.emit.braced import c_declarations, c_function
 from reachlab.emit.program import Program, constants_of
 from reachlab.emit.python import to_python
 from reachlab.emit.tracing import trace
+from reachlab.settings.validation import InputError
 
 SIZES = (3, 40)
 """Numbers of an input: of few each is a variable, of many they are an array."""
@@ -98,6 +99,28 @@ def random_of_a_key(a: Any, b: Any) -> Any:
     return a * jax.random.uniform(jax.random.key(3), a.shape) + b
 
 
+def kinds(a: Any, b: Any) -> Any:
+    """Constants whose kind Python's numbers do not say."""
+    mask = ~(a > 0).at[1].set(True)
+    steps = jnp.where(a > 0, 0.5, jnp.arange(float(a.size)))
+    signs = jnp.where(b > 0, 2.5, jnp.sign(jnp.full(a.size, 3.0)))
+    return jnp.where(mask, a, b) + steps / 3 + signs / 2 + a[jnp.array([1, 2])[b[:1].astype(jnp.int32) * 0] ** 2 % 3]
+
+
+def nothing(a: Any, b: Any) -> Any:
+    """Sums, products and choices of no numbers."""
+    none, no_row = b[:0], jnp.zeros((0, a.size))
+    some = none.sum() + none.prod() + jnp.cumsum(none).size + jnp.any(none > 0) + jnp.all(none > 0)
+    kept = jax.lax.scan(lambda total, x: (total + x, 2 * x), 0.0, none)
+    return a + some + none @ no_row + (no_row @ b).size + kept[0] + kept[1].size + jnp.min(none, initial=2.0)
+
+
+def takes(a: Any, b: Any) -> Any:
+    """Places beyond an array, which are NaN by `take` and the nearest by an index."""
+    here = jnp.round(3 * a[:3]).astype(jnp.int32)
+    return jnp.concatenate([jnp.take(b, here), jnp.take(b, jnp.array([1, 99])), b[here], jnp.take(here, here) > 0])
+
+
 FUNCTIONS: dict[str, Callable[[Any, Any], Any]] = {
     one.__name__: one
     for one in (
@@ -111,6 +134,9 @@ FUNCTIONS: dict[str, Callable[[Any, Any], Any]] = {
         gradients,
         numbers_and_places,
         random_of_a_key,
+        kinds,
+        nothing,
+        takes,
     )
 }
 
@@ -123,7 +149,10 @@ def program_of(name: str, size: int) -> Program:
 
 
 def in_python(program: Program) -> Callable[..., Any]:
-    names: dict[str, Any] = {"CONSTANTS": {k: v.ravel() for k, v in constants_of([program]).items()}}
+    constants = {name: array.ravel() for name, array in constants_of([program]).items()}
+    names: dict[str, Any] = {
+        "CONSTANTS": {k: v.astype(float) if v.dtype.kind == "f" else v for k, v in constants.items()}
+    }
     exec(to_python([program]), names)
     return names["f"]
 
@@ -156,9 +185,28 @@ def test_what_is_printed_computes_what_jax_does(name: str, size: int, tmp_path: 
         a, b = random.normal(size=(2, size)).astype(np.float32)
         expected = np.asarray(FUNCTIONS[name](jnp.asarray(a), jnp.asarray(b)))
         results = [np.array(one(a.tolist(), b.tolist())[0]) for one in printed]
-        assert results[0] == pytest.approx(expected, rel=2e-5, abs=2e-5)
+        assert results[0] == pytest.approx(expected, rel=2e-5, abs=2e-5, nan_ok=True)
         for other in results[1:]:
-            assert other == pytest.approx(results[0], rel=1e-12, abs=1e-12)
+            assert other == pytest.approx(results[0], rel=1e-12, abs=1e-12, nan_ok=True)
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("number", [np.inf, -np.inf, np.nan])
+def test_what_is_not_finite_raises_nothing(size: int, number: float) -> None:
+    a = np.full(size, number)
+    functions = jnp.sin, jnp.cos, jnp.tan, jnp.floor, jnp.ceil, jnp.round, lambda a: jnp.mod(a, 2.0)
+    functions += (lambda a: a.astype(jnp.int32).astype(float) * 1e-6,)
+    for function in functions:
+        shape = ShapeDtypeStruct((size,), jnp.float32)
+        program = trace("f", lambda a, function=function: {"result": function(a)}, {"a": shape})
+        with np.errstate(invalid="ignore"):
+            found = in_python(program)(a)
+        np.testing.assert_allclose(np.ravel(found), function(jnp.asarray(a, jnp.float32)), rtol=1e-6)
+
+
+def test_small_whole_numbers_of_real_ones_are_refused() -> None:
+    with pytest.raises(InputError, match=r"makes uint8 of real numbers, which cannot be printed: use int32 there"):
+        trace("f", lambda a: {"result": (40 * a).astype(jnp.uint8)}, {"a": ShapeDtypeStruct((3,), jnp.float32)})
 
 
 def test_what_a_result_does_not_need_is_not_printed() -> None:
