@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from reachlab.control.hand import across, swing, towards
@@ -67,9 +68,9 @@ def slide(setup: Any, now: Situation) -> Array:
     speed = (moving * state.line).sum(axis=-1)
     needed = FULL * jnp.sqrt(2 * GRAVITY * setup.rules.object_friction * state.left)
     touches = state.gap < APART
-    _, high = setup.robot.workspace
-    middle, base = now.bodies.position[:, -1], jnp.array(setup.robot.chain.frames[0][1])
-    beyond = norm((middle - base)[:, :2]) > high[0] - base[0]
+    middle, base = now.bodies.position[:, -1], np.array(setup.robot.chain.frames[0][1])
+    ahead = np.round([np.cos(setup.robot.front), np.sin(setup.robot.front), 0.0])
+    beyond = norm((middle - base)[:, :2]) > max((corner - base) @ ahead for corner in setup.robot.workspace)
     gone = ((norm(moving) > STRUCK) & (speed > jnp.where(touches, ENOUGH, CLOSE) * needed)) | beyond
     wanted = speed + jnp.minimum(GAIN * (needed - speed) / (1 - math.exp(-setup.period / RESPONSE)), LEAD)
     near = speed + SOFT[0] + SOFT[1] * state.gap

@@ -7,6 +7,7 @@ Presets and defaults trouble nobody.
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Iterator, Mapping
 
 from reachlab.envs.presets import preset_of
@@ -17,7 +18,7 @@ from reachlab.settings.validation import InputError, choose
 from reachlab.sims import SIMULATORS
 from reachlab.tasks import TASKS, WORDS
 from reachlab.tasks.actions import ACTIONS
-from reachlab.tasks.handling import SHAPES
+from reachlab.tasks.handling import HANDS, SHAPES
 from reachlab.tasks.observations import OBSERVATIONS, design_of
 from reachlab.tasks.paths import PATHS
 from reachlab.tasks.rewards import REWARDS
@@ -34,8 +35,12 @@ NAMES: dict[str, tuple[str, Mapping[str, object]]] = {
     "at_goal": ("at_goal", AT_GOAL),
     "goal_paths": ("goal path", PATHS),
     "object_shape": ("object_shape", SHAPES),
+    "gripper": ("gripper", HANDS),
 }
 """Settings that are names of tables, or lists of them, and what they are called."""
+
+LONGEST = 0.01
+"""Step of the engine from which on objects sink into what they lie on, and slip out of hands [s]."""
 
 RANDOMISED = ("dynamics", "delay", "view", "objects", "sight")
 """Parts that can vary from episode to episode; see `RunConfig.randomise`."""
@@ -89,6 +94,12 @@ def _impossible(config: RunConfig) -> Iterator[str]:
             yield f"{who} needs {WORDS[word]}."
     for name in config.randomise:
         choose("randomise", name, RANDOMISED)
+    step, period = config.physics.control_period / config.physics.physics_steps, config.physics.control_period
+    if "object" in rules.gives and "physics_steps" in SIMULATORS[sim].settings and step > LONGEST * (1 + 1e-6):
+        yield (
+            f"steps of the engine of {1000 * step:.3g} ms are too long for objects: with control_period {period:g},"
+            f" physics_steps must be at least {math.ceil(period / LONGEST - 1e-6)}."
+        )
     if "object" not in rules.gives and (of_objects := {"objects", "sight"}.intersection(config.randomise)):
         yield f"randomise {min(of_objects)} needs an object, as in task push, and {config.task!r} has none."
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -19,6 +20,9 @@ from reachlab.tasks.task import TaskSetup
 
 SPACE = 3
 """Numbers of a position; those of a quaternion follow."""
+
+MOVED = 1e-3
+"""A target that is put further away than that is not one of the task's [m]."""
 
 Place = Callable[[Goal, BatchArray, BatchArray, BatchArray], tuple[Goal, Array]]
 """`Task.place` of a task on an arm, compiled; the goal keeps its structure, so that nothing is compiled anew."""
@@ -44,9 +48,15 @@ def goal_at(setup: TaskSetup, target: Any, place: Place) -> Goal:
     given = _checked_target(setup, target)
     drawn = jax.eval_shape(partial(setup.task.sample_goal, setup), jax.random.key(0))
     nowhere = jax.tree.map(lambda part: jnp.zeros((1, *part.shape), part.dtype), drawn)
-    goal, found = place(nowhere, given[:SPACE], given[SPACE:], np.array(setup.robot.home))
+    before = replace(nowhere, position=jnp.array(given[None, :SPACE]))
+    goal, found = place(before, given[:SPACE], given[SPACE:], np.array(setup.robot.home))
     if not found:
         raise InputError(f"the arm has no joints for target {given.tolist()}: choose another.")
+    placed = np.asarray(goal.position)[0]
+    if np.linalg.norm(placed - given[:SPACE]) > MOVED:
+        raise InputError(
+            f"the task asks for nothing at target {given[:SPACE].tolist()}: the nearest is {placed.round(4).tolist()}."
+        )
     return goal
 
 

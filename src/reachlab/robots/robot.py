@@ -71,6 +71,15 @@ RAMP_RATE, JERK_RATE = 10.0, 20.0
 twentieth [1/s]."""
 
 
+def front_of(chain: Chain, workspace: Box) -> float:
+    """See `Robot.front`."""
+    base, (low, high) = np.array(chain.frames[0][1])[:2], (np.array(corner)[:2] for corner in workspace)
+    if ((low < base) & (base < high)).all():
+        return 0.0
+    x, y = (low + high) / 2 - base
+    return float(np.round(np.arctan2(y, x) / (np.pi / 2)) * np.pi / 2)
+
+
 @dataclass(frozen=True)
 class Robot:
     """A serial arm and one of its tool frames.
@@ -199,6 +208,11 @@ class Robot:
         It is rounded to six significant digits.
         """
         return significant(_diagonal(self.workspace) / _diagonal(TUTORIAL_WORKSPACE))
+
+    @property
+    def front(self) -> float:
+        """Quarter turn about the vertical from x to where the workspace lies; 0 where it is all around [rad]."""
+        return front_of(self.chain, self.workspace)
 
     def placed(self, point: tuple[float, ...] | np.ndarray) -> np.ndarray:
         """Where a point `[..., 3]` m of the tutorial's scene lies in this arm's: in proportion to their workspaces."""

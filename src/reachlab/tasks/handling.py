@@ -18,6 +18,9 @@ SHAPES = {
 }
 """Shapes of objects by name."""
 
+HANDS = {"own": "that of the file, or else parallel", "parallel": "two fingers that are mounted at the tool frame"}
+"""Grippers by name."""
+
 
 @dataclass(frozen=True)
 class Handling(TaskSettings):

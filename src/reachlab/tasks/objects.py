@@ -20,7 +20,8 @@ from reachlab.tasks.tabletop import working_box
 from reachlab.tasks.task import Bounds, Control, Errors, Scene, Task, TaskSetup
 
 APART = 0.08
-"""Least distance of an object from its goal at the start [m]; it is drawn again up to `DRAWS` times."""
+"""Least distance of an object from its goal at the start [m]; it is drawn again up to `DRAWS` times, of which then the
+farthest one is taken."""
 
 DRAWS = 8
 
@@ -41,6 +42,9 @@ FORMS = {
     "puck": (Shape.CYLINDER, (1.0, 1.0, 1 / 3)),
 }
 """What the shapes of objects by name are, and their `Bodies.size` beside their `object_size`."""
+
+LIES = 1e-4
+"""A goal that is so much above others on the table is in the air [m]."""
 
 ON_TABLE = 0.2
 """Share of the goals above a table that are on it."""
@@ -131,7 +135,8 @@ def sample_object(setup: TaskSetup, key: Array, start: Array, goal: Goal) -> Bod
     shape, size = FORMS[setup.rules.object_shape]
     for_yaw, *for_places = jax.random.split(key, DRAWS + 1)
     places = jnp.stack([_place(setup, one) for one in for_places])
-    position = places[jnp.argmax(norm(places - goal.position) >= APART)]
+    away = norm(places - goal.position)
+    position = places[jnp.where((away >= APART).any(), jnp.argmax(away >= APART), jnp.argmax(away))]
     half_turn = jax.random.uniform(for_yaw, minval=-YAW, maxval=YAW) / 2
     zero = jnp.zeros(())
     return Bodies(
@@ -144,19 +149,22 @@ def sample_object(setup: TaskSetup, key: Array, start: Array, goal: Goal) -> Bod
 
 
 def vary(setup: TaskSetup, key: Array, goal: Goal, bodies: Bodies) -> tuple[Goal, Bodies]:
-    """Goal and object of another size, both on the table."""
-    del setup
+    """Goal and object of another size, both on the table; a goal in the air stays where the object has room."""
+    table = jnp.array(goal_box(setup)[0])[2]
     share = 1 + SIZE_SPREAD * jax.random.uniform(key, minval=-1.0)
     up = (share - 1) * bodies.extent[-1, 2] * jnp.array([0.0, 0.0, 1.0])
     bodies = replace(bodies, position=bodies.position.at[-1].add(up), size=bodies.size.at[-1].multiply(share))
-    return replace(goal, position=goal.position + up), bodies
+    height = goal.position[2]
+    lies = jnp.where(height > table + LIES, jnp.maximum(height, table + up[2]), height + up[2])
+    return replace(goal, position=goal.position.at[2].set(lies)), bodies
 
 
 def place(setup: TaskSetup, goal: Goal, position: Array, quaternion: Array, near: Array) -> tuple[Goal, Array]:
-    """The goal put at the nearest place where goals are; see `Task.place`."""
+    """The goal put at the nearest place where goals are, as high as it was where they all lie; see `Task.place`."""
     del quaternion, near
     low, high = map(jnp.array, setup.task.goal_box(setup))
-    return replace(goal, position=jnp.clip(position, low, high)[None]), jnp.ones((), bool)
+    height = jnp.where(low[2] == high[2], goal.position[0, 2], jnp.clip(position, low, high)[2])
+    return replace(goal, position=jnp.clip(position, low, high).at[2].set(height)[None]), jnp.ones((), bool)
 
 
 def achieved(now: Situation) -> Array:

@@ -32,10 +32,11 @@ def scene(setup: TaskSetup) -> Scene:
 def goal_box(setup: TaskSetup) -> Bounds:
     """Corners `[3]` m of the box around all goals."""
     low, high = objects.goal_box(setup)
-    far = reach_on_table(setup.robot) + setup.rules.beyond[1]
-    base = np.array(setup.robot.chain.frames[0][1], np.float32)
-    low[0], high[0] = base[0] + (far - np.ptp(setup.rules.beyond)) * np.cos(ASIDE), base[0] + far
-    low[1], high[1] = base[1] - far * np.sin(ASIDE), base[1] + far * np.sin(ASIDE)
+    far, front = reach_on_table(setup.robot) + setup.rules.beyond[1], setup.robot.front
+    base, near = np.array(setup.robot.chain.frames[0][1], np.float32)[:2], far - np.ptp(setup.rules.beyond)
+    ends = [(near, -ASIDE), (near, ASIDE), (far, -ASIDE), (far, 0.0), (far, ASIDE)]
+    corners = np.array([(away * np.cos(front + angle), away * np.sin(front + angle)) for away, angle in ends])
+    low[:2], high[:2] = base + corners.min(axis=0), base + corners.max(axis=0)
     return low, high
 
 
@@ -43,7 +44,7 @@ def sample_goal(setup: TaskSetup, key: Array) -> Goal:
     """A place on the table that the arm does not reach."""
     for_angle, for_distance = jax.random.split(key)
     low, high = setup.rules.beyond
-    angle = jax.random.uniform(for_angle, minval=-ASIDE, maxval=ASIDE)
+    angle = setup.robot.front + jax.random.uniform(for_angle, minval=-ASIDE, maxval=ASIDE)
     away = reach_on_table(setup.robot) + jax.random.uniform(for_distance, minval=low, maxval=high)
     base, box = jnp.array(setup.robot.chain.frames[0][1]), objects.goal_box(setup)[0]
     return Goal.at(jnp.stack([base[0] + away * jnp.cos(angle), base[1] + away * jnp.sin(angle), jnp.array(box[2])]))

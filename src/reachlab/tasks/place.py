@@ -34,6 +34,7 @@ class Place(Lift):
             sample_goal=walls.sample_goal,
             sample_bodies=walls.sample_bodies,
             place=walls.place,
+            check=walls.check,
             update=walls.update,
             needs=frozenset({"objects", "gripping"}),
         )

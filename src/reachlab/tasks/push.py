@@ -33,4 +33,6 @@ class Push(Handling):
         """What of these settings cannot be together."""
         if self.object_shape == "ball":
             return "a ball that is pushed rolls on: choose --object-shape box or cylinder."
+        if self.object_shape == "puck":
+            return "a puck is too low to be pushed by these fingers: choose --object-shape box or cylinder."
         return super().contradiction()

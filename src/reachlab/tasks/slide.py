@@ -13,6 +13,10 @@ if TYPE_CHECKING:
     from reachlab.tasks.task import Task
 
 
+Beyond = Annotated[float, Range(0.0, 2.0, open_low=True)]
+"""How far a goal is out of reach [m]: beyond 2 m no arm of these strikes a puck."""
+
+
 @dataclass(frozen=True)
 class Slide(Handling):
     """Settings of sliding a puck."""
@@ -24,9 +28,9 @@ class Slide(Handling):
     success_distance: Annotated[Positive, InProportion(0.1)] = 0.05
     closeness_scale: Positive = 0.05
     object_shape: str = "puck"
-    object_size: Annotated[float, Range(0.015, 0.05)] = 0.03
+    object_size: Annotated[float, Range(0.025, 0.05)] = 0.03
     object_friction: Annotated[float, Range(0.02, 2.0)] = 0.05
-    beyond: tuple[Positive, Positive] = (0.1, 0.4)
+    beyond: tuple[Beyond, Beyond] = (0.1, 0.4)
     """How far the goals are out of the arm's reach, at least and at most [m]."""
 
     def contradiction(self) -> str | None:
@@ -34,6 +38,8 @@ class Slide(Handling):
         low, high = self.beyond
         if low > high:
             return f"beyond has a least distance above the largest, {low:g} against {high:g} m: exchange them."
+        if self.object_shape == "ball":
+            return "a ball that is struck rolls on: choose --object-shape puck, cylinder or box."
         return super().contradiction()
 
     @classmethod

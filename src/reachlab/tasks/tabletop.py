@@ -16,7 +16,7 @@ from reachlab.robots.kinematics.chain import Chain
 from reachlab.robots.kinematics.forward import angle_between, components, forward_kinematics
 from reachlab.robots.kinematics.inverse import ik_approach
 from reachlab.robots.kinematics.scalars import Vec, rotation_from_quaternion
-from reachlab.robots.robot import Box, Robot
+from reachlab.robots.robot import Box, Robot, front_of
 from reachlab.settings.cache import kept
 from reachlab.tasks.task import Bounds
 
@@ -37,7 +37,7 @@ STEPS = 200
 NEAR, UPRIGHT, PLAY = 0.002, 0.05, 0.02
 """Where the tool is there: distance [m], angle [rad], and what is left to each joint's limits [rad or m]."""
 
-VERSION = 2
+VERSION = 3
 """Of this search: what an older one left in the cache is found again."""
 
 
@@ -73,9 +73,9 @@ def _found(chain: Chain, home: tuple[float, ...], held: tuple[float, ...], works
 def _find(chain: Chain, home: tuple[float, ...], held: tuple[float, ...], workspace: Box, table: float) -> Part:
     low, high = np.array(workspace)
     middle, half = (low + high) / 2, np.array(SHARES) * (high - low) / 2
-    parts = [
-        (middle - half + by * (high - low) * [1, 0, 0], middle + half + by * (high - low) * [1, 0, 0]) for by in MOVES
-    ]
+    front = front_of(chain, workspace)
+    outward = (high - low) * np.round([np.cos(front), np.sin(front), 0.0])
+    parts = [(middle - half + by * outward, middle + half + by * outward) for by in MOVES]
     parts = [((*a[:2], table), (*b[:2], table + 2 * half[2])) for a, b in parts]
     grids = [list(itertools.product(*map(np.linspace, a, b, EACH))) for a, b in parts]
     there = jit(functools.partial(_there, chain, jnp.array(home), jnp.array(held)), brief=True)

@@ -6,16 +6,21 @@ from dataclasses import replace
 from typing import Any
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from reachlab.control.bodies import Bodies, Shape, joined
 from reachlab.control.situation import Goal, Situation
 from reachlab.robots.kinematics.forward import norm
+from reachlab.settings.validation import InputError
 from reachlab.tasks import objects
 from reachlab.tasks.task import Errors, Scene, TaskSetup
 
 BESIDE = 0.3
 """No object begins and none is asked for nearer to the wall than this share of the way to the table's side."""
+
+CLEAR, MOST_BESIDE = 0.001, 0.9
+"""What is left between an object and the wall, at least [m], and most of the table's side that this may take."""
 
 THICK, BEYOND = 0.005, 0.15
 """Half the wall's thickness, and how much longer it is than that part of the table on either side [m]."""
@@ -29,12 +34,35 @@ def scene(setup: TaskSetup) -> Scene:
     return replace(objects.scene(setup), fixed=1)
 
 
+def check(setup: TaskSetup) -> None:
+    """Make sure that there is room for an object on either side of the wall.
+
+    Raises:
+        InputError: the arm's hand works in too small a part of the table, beside an object of this size.
+    """
+    objects.check(setup)
+    _, half, least = _sides(setup)
+    if least > MOST_BESIDE * half:
+        raise InputError(
+            f"an object has to be {1000 * least:.0f} mm from the wall, and the hand of {setup.robot.name!r} works"
+            f" in {1000 * half:.0f} mm on either side of it: choose a smaller --object-size or another arm."
+        )
+
+
+def _sides(setup: TaskSetup) -> tuple[float, float, float]:
+    """The wall's place across the table, how far that reaches on either side, and how near to it no object is [m]."""
+    low, high = objects.goal_box(setup)
+    half, (widest, *_) = (high[1] - low[1]) / 2, objects.scene(setup).size
+    diagonal = np.sqrt(2) * (1 + objects.SIZE_SPREAD) * widest
+    return (low[1] + high[1]) / 2, half, max(BESIDE * half, THICK + diagonal + CLEAR)
+
+
 def _beside(setup: TaskSetup, position: Array) -> Array:
     """A place `[..., 3]` on the table moved away from the wall, in its middle; all of its side is as likely."""
-    low, high = objects.goal_box(setup)
-    half = (high[1] - low[1]) / 2
-    aside = BESIDE * half + (1 - BESIDE) * jnp.abs(position[..., 1])
-    return position.at[..., 1].set(jnp.where(position[..., 1] < 0, -aside, aside))
+    middle, half, least = _sides(setup)
+    side = position[..., 1] - middle
+    aside = least + (1 - least / half) * jnp.abs(side)
+    return position.at[..., 1].set(middle + jnp.where(side < 0, -aside, aside))
 
 
 def sample_goal(setup: TaskSetup, key: Array) -> Goal:
@@ -46,11 +74,12 @@ def sample_goal(setup: TaskSetup, key: Array) -> Goal:
 def sample_bodies(setup: TaskSetup, key: Array, start: Array, goal: Goal) -> Bodies:
     """The wall, and the object on the other side `[2]`."""
     thing = objects.sample_object(setup, key, start, goal)
-    across = thing.position.at[:, 1].set(-jnp.sign(goal.position[1]) * jnp.abs(thing.position[:, 1]))
-    low, high = objects.goal_box(setup)
+    (low, high), (middle, *_) = objects.goal_box(setup), _sides(setup)
+    side = jnp.abs(thing.position[:, 1] - middle)
+    across = thing.position.at[:, 1].set(middle - jnp.sign(goal.position[1] - middle) * side)
     height, table = setup.rules.wall_height, setup.robot.table_top
     wall = Bodies(
-        position=jnp.array([[(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, table + height / 2]]),
+        position=jnp.array([[(low[0] + high[0]) / 2, middle, table + height / 2]]),
         quaternion=jnp.array([[1.0, 0.0, 0.0, 0.0]]),
         velocity=jnp.zeros((1, 6)),
         size=jnp.array([[(high[0] - low[0]) / 2 + BEYOND, THICK, height / 2]]),
@@ -62,10 +91,10 @@ def sample_bodies(setup: TaskSetup, key: Array, start: Array, goal: Goal) -> Bod
 def place(setup: TaskSetup, goal: Goal, position: Array, quaternion: Array, near: Array) -> tuple[Goal, Array]:
     """The goal put at the nearest place where goals are, which is not at the wall; see `Task.place`."""
     placed, found = objects.place(setup, goal, position, quaternion, near)
-    low, high = objects.goal_box(setup)
-    side = placed.position[:, 1]
-    aside = jnp.maximum(jnp.abs(side), BESIDE * (high[1] - low[1]) / 2)
-    return replace(placed, position=placed.position.at[:, 1].set(jnp.where(side < 0, -aside, aside))), found
+    middle, _, least = _sides(setup)
+    side = placed.position[:, 1] - middle
+    aside = middle + jnp.where(side < 0, -1, 1) * jnp.maximum(jnp.abs(side), least)
+    return replace(placed, position=placed.position.at[:, 1].set(aside)), found
 
 
 def update(setup: TaskSetup, before: Any, errors: Errors, now: Situation, clock: Array) -> Any:

@@ -184,9 +184,21 @@ class Finder:
         """Joint vectors `[k, n]` that have each place; home where there is none."""
         some = [Place((0.5, 0.0, 0.5), kinds.DOWN, 0.0) if place is None else place for place in places]
         position = self._kind.place([place.position for place in some])
-        rotation = np.array([_pointing(place, self._arm.approach, rng) for place in some])
+        rotation = np.array([self._pointing(place, rng) for place in some])
         found = branches(self._arm, position, rotation, rng)
         return [self._arm.home[None] if place is None else one for place, one in zip(places, found, strict=True)]
+
+    def _pointing(self, place: Place, rng: Generator) -> np.ndarray:
+        """An orientation `[3, 3]` of the tool, turned at random about where it points, which is tilted."""
+        approach, way = self._arm.approach, self._kind.turned(place.direction) + rng.normal(0.0, place.tilt, 3)
+        way /= np.linalg.norm(way)
+        halfway = approach + way
+        if np.linalg.norm(halfway) < OPPOSITE:
+            halfway = np.cross(approach, np.roll(approach, 1))
+        halfway /= np.linalg.norm(halfway)
+        angle = rng.uniform(-np.pi, np.pi)
+        # Half a turn about what lies halfway takes the one to the other.
+        return Rotation.from_rotvec(angle * way).as_matrix() @ (2.0 * np.outer(halfway, halfway) - np.eye(3))
 
     def way(self, drawn: Drawn, starts: np.ndarray, goals: np.ndarray) -> tuple[np.ndarray, np.ndarray, Bodies] | None:
         """Joints at start and goal and the bodies, if there is a way and it is not straight to any branch."""
@@ -206,7 +218,7 @@ class Finder:
 def _bodies(drawn: Sequence[Body], room: int, kind: Kind) -> Bodies:
     """Bodies `[room]` of a scene, with what there is room for beyond them out of the way."""
     count = len(drawn)
-    turn = np.array([body.yaw for body in drawn]) / 2
+    turn = (np.array([body.yaw for body in drawn]) + kind.turn) / 2
     position, size = np.tile(FAR, (room, 1)), np.tile([RADIUS, 0.0, 0.0], (room, 1))
     quaternion, shape = np.tile([1.0, 0.0, 0.0, 0.0], (room, 1)), np.full(room, Shape.BALL, np.int32)
     if count:
@@ -217,16 +229,3 @@ def _bodies(drawn: Sequence[Body], room: int, kind: Kind) -> Bodies:
     parts = {"position": position, "quaternion": quaternion, "velocity": np.zeros((room, 6)), "size": size}
     arrays: dict[str, Any] = {name: part.astype(np.float32) for name, part in parts.items()}
     return Bodies(**arrays, kind=cast("Any", shape))
-
-
-def _pointing(place: Place, approach: np.ndarray, rng: Generator) -> np.ndarray:
-    """An orientation `[3, 3]` of the tool, turned at random about where it points, which is tilted."""
-    way = place.direction + rng.normal(0.0, place.tilt, 3)
-    way /= np.linalg.norm(way)
-    halfway = approach + way
-    if np.linalg.norm(halfway) < OPPOSITE:
-        halfway = np.cross(approach, np.roll(approach, 1))
-    halfway /= np.linalg.norm(halfway)
-    angle = rng.uniform(-np.pi, np.pi)
-    # Half a turn about what lies halfway takes the one to the other.
-    return Rotation.from_rotvec(angle * way).as_matrix() @ (2.0 * np.outer(halfway, halfway) - np.eye(3))

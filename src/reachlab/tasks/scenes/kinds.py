@@ -69,6 +69,7 @@ class Kind:
         draw: a scene, of a generator.
         scale: the arm's workspace in proportion to that for which its lengths are.
         ahead: by how much everything is moved forward [m].
+        turn, base: of the arm: where its front is, about the vertical from x [rad], and where it stands `[3]` [m].
         content: of the file that it was read from.
     """
 
@@ -77,11 +78,18 @@ class Kind:
     draw: Callable[[Generator], Drawn]
     scale: float = 1.0
     ahead: float = 0.0
+    turn: float = 0.0
+    base: tuple[float, ...] = (0.0, 0.0, 0.0)
     content: str = ""
 
     def place(self, position: Any) -> np.ndarray:
         """Where positions `[..., 3]` are on the arm [m]."""
-        return self.scale * np.asarray(position, float) + [self.ahead, 0.0, 0.0]
+        return self.turned(self.scale * np.asarray(position, float) + [self.ahead, 0.0, 0.0]) + self.base
+
+    def turned(self, direction: Any) -> np.ndarray:
+        """Where directions `[..., 3]` point on the arm: it is turned by quarters."""
+        cos, sin = np.round([np.cos(self.turn), np.sin(self.turn)])
+        return np.asarray(direction, float) @ np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
 
 
 def _box(position: Any, half: Any, yaw: float = 0.0) -> Body:
@@ -189,8 +197,12 @@ def kind_of(name: str, robot: Robot) -> Kind:
     """
     if name.endswith(".json"):
         return _of_file(Path(name), robot)
-    ahead = robot.workspace[0][0] - BEGINS * robot.scale
-    return replace(KINDS[choose("scene", name, KINDS)], scale=robot.scale, ahead=ahead)
+    model = robot.spec(pictures=False).compile()
+    base = model.body_pos[model.body_rootid[model.jnt_bodyid[0]]]
+    kind = replace(KINDS[choose("scene", name, KINDS)], scale=robot.scale, turn=robot.front, base=tuple(base.tolist()))
+    forward = kind.turned([1.0, 0.0, 0.0])
+    begins = min((np.array(corner) - base) @ forward for corner in robot.workspace)
+    return replace(kind, ahead=begins - BEGINS * robot.scale)
 
 
 def _of_file(file: Path, robot: Robot) -> Kind:
