@@ -35,6 +35,8 @@ def flags(cls: type, default: Any, group: str = "") -> Iterator[Flag]:
     parts = []
     for entry in dataclasses.fields(cls):
         kind, told, positional = _annotation(hints(cls)[entry.name])
+        if entry.name == "imports":
+            continue  # a run notes it for itself, of --import
         value = getattr(default, entry.name, entry.default)
         if entry.default_factory is not dataclasses.MISSING and value is dataclasses.MISSING:
             value = entry.default_factory()
@@ -59,10 +61,11 @@ def _annotation(hint: Any) -> tuple[Any, dict[str, Any], bool]:
 
 
 def _written(name: str, kind: Any, positional: bool, default: Any) -> str:
-    """How a flag is written; of a truth value the one of its two flags that changes it."""
+    """How a flag is written; of a truth value that is true by default both of its two flags."""
     if positional:
         return name.upper()
-    return f"--{'no-' if kind is bool and default else ''}{name.replace('_', '-')}"
+    flag = name.replace("_", "-")
+    return f"--{flag}, --no-{flag}" if kind is bool and default else f"--{flag}"
 
 
 def _value(value: Any) -> str:

@@ -24,7 +24,10 @@ AGENTS: dict[str, AgentEntry] = Table(
     {
         "trained": AgentEntry("the trained policy, without noise", "reachlab.agents.acting:trained", trained=True),
         "random": AgentEntry("actions sampled uniformly from their box", "reachlab.agents.baselines:random"),
-        "zero": AgentEntry("actions of zero", "reachlab.agents.baselines:zero"),
+        "zero": AgentEntry(
+            "actions of zero; where they correct a controller, as joint_residual, what that does alone",
+            "reachlab.agents.baselines:zero",
+        ),
         "ik": AgentEntry(
             "inverse kinematics in a closed loop: to the target from where the tool is measured, at every step",
             "reachlab.agents.baselines:ik",

@@ -141,6 +141,11 @@ class Policy:
     half: Array
     schema: Schema = field(metadata={"static": True})
 
+    def __repr__(self) -> str:
+        """How many numbers it has, and what it observes; JAX may put something else in place of arrays."""
+        count = sum(getattr(one, "size", 0) for one in jax.tree.leaves(self.parameters))
+        return f"<Policy of {count:,} parameters>"
+
     def act(self, observation: Observed, key: Array | None = None) -> Array:
         """Action `[..., a]` for an observation: the mean without a key, a sample with one.
 

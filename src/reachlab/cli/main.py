@@ -201,6 +201,8 @@ def _imported(words: list[str]) -> list[str]:
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     parser.add_argument("--import", action="append", default=[], dest="names", nargs="?", const="")
     given, others = parser.parse_known_args(words)
+    if any(word.partition("=")[0] == "--imports" for word in others):
+        raise InputError("--imports is what a run notes for itself. Did you mean --import FILE?")
     import_installed()
     if given.names or extended():
         import_module("reachlab.envs.gymnasium_ids")  # which an extension may make environments by

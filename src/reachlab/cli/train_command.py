@@ -85,7 +85,7 @@ def _learn(arguments: Train | Distil, config: RunConfig, verb: str) -> None:
             f"Warning: no {config.loop.stop_streak} validations in a row reached {100 * config.loop.stop_success:g} %"
             f" success within {config.loop.total_steps:,} steps."
         )
-    note(f"Next: reachlab eval {quote(str(out))} --agent trained random ik")
+    note(f"Next: reachlab eval {quote(str(out))} --agent trained random zero ik")
 
 
 def _collector(arguments: Train | Distil, config: RunConfig) -> AbstractContextManager[Any]:

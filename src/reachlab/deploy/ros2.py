@@ -26,6 +26,9 @@ SLOW = 0.1
 OLD = 0.06
 """Age of measured joints from which on they are not used [s]."""
 
+SILENT = 2.0
+"""Time without joints after which the log says so [s]."""
+
 TICKS = 8
 """How often in a control period the node looks whether it is time for a step without a new measurement."""
 
@@ -72,6 +75,9 @@ def run_node(
     needs |= {"names": joint_names or controller.joints, "frame": frame}
     with ros2() as rclpy:
         node = PolicyNode(rclpy.create_node("reachlab_policy"), controller, topics, trajectory=trajectory, **needs)
+        topic = node.node.resolve_topic_name(topics.joint_states)
+        said = f"{folder} waits for {', '.join(needs['names'])} on '{topic}', to command them each"
+        node.node.get_logger().info(f"{said} {1000 * controller.period:g} ms")
         with contextlib.suppress(KeyboardInterrupt, rclpy.executors.ExternalShutdownException):
             rclpy.spin(node.node)
 
@@ -127,7 +133,7 @@ class PolicyNode:
         self._obstacles: list[dict[str, Any]] | None = None if sees else []
         self._measured: tuple[np.ndarray, np.ndarray] | None = None
         self._wrench: tuple[float, list[float]] | None = None
-        self._due, self._told, self._warned = 0.0, "", set[str]()
+        self._due, self._told, self._warned, self._start = 0.0, "", set[str](), time.monotonic()
         self._resets, self._begun, self._stops = True, False, False  # commands begin where the arm is
         self._sent, self._rests = controller.home, True
         kind, topic = (JointTrajectory, topics.trajectories) if trajectory else (Float64MultiArray, topics.commands)
@@ -225,6 +231,9 @@ class PolicyNode:
             self.node.get_logger().warning(what)
 
     def _on_tick(self) -> None:
+        if self._joints_seen is None and time.monotonic() > self._start + SILENT:
+            said = f"no joint states have come on '{self._topics.joint_states}': is it called otherwise, or its domain?"
+            self._warn_once("silent", said)
         if self._due and time.monotonic() >= self._due + EARLY * self._controller.period:
             self._step()
 

@@ -57,7 +57,7 @@ def check_names(config: RunConfig) -> None:
     settings = flatten(to_json(config))
     for setting, (kind, table) in NAMES.items():
         chosen = settings.get(setting, ())
-        for name in (chosen,) if isinstance(chosen, str) else chosen:
+        for name in (chosen,) if isinstance(chosen, str) else chosen or ():
             choose(kind, name, table)
 
 
@@ -121,6 +121,8 @@ def _contradictions(config: RunConfig, changed: set[str]) -> Iterator[str]:
         yield (
             f"num_envs {loop.num_envs} cannot be divided among {config.ppo.minibatches} minibatches: choose a divisor."
         )
+    if not config.learner.hidden:
+        yield "hidden needs a layer at least, as --hidden 64: without one a policy is linear, and learns little."
     yield from _remembered_otherwise(config)
     if "action_repeat" in changed and loop.action_repeat > rules.max_steps:
         yield (
@@ -142,7 +144,8 @@ def _remembered_otherwise(config: RunConfig) -> Iterator[str]:
 
 def _consequences(config: RunConfig, changed: set[str]) -> Iterator[str]:
     """Sentences on changed settings that have another effect than one may expect."""
-    if "randomise" in changed and "dynamics" in config.randomise and "dynamics" not in SIMULATORS[config.sim].gives:
+    varied = "dynamics" in SIMULATORS[config.sim].gives
+    if {"randomise", "sim"} & changed and "dynamics" in config.randomise and not varied:
         yield (
             f"randomise dynamics adds noise to what is measured and nothing else in simulator {config.sim!r}: arms"
             " differ with --sim mujoco."

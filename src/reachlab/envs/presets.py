@@ -79,6 +79,7 @@ def configure(task: str = "tutorial", **settings: Any) -> RunConfig:
     Raises:
         InputError: a name that is no setting of the task, or a value that is not allowed.
     """
+    settings = {name: tuple(value) if isinstance(value, list) else value for name, value in settings.items()}
     chosen = {name: settings[name] for name in CHOICES if settings.get(name) is not None}
     config = preset(task, **chosen)
     for name in settings:

@@ -61,6 +61,11 @@ class LoadedRun:
     config: RunConfig
     env: Env
 
+    def __repr__(self) -> str:
+        """What it is, without its weights."""
+        config = self.config
+        return f"LoadedRun(task={config.task!r}, robot={config.robot!r}, sim={self.env.config.sim!r}, {self.policy!r})"
+
 
 def load(run: str | Path, *, sim: str | None = None, num_envs: int = 1) -> LoadedRun:
     """Policy, settings and environment of a run, or of a policy that comes with reachlab.

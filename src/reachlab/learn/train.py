@@ -118,6 +118,10 @@ def train(
             run.create(config)
         with locked(run.path):
             return _train(Loop(config, env, run, watch, start, method, given, collect), wanted, begun, resume=resume)
+    except InputError:
+        if not resume:
+            run.remove_unbegun()
+        raise
     finally:
         env.close()
 

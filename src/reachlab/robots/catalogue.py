@@ -118,9 +118,18 @@ def find_model_file(name: str, packages: Sequence[str] = ()) -> ModelFile:
         InputError: unknown name, or missing or broken file.
     """
     if name not in ROBOTS and not is_robot_file(name):
+        _refuse_other_file(Path(name))
         titles = {known: robot.title for known, robot in ROBOTS.items()}
         choose("robot", name, [*ROBOTS, "a path to an .xml or .urdf file"], titles)
     return read_model_file(ROBOTS[name].file if name in ROBOTS else Path(name).absolute(), _folders(packages))
+
+
+def _refuse_other_file(file: Path) -> None:
+    """Refuse a file that is there, and is of another kind than those that are read."""
+    if file.is_file():
+        stem = file.name.removesuffix(".xacro").removesuffix(".urdf")
+        how = f"expand it with `xacro {file.name} > {stem}.urdf`" if file.suffix == ".xacro" else "convert it to URDF"
+        raise InputError(f"robot '{file}' is no .urdf or .xml file, URDF or MJCF, which are read: {how}.")
 
 
 def _folders(packages: Sequence[str]) -> dict[str, Path]:

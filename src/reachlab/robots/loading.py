@@ -43,6 +43,9 @@ SHORTAGES = {
 
 logger = logging.getLogger(__name__)
 
+HUGE = 10.0
+"""Size of a workspace, in those of the tutorial's arm, of which lengths seem to be in millimetres."""
+
 PARALLEL = "parallel"
 """The gripper that is mounted where a file has none."""
 
@@ -129,7 +132,7 @@ def _load(file: ModelFile, name: str, tool: str | None, base: str | None, grippe
         notices.append("the file's home is not used: from there little can be reached on straight ways.")
     for what in ("workspace", "goal_box", "held_quaternion"):
         sources[what] = DERIVED if getattr(listed, what) is None else CATALOGUE
-    return Robot(
+    robot = Robot(
         name=name if known else file.file.stem,
         model=file,
         tool=arm.tool,
@@ -141,10 +144,12 @@ def _load(file: ModelFile, name: str, tool: str | None, base: str | None, grippe
         payload=load,
         isolation=isolation,
         sources=sources,
-        notices=tuple(notices),
         pybullet=listed.pybullet,
         gripper=hand,
     )
+    if robot.scale > HUGE:
+        notices.append(f"Its workspace is {robot.scale:.0f} times the tutorial arm's: are its lengths in millimetres?")
+    return replace(robot, notices=tuple(notices))
 
 
 class _Limits(NamedTuple):

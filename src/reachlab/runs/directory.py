@@ -14,7 +14,7 @@ from reachlab.envs.earlier_configs import from_json
 from reachlab.runs import checkpoint
 from reachlab.runs.checkpoint import Counters, Manifest
 from reachlab.runs.files import read_json, remove, sync, write_json
-from reachlab.runs.lock import refuse_if_held
+from reachlab.runs.lock import NAME, refuse_if_held
 from reachlab.runs.metrics import read_metrics
 from reachlab.runs.saved_reports import read_reports, write_report
 from reachlab.settings.config import RunConfig
@@ -82,6 +82,13 @@ class RunDirectory:
                 remove(temporary)
             why = error.strerror if isinstance(error, OSError) else error
             raise InputError(f"run directory '{self.path}' cannot be made: {why}.") from None
+
+    def remove_unbegun(self) -> None:
+        """Remove a directory in which nothing but settings is, so that the same command can be given again."""
+        own = {self.config_file.name, self.robot_file.name, NAME}
+        with contextlib.suppress(OSError):
+            if self.config_file.is_file() and {one.name for one in self.path.iterdir()} <= own:
+                remove(self.path)
 
     def refuse_existing(self) -> None:
         """Refuse a path at which something is.

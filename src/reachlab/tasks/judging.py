@@ -17,7 +17,6 @@ class Outcome(NamedTuple):
     """What a step led to, `[B]` each.
 
     Attributes:
-        achieved: where what is moved truly is, `[B, 3]` m.
         errors: how far what is moved is from where it has to be after it.
         gap_before, gap: the same as one number each before and after it, see `Task.gap` [m].
         near: the errors after it are those of a success.

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import traceback
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 from jax import Array
 
@@ -92,15 +95,31 @@ REWARDS: dict[str, Callable[[Any, Outcome], dict[str, Array]]] = Table(
 """Rewards by name; each gives named terms `[B]` whose sum is the reward."""
 
 
+def _hint(error: Exception) -> str:
+    if isinstance(error, AttributeError):
+        return f" An outcome has {', '.join(name for name in Outcome._fields)}."
+    traced = isinstance(error, (jax.errors.ConcretizationTypeError, jax.errors.TracerArrayConversionError))
+    return " Its numbers are arrays of all environments: use jnp.where in place of if, and jnp in place of np." * traced
+
+
 def reward_terms(rules: Any, outcome: Outcome) -> dict[str, Array]:
     """The terms `[B]` of a step's reward by name.
 
     Raises:
-        InputError: a reward that was added gives something else.
+        InputError: a reward that was added fails, or gives something else.
     """
-    terms: Any = REWARDS[rules.reward](rules, outcome)
+    try:
+        terms: Any = REWARDS[rules.reward](rules, outcome)
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+        line = traceback.extract_tb(error.__traceback__)[1:2]
+        where = "".join(f" at {Path(one.filename).name}:{one.lineno}" for one in line)
+        said = str(error).strip().partition("\n")[0].rstrip(".")
+        raise InputError(f"reward {rules.reward!r} fails{where}: {said}.{_hint(error)}") from error
     if not isinstance(terms, Mapping):
-        raise InputError(f"reward {rules.reward!r} gives {type(terms).__name__}: it has to give terms by name.")
+        raise InputError(
+            f"reward {rules.reward!r} gives {type(terms).__name__}: it has to give terms by name, as"
+            ' {"near": -outcome.gap}.'
+        )
     for name, term in terms.items():
         if name == "success":
             raise InputError(

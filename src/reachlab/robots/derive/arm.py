@@ -19,6 +19,9 @@ from reachlab.robots.kinematics.limits import LARGEST, is_limited
 NARROW = 4 * np.pi * np.pi / 180
 """Range that two turns have where the number of their radians is taken for degrees [rad]."""
 
+TURNS = 4 * np.pi
+"""Two turns [rad]."""
+
 
 @dataclass(frozen=True)
 class Arm:
@@ -173,10 +176,17 @@ def _notices(whole: mujoco.MjModel, numbers: list[int], shorter: list[int], grip
     hinges = [joint for joint in numbers if whole.jnt_type[joint] == int(mujoco.mjtJoint.mjJNT_HINGE)]
     narrow = np.ptp(whole.jnt_range[hinges], axis=1) < NARROW
     in_degrees = hinges if (narrow & whole.jnt_limited[hinges].astype(bool)).all() else []
+    wide = [
+        joint
+        for joint in hinges
+        if is_limited(whole, joint) and TURNS < np.abs(whole.jnt_range[joint]).max() <= LARGEST
+    ]
     noted = {
         "Joints of the gripper that are joints of the arm here; a --tool before them leaves them out": beyond,
         "Joints that are not on the way to the tool are locked": others,
-        f"Position limits beyond ±{LARGEST:g} rad or m are taken as none, so a turn or a metre either way": absurd,
+        f"Position limits beyond ±{LARGEST:g} rad or m are taken as none, so a turn or a metre either way (are they in"
+        " degrees or millimetres?)": absurd,
+        "Position limits of more than two turns either way, as degrees would be where radians are needed": wide,
         "All joints turn so little as if their limits were radians where the file has degrees, "
         'which an MJCF has without <compiler angle="radian"/>': in_degrees,
     }

@@ -59,8 +59,10 @@ def check_folder(out: Path) -> None:
     """Make sure that a page can be written.
 
     Raises:
-        InputError: its folder is not there.
+        InputError: its folder is not there, or its name is that of no page.
     """
+    if out.suffix.lower() not in (".html", ".htm"):
+        raise InputError(f"the page cannot be written to '{out}': name a file that ends in .html.")
     if not out.parent.is_dir():
         raise InputError(f"page '{out}' cannot be written: there is no folder '{out.parent}'.")
 
