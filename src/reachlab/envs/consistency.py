@@ -121,7 +121,7 @@ def _contradictions(config: RunConfig, changed: set[str]) -> Iterator[str]:
         yield (
             f"num_envs {loop.num_envs} cannot be divided among {config.ppo.minibatches} minibatches: choose a divisor."
         )
-    if not config.learner.hidden:
+    if "hidden" in changed and not config.learner.hidden:
         yield "hidden needs a layer at least, as --hidden 64: without one a policy is linear, and learns little."
     yield from _remembered_otherwise(config)
     if "action_repeat" in changed and loop.action_repeat > rules.max_steps:
