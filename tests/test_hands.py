@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -9,12 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from mounted import mounted
 from params import tried
 from reachlab.agents.acting import make_act
 from reachlab.control.bodies import Shape
 from reachlab.control.situation import up_to_date
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState
+from reachlab.envs.given_goal import goal_at, make_place
 from reachlab.envs.presets import configure
 from reachlab.envs.random_streams import REPORT_STREAM, episode_keys
 from reachlab.envs.setup import configure_env
@@ -103,6 +106,67 @@ def test_a_puck_is_drawn_round_and_its_goal_is_in_the_picture() -> None:
     assert ((red > 120) & (green < 60) & (blue < 70)).sum() > 30
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("task", "place", "yaw"), [("place", "0 0.5 0", 0.0), ("place", "0 0 0", np.pi / 2), ("slide", "0.2 0 0", np.pi)]
+)
+def test_arms_that_stand_elsewhere_or_face_another_way_do_it_too(
+    task: str, place: str, yaw: float, tmp_path: Path
+) -> None:
+    env, start, _, success = played(task, mounted(tmp_path, place, yaw))
+    assert env.setup.robot.front == pytest.approx(yaw)
+    low, high = env.setup.task.goal_box(env.setup)
+    goals = np.asarray(start.goal.position)
+    assert ((goals >= low - 1e-5) & (goals <= high + 1e-5)).all()
+    assert success.mean() >= LEAST[task] - 0.05
+
+
+@pytest.mark.parametrize("task", ["push", "lift", "place"])
+def test_objects_begin_apart_from_their_goals_and_from_the_wall_on_a_small_table_too(task: str) -> None:
+    env = Env(configure(task, robot="so101", randomise=("objects",), object_size=0.015), 512)
+    state = env.init(episode_keys(0, REPORT_STREAM, 0, 512))
+    bodies, goals = state.arm.bodies, np.asarray(state.goal.position)
+    middle, half = np.asarray(bodies.position)[:, -1], np.asarray(bodies.extent)[:, -1]
+    assert np.linalg.norm(middle - goals, axis=1).min() > env.setup.rules.success_distance + 0.01
+    if task == "place":
+        wall, thick = np.asarray(bodies.position)[:, 0, 1], np.asarray(bodies.extent)[:, 0, 1]
+        assert (np.abs(middle[:, 1] - wall) > thick + np.sqrt(2) * half[:, 0]).all()
+        assert (np.abs(goals[:, 1] - wall) > thick + half[:, 0]).all()
+        assert ((middle[:, 1] < wall) != (goals[:, 1] < wall)).all()
+
+
+def test_a_wall_that_leaves_no_room_for_an_object_is_refused() -> None:
+    with pytest.raises(InputError, match=r"an object has to be 59 mm from the wall, and the hand of 'so101' works in"):
+        Env(configure("place", robot="so101", object_size=0.03), 1)
+
+
+def test_a_goal_that_is_given_is_where_it_was_asked_for_or_refused() -> None:
+    env = Env(configure("lift", robot="panda", randomise=("objects",)), 1)
+    setup, place = env.setup, make_place(env.setup)
+    low, high = setup.task.goal_box(setup)
+    asked = (low + high) / 2
+    for key in episode_keys(0, REPORT_STREAM, 0, 4):
+        goal = env.functions.sample_episode(key[None], goal_at(setup, asked, place)).goal
+        np.testing.assert_allclose(np.asarray(goal.position)[0], asked, atol=1e-6)
+    behind = Env(configure("place", robot="panda"), 1).setup
+    low, high = behind.task.goal_box(behind)
+    with pytest.raises(InputError, match=r"the task asks for nothing at target .+: the nearest is"):
+        goal_at(behind, (low + high) / 2, make_place(behind))
+
+
+def test_a_goal_that_is_moved_is_as_high_as_its_object() -> None:
+    env = Env(configure("place", robot="panda", randomise=("objects",)), 16)
+    goals = env.init(episode_keys(0, REPORT_STREAM, 0, 16)).goal
+    place, home = make_place(env.setup), np.array(env.setup.robot.home)
+    for i in range(16):
+        before = jax.tree.map(lambda part, i=i: part[i : i + 1], goals)
+        nominal = np.asarray(before.position)[0].copy()
+        nominal[2] = env.setup.task.goal_box(env.setup)[0][2]
+        after, found = place(before, nominal, np.zeros(0), home)
+        assert found
+        np.testing.assert_allclose(np.asarray(after.position), np.asarray(before.position), atol=1e-6)
+
+
 def test_what_varies_is_held_too() -> None:
     assert played("lift", randomise=("objects",))[-1].mean() >= 0.96
 
@@ -113,9 +177,25 @@ def test_other_shapes_are_gripped(shape: str) -> None:
     assert played("lift", object_shape=shape)[-1].mean() >= 0.9
 
 
-def test_a_ball_is_not_pushed() -> None:
-    with pytest.raises(InputError, match="a ball that is pushed rolls on"):
-        configure_env("push", object_shape="ball")
+def test_what_rolls_or_is_too_low_is_not_pushed() -> None:
+    for task, shape, sentence in (
+        ("push", "ball", "a ball that is pushed rolls on"),
+        ("push", "puck", "a puck is too low to be pushed by these fingers"),
+        ("slide", "ball", "a ball that is struck rolls on"),
+    ):
+        with pytest.raises(InputError, match=sentence):
+            configure_env(task, object_shape=shape)
+
+
+def test_steps_of_the_engine_are_short_enough_for_contact() -> None:
+    with pytest.raises(
+        InputError,
+        match=r"of 20 ms are too long for objects: with control_period 0.02, physics_steps must be at least 2",
+    ):
+        Env(configure("push", physics_steps=1), 1)
+    Env(configure("push", physics_steps=2), 1)
+    with pytest.raises(InputError, match="gripper 'hand' is not one of: own, parallel"):
+        Env(configure("lift", gripper="hand"), 1)
 
 
 def test_a_command_drives_the_fingers_together_and_no_faster_than_they_are() -> None:

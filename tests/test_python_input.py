@@ -19,6 +19,7 @@ from reachlab.agents.acting import _is_told
 from reachlab.cli import main as cli
 from reachlab.envs.consistency import check
 from reachlab.envs.gymnasium_single import ReachEnv
+from reachlab.envs.random_streams import env_keys
 from reachlab.scale.training import failure_file, run_training
 from reachlab.settings import extensions
 from reachlab.settings.config import RunConfig
@@ -101,6 +102,48 @@ def test_a_reward_of_another_form_is_refused(terms: Any, sentence: str, monkeypa
     outcome: Any = SimpleNamespace(gap=np.zeros(3))
     with pytest.raises(InputError, match=f"reward 'mine' {sentence}"):
         reward_terms(SimpleNamespace(reward="mine"), outcome)
+
+
+def _far(_: Any, outcome: Any) -> dict[str, Any]:
+    return {"near": -outcome.dist}
+
+
+def _asks(_: Any, outcome: Any) -> dict[str, Any]:
+    return {"near": 1.0 if outcome.gap < 0.1 else 0.0}
+
+
+def _alone(rules: Any) -> dict[str, Any]:
+    return {"near": rules.max_steps}
+
+
+@pytest.mark.parametrize(
+    ("reward", "sentence"),
+    [
+        (_far, r"at test_python_input.py:\d+: .* has no attribute 'dist'. An outcome has errors, gap_before, "),
+        (_asks, r"at test_python_input.py:\d+: .*: use jnp.where in place of if"),
+        (_alone, ": .*takes 1 positional argument but 2 were given"),
+    ],
+)
+def test_a_reward_that_fails_says_where(reward: Any, sentence: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(REWARDS, "mine", reward)
+    with pytest.raises(InputError, match=f"reward 'mine' fails ?{sentence}"):
+        reachlab.Env(reachlab.configure("tutorial", reward="mine"), 2).init(env_keys(0, 2))
+
+
+def test_a_training_that_fails_at_its_start_leaves_no_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(REWARDS, "mine", _far)
+    for _ in range(2):
+        with pytest.raises(InputError, match="reward 'mine' fails at"):
+            reachlab.train(reachlab.configure("tutorial", reward="mine"), tmp_path / "run")
+        assert not [*tmp_path.iterdir()]
+
+
+def test_lists_are_taken_and_what_is_loaded_is_short() -> None:
+    config = reachlab.configure("precise", randomise=["dynamics"], hidden=[32, 32])
+    assert (config.randomise, config.learner.hidden) == (("dynamics",), (32, 32))
+    shown = repr(reachlab.load("panda/precise"))
+    assert shown.startswith("LoadedRun(task='precise', robot='panda', sim='mujoco', <Policy of ")
+    assert len(shown) < 120
 
 
 def test_films_of_environments_take_their_time() -> None:

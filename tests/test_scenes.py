@@ -12,7 +12,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
+from mounted import mounted
 from reachlab.control.bodies import Bodies
 from reachlab.control.contact_model import arm_of
 from reachlab.control.planning.collision import CollisionChecker
@@ -24,7 +26,7 @@ from reachlab.evaluation.report import evaluate
 from reachlab.robots.kinematics.forward import forward_kinematics
 from reachlab.robots.loading import load_robot
 from reachlab.settings.validation import InputError
-from reachlab.tasks.scenes import bank
+from reachlab.tasks.scenes import bank, kinds
 from reachlab.tasks.scenes.kinds import KINDS
 
 pytestmark = pytest.mark.usefixtures("few_scenes")
@@ -61,6 +63,19 @@ def test_start_and_goal_are_free_and_no_straight_way_is(name: str) -> None:
     points = np.asarray(forward_kinematics(env.setup.robot.chain, jnp.array(drawn.joints[:, 0])).position)
     assert ((points >= low) & (points <= high)).all()
     env.close()
+
+
+@pytest.mark.parametrize(("place", "yaw"), [("0.1 0.5 0.8", 0.0), ("0 0 0.3", np.pi / 2)])
+def test_scenes_are_where_the_arm_stands_and_what_it_faces(place: str, yaw: float, tmp_path: Path) -> None:
+    kind, there = (kinds.kind_of("wall", load_robot(mounted(tmp_path, *at))) for at in (("0 0 0", 0.0), (place, yaw)))
+    base, turn = np.array([float(x) for x in place.split()]), Rotation.from_rotvec([0.0, 0.0, yaw])
+    points = np.random.default_rng(0).uniform(-1.0, 1.0, (8, 3))
+    np.testing.assert_allclose(there.place(points), base + turn.apply(kind.place(points)), atol=0.02)
+    robot = load_robot(mounted(tmp_path, place, yaw))
+    starts, goals, bodies = zip(*bank.drawn_scenes(robot, "wall", 4), strict=True)
+    walls = np.array([one.position[0] for one in bodies]) - base
+    assert (turn.inv().apply(walls)[:, 0] > 0.3).all(), "they are before it"
+    assert np.linalg.norm(np.array(starts) - np.array(goals), axis=1).min() > 0.1
 
 
 def test_bodies_are_as_large_as_the_arm_is() -> None:
