@@ -47,16 +47,17 @@ def _skipping() -> Iterator[Any]:
 
 @pytest.fixture
 def entered(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """The examples of own tasks, `rail.py` and `cue.py`, are imported, and their entries go again."""
+    """The examples of own tasks and rewards are imported, and their entries go again."""
     from reachlab.control import CONTROLLERS
     from reachlab.tasks import TASKS
     from reachlab.tasks.actions import ACTIONS
     from reachlab.tasks.observations import OBSERVATIONS
+    from reachlab.tasks.rewards import REWARDS
 
-    tables: tuple[dict[str, Any], ...] = (TASKS, CONTROLLERS, OBSERVATIONS, ACTIONS)
+    tables: tuple[dict[str, Any], ...] = (TASKS, CONTROLLERS, OBSERVATIONS, ACTIONS, REWARDS)
     before = [set(table) for table in tables]
     monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "examples"))
-    for name in ("rail", "cue"):
+    for name in ("rail", "cue", "quick"):
         monkeypatch.delitem(sys.modules, name, raising=False)
         importlib.import_module(name)
     yield

@@ -101,10 +101,11 @@ def test_the_benchmarks_of_the_documents_are_there() -> None:
 
 
 def test_the_parts_of_the_example_on_its_page_are_those_of_its_file() -> None:
-    whole = (ROOT / "examples" / "rail.py").read_text(encoding="utf-8")
-    parts = blocks(TEXTS["docs/own-task.md"], "python")
-    assert len(parts) >= 6
-    assert all(part.rstrip() in whole for part in parts)
+    for page, file, least in (("own-task", "rail", 6), ("reward", "quick", 1)):
+        whole = (ROOT / "examples" / f"{file}.py").read_text(encoding="utf-8")
+        parts = blocks(TEXTS[f"docs/{page}.md"], "python")
+        assert len(parts) >= least
+        assert all(part.rstrip() in whole for part in parts)
 
 
 def settings(cls: type) -> Iterator[str]:

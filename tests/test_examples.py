@@ -15,7 +15,7 @@ pytestmark = pytest.mark.slow
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 NOTEBOOK = EXAMPLES / "first.ipynb"
-APART = ("rejax_ppo.py", "rail.py", "cue.py")
+APART = ("rejax_ppo.py", "rail.py", "cue.py", "quick.py")
 """The first runs in an environment of its own, see `make gymnax`; the others are modules to import."""
 
 

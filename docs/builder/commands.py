@@ -65,7 +65,7 @@ def _written(name: str, kind: Any, positional: bool, default: Any) -> str:
     if positional:
         return name.upper()
     flag = name.replace("_", "-")
-    return f"--{flag}, --no-{flag}" if kind is bool and default else f"--{flag}"
+    return f"--{flag} / --no-{flag}" if kind is bool and default else f"--{flag}"
 
 
 def _value(value: Any) -> str:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -116,14 +117,22 @@ def train(
         env.check_rendering()
         if not resume:
             run.create(config)
-        with locked(run.path):
+        with _held(run, new=not resume):
             return _train(Loop(config, env, run, watch, start, method, given, collect), wanted, begun, resume=resume)
-    except InputError:
-        if not resume:
-            run.remove_unbegun()
-        raise
     finally:
         env.close()
+
+
+@contextlib.contextmanager
+def _held(run: RunDirectory, *, new: bool) -> Iterator[None]:
+    """A run directory that no other process may use; a new one goes where its training is refused at its start."""
+    try:
+        with locked(run.path):
+            yield
+    except InputError:
+        if new:
+            run.remove_unbegun()
+        raise
 
 
 def distil(
