@@ -118,6 +118,9 @@ REPORT: dict[str, Any] = {
 """A report of episodes that end once the tool was held."""
 
 
+PARTS = (({"median": 0.1}, [1.0, 2.0]), (None, [3.0, 4.0]))
+"""Of two reports: times of planning, which one of them lacks, and largest speeds."""
+
 HELD = configure("precise", sim="kinematic", hold_steps=2, at_goal="end", control_period=1 / 240)
 
 
@@ -140,6 +143,9 @@ def test_reports_of_several_runs_are_told_with_the_mean_of_their_seeds(capsys: p
     close = mean_report([{**REPORT, "success_rate": rate} for rate in (0.49, 0.5, 0.51)])
     assert close["success_interval"] == pytest.approx((0.5 - 0.0248, 0.5 + 0.0248), abs=1e-4)
     assert (mean["final_error_mm"]["median"], mean["time_to_reach_s"]) == (4.0, None)
+    both = ({"planning_s": one, "max_joint_speed": speed, "checkpoint": {"steps": 1}} for one, speed in PARTS)
+    parts = mean_report([REPORT | one for one in both])
+    assert (parts["planning_s"], parts["max_joint_speed"], parts["checkpoint"]) == (None, [2.0, 3.0], None)
     print_reports(
         [*reports, mean | {"run": "mean of 3 seeds"}],
         HELD,

@@ -55,6 +55,16 @@ def place(state: EnvState) -> np.ndarray:
     return np.asarray(state.arm.bodies.position)[:, -1]
 
 
+def test_environments_that_go_on_keep_their_tools(pushing: tuple[Env, EnvState]) -> None:
+    env, start = pushing
+    state = held(env, start, 3)
+    rows = np.arange(ENVS) < 2
+    begun = env.reset(state, rows)
+    for name in ("position", "quaternion"):
+        before, after = (np.asarray(getattr(one.arm.tool, name))[2:] for one in (state, begun))
+        np.testing.assert_array_equal(after, before)
+
+
 @pytest.mark.parametrize("task", ["push", "lift", "place"])
 def test_the_script_moves_objects_to_their_goals(task: str) -> None:
     env, state = begun(task)

@@ -126,9 +126,10 @@ def _alone(rules: Any) -> dict[str, Any]:
 )
 def test_a_reward_that_fails_says_where(reward: Any, sentence: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(REWARDS, "mine", reward)
+    env = reachlab.Env(reachlab.configure("tutorial", reward="mine"), 2)
+    state = env.init(env_keys(0, 2))
     with pytest.raises(InputError, match=f"reward 'mine' fails ?{sentence}"):
-        env = reachlab.Env(reachlab.configure("tutorial", reward="mine"), 2)
-        env.step(env.init(env_keys(0, 2)), np.zeros((2, 3), np.float32))
+        env.step(state, np.zeros((2, 3), np.float32))
 
 
 def test_a_training_that_fails_at_its_start_leaves_no_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -51,14 +51,17 @@ def mean_report(reports: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     rates = np.array([report["success_rate"] for report in reports])
     half = float(student_half_width(rates))
     mean = _mean(reports)
+    mean |= {"checkpoint": None} if "checkpoint" in mean else {}
     return mean | {"success_interval": (max(rates.mean() - half, 0.0), min(rates.mean() + half, 1.0))}
 
 
 def _mean(values: Sequence[Any]) -> Any:
-    """Mean of numbers, of each entry of mappings, and of anything else the first."""
-    first = values[0]
+    """Mean of numbers, of each entry of mappings and lists of numbers, and of anything else the first."""
+    first = next((value for value in values if value is not None), None)
     if isinstance(first, Mapping):
-        return {name: _mean([value.get(name) for value in values]) for name in first}
+        return None if None in values else {name: _mean([value.get(name) for value in values]) for name in first}
+    if isinstance(first, list) and any(isinstance(one, float) for one in first):
+        return None if None in values else [_mean(each) for each in zip(*values, strict=True)]
     if any(isinstance(value, float) for value in values):
         return None if None in values else float(np.mean(values))
     return first

@@ -66,9 +66,11 @@ class ObjectSimulator(Clients[ObjectWorld]):
         wrench = self._wrench(begun, np.zeros((len(q), 6)))
         if wrench is not None and state is not None:
             wrench = chosen(rows, wrench, np.asarray(state.wrench))
-        moved = self._moved(bodies)
+        moved, tool = self._moved(bodies), self._tool()
+        if state is not None:  # what goes on keeps the sign of its quaternion too
+            tool = chosen(rows, tool, jax.tree.map(np.asarray, state.tool))
         parts = (moved.bodies, moved.contact, moved.opening, moved.engine, cast("Array | None", wrench))
-        return SimState(moved.q, moved.qd, *self._tool(), *parts)
+        return SimState(moved.q, moved.qd, tool.position, tool.quaternion, *parts)
 
     def step(self, state: SimState | Moved, command: BatchArray) -> Moved:
         """See `Simulator.step`."""
