@@ -148,6 +148,18 @@ def test_lists_are_taken_and_what_is_loaded_is_short() -> None:
     assert len(shown) < 120
 
 
+def test_what_is_no_environment_agent_or_setting_is_told_so(tmp_path: Path) -> None:
+    env = reachlab.Env(reachlab.configure("tutorial"), 2)
+    for given, sentence in (
+        ((ReachEnv("tutorial"), "ik"), "a reachlab.Env is evaluated, got ReachEnv: Gymnasium has it as .unwrapped.env"),
+        ((env, SimpleNamespace()), "agent must be a name or a function of observations, got SimpleNamespace"),
+    ):
+        with pytest.raises(InputError, match=sentence):
+            reachlab.evaluate(*cast("Any", given))
+    with pytest.raises(InputError, match=r"settings are needed, as reachlab.configure\('tutorial'\) gives, got 'x'"):
+        reachlab.train(cast("Any", "x"), tmp_path / "run")
+
+
 def test_films_of_environments_take_their_time() -> None:
     assert ReachEnv("tutorial").metadata["render_fps"] == 240
     assert ReachEnv("precise").metadata["render_fps"] == 50

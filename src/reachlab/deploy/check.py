@@ -19,6 +19,7 @@ from reachlab.deploy.plant import Measurement, Outcome, Plant, drive
 from reachlab.deploy.plant_faults import Faults
 from reachlab.envs.earlier_configs import from_json
 from reachlab.envs.setup import in_evaluation
+from reachlab.robots.catalogue import find_model_file
 from reachlab.settings.config import RunConfig
 from reachlab.settings.validation import InputError
 
@@ -78,12 +79,19 @@ def settings_of(folder: Path, sim: str | None) -> RunConfig:
     """Settings in which an exported policy is checked, in a simulator or in its own.
 
     Raises:
-        InputError: the folder is none that was exported, the policy gets pictures, or there is no such simulator.
+        InputError: the folder is none that was exported, the policy gets pictures, there is no such simulator, or the
+            arm's file is not the one of the export.
     """
     facts = read_facts(folder)
     if facts["observation"]["pictured"]:
         raise InputError("a policy that gets pictures is not checked in real time: evaluate it, `reachlab eval`.")
     config = from_json(facts["settings"])
+    file = find_model_file(config.robot, config.package)
+    if facts.get("robot_sha256", file.digest) != file.digest:
+        raise InputError(
+            f"'{folder}' was exported for another arm: robot file '{file.file}', or a file that it names, has changed"
+            " since. Restore it, or train and export again."
+        )
     return in_evaluation(config, sim or config.sim)
 
 

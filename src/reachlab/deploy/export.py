@@ -36,6 +36,7 @@ from reachlab.envs.functions import EnvState
 from reachlab.envs.random_streams import REPORT_STREAM, episode_keys
 from reachlab.envs.setup import in_evaluation
 from reachlab.learn.load import load_saved
+from reachlab.robots.catalogue import find_model_file
 from reachlab.runs.directory import RunDirectory
 from reachlab.runs.files import read_json
 from reachlab.runs.provenance import versions
@@ -101,6 +102,7 @@ def export(run: RunDirectory | str | Path, out: str | Path, agent: str | None = 
     try:
         saved, planner = load_saved(run, env), _planner(env, agent)
         more = {"run": saved.checkpoint, "held_out": _held_out(run), "versions": versions()} | planner
+        more["robot_sha256"] = find_model_file(trained.robot, trained.package).digest
         with tempfile.TemporaryDirectory() as place:
             folder = Path(place) / "policy"
             folder.mkdir()

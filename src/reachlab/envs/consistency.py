@@ -144,8 +144,7 @@ def _remembered_otherwise(config: RunConfig) -> Iterator[str]:
 
 def _consequences(config: RunConfig, changed: set[str]) -> Iterator[str]:
     """Sentences on changed settings that have another effect than one may expect."""
-    varied = "dynamics" in SIMULATORS[config.sim].gives
-    if {"randomise", "sim"} & changed and "dynamics" in config.randomise and not varied:
+    if "dynamics" in config.randomise and "dynamics" not in SIMULATORS[config.sim].gives:
         yield (
             f"randomise dynamics adds noise to what is measured and nothing else in simulator {config.sim!r}: arms"
             " differ with --sim mujoco."
@@ -165,8 +164,10 @@ def check(config: RunConfig, base: RunConfig | None = None) -> None:
         base: what they are changed from; without it their preset.
 
     Raises:
-        InputError: a name that does not exist, settings that contradict each other, or one without effect.
+        InputError: no settings, a name that does not exist, settings that contradict each other, or one without effect.
     """
+    if not isinstance(config, RunConfig):
+        raise InputError(f"settings are needed, as reachlab.configure('tutorial') gives, got {config!r}.")
     check_env(config)
     settings, usual = (flatten(to_json(one)) for one in (config, base or preset_of(config)))
     changed = {name for name, value in settings.items() if usual.get(name, value) != value}

@@ -19,7 +19,7 @@ from reachlab.evaluation.episodes import Episodes, Runner, Watch, ignore, make_r
 from reachlab.evaluation.intervals import quantiles, wilson_interval
 from reachlab.evaluation.tracking import followed
 from reachlab.runs.provenance import versions
-from reachlab.settings.validation import LAST_SEED, whole_number
+from reachlab.settings.validation import LAST_SEED, InputError, whole_number
 
 QUANTILES = {"median": 0.5, "p95": 0.95, "p99": 0.99, "max": 1.0}
 """Quantiles of the final error in a report."""
@@ -137,7 +137,20 @@ def evaluate(
         episodes: how many.
         runner: of `make_runner`, if there is one already compiled.
         checkpoint: what names the policy in the report.
+
+    Raises:
+        InputError: see `examine`, or what is given is no environment of reachlab, or no agent.
     """
+    if not isinstance(env, Env):
+        kind = type(env).__name__
+        raise InputError(
+            f"a reachlab.Env is evaluated, got {kind}: Gymnasium has it as .unwrapped.env, `load` as .env."
+        )
+    if not isinstance(agent, str) and not callable(agent):
+        raise InputError(
+            f"agent must be a name or a function of observations, got {type(agent).__name__}: of a model of"
+            " Stable-Baselines3 lambda seen: model.predict(seen, deterministic=True)[0]."
+        )
     if runner is None and (varied := env.config.randomise) and varied == preset_of(env.config).randomise:
         log.warning(
             "reachlab: %s vary in this evaluation, as in the preset's training; `reachlab eval` is without, as is"

@@ -36,7 +36,8 @@ int main(int count, char **words)
     int begun = 0, stopped = 0;
     FILE *log = count == 2 ? fopen(words[1], "r") : NULL;
     if (!log) {
-        fprintf(stderr, "usage: policy LOG, of Controller.save_log\n");
+        if (count == 2) perror(words[1]);
+        else fprintf(stderr, "usage: policy LOG, of Controller.save_log\n");
         return 2;
     }
 {{refused}}    while (fgets(line, sizeof line, log)) {
