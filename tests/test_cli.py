@@ -255,6 +255,22 @@ WRONG = {
     "number out of range": ("train --num-envs 0", "num_envs must be at least 1 and at most 131072, got 0"),
     "number that is not whole": ("train --num-envs 1.5", "--num-envs: must be a whole number, got '1.5'"),
     "list with commas": ("train --hidden 64,32", "--hidden is a list, which is written with blanks: --hidden 64 32."),
+    "unit beside a number": ("train --success-distance 100mm", "--success-distance takes a number, got '100mm'"),
+    "number of a list too few": ("train --target-low 0.4 -0.2", "--target-low takes 3 numbers, got '0.4', '-0.2'"),
+    "comma in a number": ("train --learning-rate 1,e-3", "--learning-rate takes a number, got '1,e-3'"),
+    "word without its flag": ("train runs/first", "A value follows its flag, as in --out FOLDER"),
+    "export of nothing": ("export", "reachlab export needs PATH: Run directory"),
+    "the note of a run as a flag": ("train --imports quick.py", "Did you mean --import FILE"),
+    "no hidden layer": ("train --hidden", "hidden needs a layer at least, as --hidden 64"),
+    "arm in place of a policy": ("eval panda", "policy 'panda' is not one of: panda/clutter"),
+    "xacro": (
+        "robot mine.urdf.xacro",
+        "is no .urdf or .xml file, .*: expand it with `xacro mine.urdf.xacro > mine.urdf`",
+    ),
+    "page of another ending": (
+        "view run --out v.png",
+        "the page cannot be written to 'v.png': name a file that ends in",
+    ),
     "negative seed": ("train --seed -1", "seed must be at least 0"),
     "not a number": ("train --gamma nan", "gamma must be .*nan"),
     "wrong entry": ("train --hidden 64 0", "each entry of hidden must be at least 1 and at most 4096, got 0"),
@@ -299,6 +315,7 @@ def test_wrong_input_is_answered_by_one_sentence(
     (tmp_path / "begun").mkdir()
     (tmp_path / "begun" / "config.json").write_text("{}")
     (tmp_path / "broken.xml").write_text("<mujoco><worldbody>")
+    (tmp_path / "mine.urdf.xacro").write_text("<robot/>")
     (tmp_path / "run").symlink_to(run)
     before = sorted(tmp_path.rglob("*"))
     said = reachlab(*command.split())

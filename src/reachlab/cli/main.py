@@ -50,6 +50,15 @@ MORE: dict[type, str] = {
 NUMBERS = ConstructorRegistry()
 """How flags that are whole numbers are read."""
 
+NO_NUMBERS = (
+    re.compile(r"Error parsing (--\S+): no type matching (.+) could be instantiated from (\[.*\])\."),
+    re.compile(r"Error parsing (--\S+): could not convert string to (float): ('.*')\."),
+)
+"""Flags whose words are no numbers, as tyro says it: the flag, what it takes, and what was given."""
+
+MISSING = re.compile(r"Missing from (reachlab \S+): (\S+) (.+?)\.? \(required\)\.")
+"""A command without a word that it needs."""
+
 COMMAS = re.compile(r"(--\S+): Could not find valid parse for arguments: \['([^' ]+,[^' ]*)'\]")
 """Tyro's message on a list that is written with commas."""
 
@@ -272,6 +281,14 @@ def _sentence(box: str) -> str:
     if found := COMMAS.search(text):
         flag, entries = found.groups()
         return f"{flag} is a list, which is written with blanks: {flag} {entries.replace(',', ' ')}."
+    if found := NO_NUMBERS[0].fullmatch(text) or NO_NUMBERS[1].fullmatch(text):
+        flag, kinds, given = found.groups()
+        count = max(len(re.findall("FLOAT|INT", kinds)), 1)
+        return f"{flag} takes {'a number' if count == 1 else f'{count} numbers'}, got {given.strip('[]')}."
+    if found := MISSING.fullmatch(text):
+        return "{} needs {}: {}.".format(*found.groups())
+    if text.startswith("Unrecognized options: ") and "--" not in text:
+        text += " A value follows its flag, as in --out FOLDER."
     for heading, *rest in parts[1:]:
         if heading.startswith("Perhaps you meant"):
             text += f" Did you mean {next(row for row in rest if row.startswith('--')).split()[0].rstrip(',')}?"

@@ -22,10 +22,10 @@ def find_run(run: str | Path) -> RunDirectory:
     """Run directory at a path, or that of a policy which comes with reachlab, by its name.
 
     Raises:
-        InputError: nothing is there, and the name is nearly that of a policy.
+        InputError: nothing is there, and the name is an arm's, or nearly that of a policy.
     """
     path = Path(run)
-    if path.exists() or len(path.parts) != 2 or not (SHIPPED / path.parts[0]).is_dir():
+    if path.exists() or len(path.parts) > 2 or not (SHIPPED / path.parts[0]).is_dir():
         return RunDirectory(path)
     of_arm = {name: policy for name, policy in shipped().items() if Path(name).parts[0] == path.parts[0]}
     return of_arm[choose("policy", path.as_posix(), of_arm)]
