@@ -97,7 +97,7 @@ REWARDS: dict[str, Callable[[Any, Outcome], dict[str, Array]]] = Table(
 
 def _hint(error: Exception) -> str:
     if isinstance(error, AttributeError):
-        return f" An outcome has {', '.join(name for name in Outcome._fields)}."
+        return f" An outcome has {', '.join(Outcome._fields)}."
     traced = (jax.errors.ConcretizationTypeError, jax.errors.TracerArrayConversionError)
     asks = isinstance(error, traced) or "truth value" in str(error)
     return " Its numbers are arrays of all environments: use jnp.where in place of if, and jnp in place of np." * asks

@@ -13,6 +13,9 @@ if TYPE_CHECKING:
     from reachlab.tasks.task import Task
 
 
+LOWEST = 0.025
+"""Least radius of a puck, which is two thirds as high [m]: fingers go down to 15 mm above the table."""
+
 Beyond = Annotated[float, Range(0.0, 2.0, open_low=True)]
 """How far a goal is out of reach [m]: beyond 2 m no arm of these strikes a puck."""
 
@@ -28,7 +31,7 @@ class Slide(Handling):
     success_distance: Annotated[Positive, InProportion(0.1)] = 0.05
     closeness_scale: Positive = 0.05
     object_shape: str = "puck"
-    object_size: Annotated[float, Range(0.025, 0.05)] = 0.03
+    object_size: Annotated[float, Range(0.015, 0.05)] = 0.03
     object_friction: Annotated[float, Range(0.02, 2.0)] = 0.05
     beyond: tuple[Beyond, Beyond] = (0.1, 0.4)
     """How far the goals are out of the arm's reach, at least and at most [m]."""
@@ -40,6 +43,8 @@ class Slide(Handling):
             return f"beyond has a least distance above the largest, {low:g} against {high:g} m: exchange them."
         if self.object_shape == "ball":
             return "a ball that is struck rolls on: choose --object-shape puck, cylinder or box."
+        if self.object_shape == "puck" and self.object_size < LOWEST:
+            return f"a puck of object_size {self.object_size:g} is too low to be struck: choose at least {LOWEST:g}."
         return super().contradiction()
 
     @classmethod

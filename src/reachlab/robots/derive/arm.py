@@ -16,11 +16,9 @@ from reachlab.robots.files.picture_files import some
 from reachlab.robots.kinematics.chain import Chain, chain_from_model, listed, moving_joints, path_joints
 from reachlab.robots.kinematics.limits import LARGEST, is_limited
 
-NARROW = 4 * np.pi * np.pi / 180
-"""Range that two turns have where the number of their radians is taken for degrees [rad]."""
 
 TURNS = 4 * np.pi
-"""Two turns [rad]."""
+"""Two turns [rad]; an arm all of whose joints turn no more than so many degrees has limits in radians."""
 
 
 @dataclass(frozen=True)
@@ -174,7 +172,7 @@ def _notices(whole: mujoco.MjModel, numbers: list[int], shorter: list[int], grip
     ]
     absurd = [joint for joint in numbers if whole.jnt_limited[joint] and not is_limited(whole, joint)]
     hinges = [joint for joint in numbers if whole.jnt_type[joint] == int(mujoco.mjtJoint.mjJNT_HINGE)]
-    narrow = np.ptp(whole.jnt_range[hinges], axis=1) < NARROW
+    narrow = np.ptp(whole.jnt_range[hinges], axis=1) < np.radians(TURNS)
     in_degrees = hinges if (narrow & whole.jnt_limited[hinges].astype(bool)).all() else []
     wide = [
         joint
