@@ -16,7 +16,6 @@ from reachlab.robots.files.picture_files import some
 from reachlab.robots.kinematics.chain import Chain, chain_from_model, listed, moving_joints, path_joints
 from reachlab.robots.kinematics.limits import LARGEST, is_limited
 
-
 TURNS = 4 * np.pi
 """Two turns [rad]; an arm all of whose joints turn no more than so many degrees has limits in radians."""
 
