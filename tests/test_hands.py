@@ -185,7 +185,7 @@ def test_what_rolls_or_is_too_low_is_not_pushed() -> None:
     ):
         with pytest.raises(InputError, match=sentence):
             configure_env(task, object_shape=shape)
-    with pytest.raises(InputError, match="a puck of object_size 0.02 is too low to be struck: choose at least 0.025"):
+    with pytest.raises(InputError, match=r"a puck of object_size 0.02 is too low to be struck: choose at least 0.025"):
         configure_env("slide", object_size=0.02)
     configure_env("slide", object_shape="cylinder", object_size=0.02)
 
