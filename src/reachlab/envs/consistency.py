@@ -144,7 +144,7 @@ def _remembered_otherwise(config: RunConfig) -> Iterator[str]:
 
 def _consequences(config: RunConfig, changed: set[str]) -> Iterator[str]:
     """Sentences on changed settings that have another effect than one may expect."""
-    if "dynamics" in config.randomise and "dynamics" not in SIMULATORS[config.sim].gives:
+    if "randomise" in changed and "dynamics" in config.randomise and "dynamics" not in SIMULATORS[config.sim].gives:
         yield (
             f"randomise dynamics adds noise to what is measured and nothing else in simulator {config.sim!r}: arms"
             " differ with --sim mujoco."
