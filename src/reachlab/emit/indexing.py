@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
+from jax.lax import GatherScatterMode
 
 from reachlab.emit.builder import objects
 from reachlab.emit.operations import INTEGER, REAL, TRUTH
@@ -13,11 +14,8 @@ from reachlab.emit.program import Atom, is_computed
 from reachlab.emit.tracer import Tracer, kind_of_type
 from reachlab.settings.validation import InputError
 
-FILLED = "GatherScatterMode.FILL_OR_DROP"
-"""JAX's word for what gives a number of its own where there is none."""
-
 OUTSIDE = {REAL: np.nan, INTEGER: -(2**31), TRUTH: True}
-"""What it gives, by kind."""
+"""What JAX's filling modes give where there is no number, by kind."""
 
 
 def _corner(tracer: Tracer, starts: Sequence[Any], sizes: Sequence[int], room: Sequence[int]) -> Atom:
@@ -62,7 +60,7 @@ def gather(tracer: Tracer, equation: Any, array: np.ndarray, indices: np.ndarray
             offset[axis] = here[of]
         corner = _corner(tracer, starts, sizes, array.shape)
         result[here] = _at(tracer, array, corner, int(np.ravel_multi_index(offset, array.shape)))
-        if str(equation.params["mode"]) == FILLED:
+        if equation.params["mode"] == GatherScatterMode.FILL_OR_DROP:
             result[here] = _filled(tracer, equation, result[here], zip(starts, sizes, array.shape, strict=True))
     return result
 
