@@ -119,6 +119,7 @@ STUDENT += ("memory", "goal_lost")
 EVALUATED = (
     *("targets", "target_turn", "target_low", "target_high", "target_height", "goal_paths", "goal_speed", "goal_jump"),
     *("goal_steps", "goal_lost", "scene", "obstacles", "body_speed", "goal_velocity"),
+    *("object_shape", "object_size", "object_mass", "object_friction"),
     *("settle_steps", "start_noise", "max_steps", "wrench"),
 )
 """Settings of a task that an evaluation may change: what is asked for, for how long, and what is measured."""
@@ -190,7 +191,8 @@ class Eval(Subjects):
     seed: Seed = 1
     """Seed of the targets."""
     randomise: tuple[str, ...] = ()
-    """What varies from episode to episode: dynamics, delay, and for a policy that gets pictures view."""
+    """What varies from episode to episode: dynamics, delay, of tasks with an object objects and sight, and for a policy
+    that gets pictures view."""
     gui: bool = False
     """PyBullet: open its window."""
     slow: bool = False

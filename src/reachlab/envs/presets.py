@@ -44,6 +44,7 @@ def preset(task: str = "tutorial", **chosen: Any) -> RunConfig:
     config = RunConfig(
         task=task,
         sim=base.sim,
+        robot=base.robot,
         randomise=base.randomise,
         imports=tuple(IMPORTED),
         rules=kind(),

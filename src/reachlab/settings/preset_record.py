@@ -22,13 +22,14 @@ class Preset:
     """Settings that a task starts from, beside its own.
 
     Attributes:
-        sim: simulator.
+        sim, robot: simulator and arm.
         randomise: what varies in training.
         physics, loop, learner, ppo: of the simulation and the training.
         rules: what goes with other choices, in the order in which they are applied.
     """
 
     sim: str = "kinematic"
+    robot: str = RunConfig.robot
     randomise: tuple[str, ...] = ()
     physics: SimConfig = field(default_factory=SimConfig)
     loop: LoopConfig = field(default_factory=LoopConfig)

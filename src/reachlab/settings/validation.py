@@ -21,16 +21,22 @@ class InputError(ValueError):
     """Input that is refused, in one sentence: what, got, allowed, how to mend."""
 
 
+MANY = 30
+"""Names of which only the nearest are told."""
+
+
 def choose(kind: str, name: str, names: Iterable[str], titles: Mapping[str, str] | None = None) -> str:
     """The name itself if it is one of `names`, some of which have titles, under which they may be known.
 
     Raises:
-        InputError: it is not; the sentence lists the names and the nearest one.
+        InputError: it is not; the sentence lists the names and the nearest one, or of many the nearest alone.
     """
     allowed = sorted(names)
     if name in allowed:
         return name
-    near = difflib.get_close_matches(str(name), allowed, n=1)
+    near = difflib.get_close_matches(str(name), allowed, n=3)
+    if near and len(allowed) > MANY:
+        raise InputError(f"{kind} {name!r} does not exist. Did you mean {' or '.join(map(repr, near))}?")
     near += [known for known, title in (titles or {}).items() if str(name).lower() in title.lower().split()]
     hint = f" Did you mean {near[0]!r}?" if near else ""
     raise InputError(f"{kind} {name!r} is not one of: {', '.join(allowed)}.{hint}")

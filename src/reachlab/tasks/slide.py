@@ -24,8 +24,10 @@ Beyond = Annotated[float, Range(0.0, 2.0, open_low=True)]
 class Slide(Handling):
     """Settings of sliding a puck."""
 
-    # What a strike comes to shows a second and a half later.
-    preset: ClassVar[Preset] = replace(Handling.preset, randomise=(), ppo=replace(Handling.preset.ppo, gamma=0.99))
+    # What a strike comes to shows a second and a half later; the script's numbers are those of the Panda.
+    preset: ClassVar[Preset] = replace(
+        Handling.preset, robot="panda", randomise=(), ppo=replace(Handling.preset.ppo, gamma=0.99)
+    )
 
     observation: str = "slide"
     success_distance: Annotated[Positive, InProportion(0.1)] = 0.05
