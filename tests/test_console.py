@@ -205,6 +205,17 @@ def test_the_end_of_an_evaluation_is_told_once(capsys: pytest.CaptureFixture[str
     assert [line.partition(":")[0] for line in lines] == ["trained in kinematic", "ik in kinematic"]
 
 
+def test_a_report_that_takes_long_tells_how_far_it_is(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = iter([0.0, 4.0, 11.0, 15.0, 22.0])
+    monkeypatch.setattr("reachlab.cli.progress.time.perf_counter", lambda: next(clock))
+    with TrainDisplay(configure(report_episodes=100)) as display:
+        for ended in (8, 40, 60, 100):
+            display.report(ended)
+    assert capsys.readouterr().err.splitlines() == ["report: 40 of 100 episodes, 11 s"]
+
+
 @pytest.mark.parametrize(("write", "stream"), [(say, "stdout"), (note, "stderr")])
 def test_what_is_written_to_a_terminal_that_was_closed_is_dropped(
     write: Callable[[str], None], stream: str, monkeypatch: pytest.MonkeyPatch

@@ -89,6 +89,24 @@ class Bar(Progress):
             disable=not notes.is_terminal,
         )
         self._task = self.add_task(description, total=None, status="")
+        self._what, self._episodes, self._start, self._next_line = "", 0, 0.0, 0.0
+
+    def expect(self, what: str, episodes: int) -> None:
+        """Show that so many episodes of something begin."""
+        self._what, self._episodes, self._start = what, episodes, time.perf_counter()
+        self._next_line = self._start + EVAL_INTERVAL
+        self.reset(self._task, total=None, description=what, status="")
+
+    def count(self, ended: int, *, at_end: bool = True) -> None:
+        """Show how many of them have ended; all of them in a plain line too, if it is wanted at the end."""
+        now, complete = time.perf_counter(), ended == self._episodes
+        status = f"{ended:,} of {self._episodes:,} episodes"
+        self.update(self._task, completed=ended, total=self._episodes, status=status)
+        # The last batch steps on until all of its environments have ended.
+        told = math.inf if complete and not at_end else self._next_line
+        if not notes.is_terminal and (now >= told or (complete and told < math.inf)):
+            self._next_line = math.inf if complete else now + EVAL_INTERVAL
+            note(f"{self._what}: {status}, {_duration(now - self._start)}")
 
 
 class TrainDisplay(Bar):
@@ -99,7 +117,6 @@ class TrainDisplay(Bar):
         # Training may stop early, so the bar has no total.
         super().__init__("loading, and compiling: 5 to 20 s the first time, then 1 to 3 s")
         self._config = config
-        self._next_line = 0.0
         # Training episodes that have ended since their success was last shown, and what was shown.
         self._ended, self._success = Counter[str](), ""
         self._validated: dict[str, float] = {}
@@ -110,6 +127,12 @@ class TrainDisplay(Bar):
     def begun(self) -> None:
         """Show what begins, where nothing is refused any more."""
         note(explained(self._config))
+
+    def report(self, ended: int) -> None:
+        """Show how many episodes of the report at the end have ended."""
+        if not self._what:
+            self.expect("report", self._config.loop.report_episodes)
+        self.count(ended, at_end=False)
 
     def __call__(self, progress: TrainProgress) -> None:
         """Show the progress of training."""
@@ -227,21 +250,12 @@ class EvalDisplay(Bar):
     def __init__(self, episodes: int) -> None:
         """Display of evaluations of so many episodes each; it shows nothing yet."""
         super().__init__("")
-        self._episodes = episodes
-        self._what, self._start, self._next_line = "", 0.0, 0.0
+        self._of_each = episodes
 
     def begin(self, agent: str, sim: str) -> None:
         """Show that an evaluation begins."""
-        self._what, self._start = f"{agent} in {sim}", time.perf_counter()
-        self._next_line = self._start + EVAL_INTERVAL
-        self.reset(self._task, total=None, description=self._what, status="")
+        self.expect(f"{agent} in {sim}", self._of_each)
 
     def __call__(self, ended: int) -> None:
         """Show how many of its episodes have ended."""
-        now, complete = time.perf_counter(), ended == self._episodes
-        status = f"{ended:,} of {self._episodes:,} episodes"
-        self.update(self._task, completed=ended, total=self._episodes, status=status)
-        # The last batch steps on until all of its environments have ended.
-        if not notes.is_terminal and (now >= self._next_line or (complete and self._next_line < math.inf)):
-            self._next_line = math.inf if complete else now + EVAL_INTERVAL
-            note(f"{self._what}: {status}, {_duration(now - self._start)}")
+        self.count(ended)

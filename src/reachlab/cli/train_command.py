@@ -70,8 +70,8 @@ def _learn(arguments: Train | Distil, config: RunConfig, verb: str) -> None:
 
         base = read_config(arguments.config) if isinstance(arguments, Train) and arguments.config else None
         with _collector(arguments, config) as collect:
-            more: dict[str, Any] = {"base": base, "sinks": sinks, "collect": collect}
-            result = run_training(config, out, display, begun=display.begun, resume=resume, **more)
+            more: dict[str, Any] = {"base": base, "sinks": sinks, "collect": collect, "begun": display.begun}
+            result = run_training(config, out, display, watch_report=display.report, resume=resume, **more)
     from reachlab.watch.plots import plot as draw
 
     draw([out], out / "curve.png")

@@ -13,7 +13,8 @@ from reachlab.agents.policy import Policy
 from reachlab.envs.consistency import check
 from reachlab.envs.core import Env
 from reachlab.envs.setup import check_reach, make_setup, settled
-from reachlab.evaluation.report import Report, evaluate
+from reachlab.evaluation.episodes import Watch, ignore
+from reachlab.evaluation.report import Report, examine
 from reachlab.jax_setup import set_threads
 from reachlab.learn import METHODS
 from reachlab.learn.checkpointing import unwritable
@@ -66,6 +67,7 @@ def train(
     out: str | Path,
     watch: Callable[[Progress], None] = lambda _: None,
     *,
+    watch_report: Watch = ignore,
     begun: Callable[[], None] = lambda: None,
     resume: bool = False,
     base: RunConfig | None = None,
@@ -81,6 +83,7 @@ def train(
         config: every setting.
         out: run directory, made here; with `resume` one that is there.
         watch: called after every iteration.
+        watch_report: called with the number of episodes of the report that have ended, now and then.
         begun: called once nothing is refused any more, before the programs of a new run are compiled.
         resume: continue from the newest checkpoint of `out`, bit for bit as if training had never stopped.
         base: settings from which `config` was changed, by default its preset: changes without effect are refused.
@@ -118,7 +121,8 @@ def train(
         if not resume:
             run.create(config)
         with _held(run, new=not resume):
-            return _train(Loop(config, env, run, watch, start, method, given, collect), wanted, begun, resume=resume)
+            loop = Loop(config, env, run, watch, start, method, given, collect)
+            return _train(loop, wanted, begun, watch_report, resume=resume)
     finally:
         env.close()
 
@@ -191,7 +195,9 @@ def _choose_threads(run: RunDirectory, config: RunConfig, wanted: int | None) ->
         set_threads(wanted or 1)
 
 
-def _train(loop: Loop, sinks: dict[str, Sink], begun: Callable[[], None], *, resume: bool) -> TrainResult:
+def _train(
+    loop: Loop, sinks: dict[str, Sink], begun: Callable[[], None], watch_report: Watch, *, resume: bool
+) -> TrainResult:
     run, config = loop.run, loop.config
     if not resume:
         begun()
@@ -202,7 +208,7 @@ def _train(loop: Loop, sinks: dict[str, Sink], begun: Callable[[], None], *, res
             begun()
         with Interrupts() as interrupts:
             state = loop.iterate(state, metrics, interrupts)
-        result = _result(loop, state.learner.policy)
+        result = _result(loop, state.learner.policy, watch_report)
         try:
             write_json(run.report_file, result.to_json())
         except OSError as error:
@@ -211,10 +217,10 @@ def _train(loop: Loop, sinks: dict[str, Sink], begun: Callable[[], None], *, res
     return result
 
 
-def _result(loop: Loop, policy: Policy) -> TrainResult:
+def _result(loop: Loop, policy: Policy, watch: Watch) -> TrainResult:
     trained = time.perf_counter()
     return TrainResult(
-        report=_report(loop, policy),
+        report=_report(loop, policy, watch),
         policy=policy,
         steps=loop.now.steps,
         train_wall_s=loop.now.train_s,
@@ -224,7 +230,7 @@ def _result(loop: Loop, policy: Policy) -> TrainResult:
     )
 
 
-def _report(loop: Loop, policy: Policy) -> Report:
+def _report(loop: Loop, policy: Policy, watch: Watch) -> Report:
     """Report on held-out targets, without what varied in training."""
     config = override(loop.config, randomise=())
     newest = loop.run.newest_manifest()
@@ -232,11 +238,12 @@ def _report(loop: Loop, policy: Policy) -> Report:
         "seed": config.seed,
         "episodes": config.loop.report_episodes,
         "checkpoint": newest.identity if newest else None,
+        "watch": watch,
     }
     if loop.env.config == config:
-        return evaluate(loop.env, "trained", policy, **asked, runner=loop.runner)
+        return examine(loop.env, "trained", policy, **asked, runner=loop.runner)[0]
     env = Env(config, loop.env.num_envs)
     try:
-        return evaluate(env, "trained", policy, **asked)
+        return examine(env, "trained", policy, **asked)[0]
     finally:
         env.close()
