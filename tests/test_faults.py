@@ -267,6 +267,7 @@ def test_a_reward_that_is_not_finite_stops_training_with_the_last_good_state_sav
     said = str(capsys.readouterr().err).splitlines()[-1]
     assert "training stopped after step 128: a number is not finite in: reward, gradient" in said
     assert f"`reachlab train --resume {out}` continues from there" in said
+    assert "it stops there again" in said
     assert steps_saved(out) == [128]
     saved = safetensors.numpy.load((out / "checkpoints/step_000000000128/state.safetensors").read_bytes())
     assert all(np.isfinite(array).all() for array in saved.values() if array.dtype.kind == "f")

@@ -243,8 +243,11 @@ class Loop:
                 kept = f" The rollout is in '{self.run.offending_file}'."
             except (OSError, InputError) as error:
                 kept = f" The rollout cannot be written ({reason(error)})."
-        resume = self.checkpoints.how_to_resume()
-        raise NotFiniteError(f"training stopped after step {self.now.steps:,}: {why}.{kept} {resume}")
+        saved = self.checkpoints.how_to_resume()
+        again = " Unless a file of yours is mended first, as one with a reward, it stops there again: choose other settings."
+        raise NotFiniteError(
+            f"training stopped after step {self.now.steps:,}: {why}.{kept} {saved}{again if self.checkpoints.saved else ''}"
+        )
 
     def _try_to_save(self, state: Any, metrics: Metrics) -> None:
         self.checkpoints.try_to_save(self._timed(), state, metrics)

@@ -34,7 +34,8 @@ def choose(kind: str, name: str, names: Iterable[str], titles: Mapping[str, str]
     allowed = sorted(names)
     if name in allowed:
         return name
-    near = difflib.get_close_matches(str(name), allowed, n=3)
+    near = [known for known in allowed if known.startswith(str(name).rstrip("s") or " ")]
+    near = near or difflib.get_close_matches(str(name), allowed, n=3)
     if near and len(allowed) > MANY:
         raise InputError(f"{kind} {name!r} does not exist. Did you mean {' or '.join(map(repr, near))}?")
     near += [known for known, title in (titles or {}).items() if str(name).lower() in title.lower().split()]
