@@ -244,10 +244,9 @@ class Loop:
             except (OSError, InputError) as error:
                 kept = f" The rollout cannot be written ({reason(error)})."
         saved = self.checkpoints.how_to_resume()
-        again = " Unless a file of yours is mended first, as one with a reward, it stops there again: choose other settings."
-        raise NotFiniteError(
-            f"training stopped after step {self.now.steps:,}: {why}.{kept} {saved}{again if self.checkpoints.saved else ''}"
-        )
+        if self.checkpoints.saved:
+            saved += " Unless a file of yours is mended first, it stops there again: begin anew with other settings."
+        raise NotFiniteError(f"training stopped after step {self.now.steps:,}: {why}.{kept} {saved}")
 
     def _try_to_save(self, state: Any, metrics: Metrics) -> None:
         self.checkpoints.try_to_save(self._timed(), state, metrics)
