@@ -39,7 +39,7 @@ from reachlab.settings.validation import InputError
 REPORT_FIELDS = """
 task robot sim agent seed episodes checkpoint randomised success_rate success_interval success_within
 success_within_pairs final_error_mm final_angle_rad tracking return_mean steps_mean time_to_reach_s max_joint_speed jerk
-contact self_contact straight planning_s largest_force_n wall_s versions ends control_period
+contact self_contact straight planning_s largest_force_n object wall_s versions ends control_period
 """
 """Every field of a report."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from reachlab.envs.given_goal import goal_at, make_place
 from reachlab.envs.presets import configure
 from reachlab.envs.random_streams import REPORT_STREAM, episode_keys
 from reachlab.envs.setup import configure_env
+from reachlab.evaluation.handled import begin_handling
 from reachlab.robots.loading import load_robot
 from reachlab.settings.validation import InputError
 from reachlab.tasks.handling import SHAPES, Handling
@@ -61,6 +63,28 @@ def test_scripts_do_what_is_asked(task: str, robot: str) -> None:
     if task == "slide":
         far = np.linalg.norm(np.asarray(state.goal.position)[:, :2], axis=1)
         assert far.min() >= reach_on_table(env.setup.robot) + Slide.beyond[0] - 1e-5
+
+
+def test_a_report_says_which_objects_were_left_alone_and_which_were_dropped() -> None:
+    env = Env(configure("lift", robot="panda", randomise=()), 4)
+    state = env.init(episode_keys(1, REPORT_STREAM, 0, 4))
+    handled = begin_handling(state.arm, env.setup)
+    assert handled is not None
+    assert handled.shares() == {"untouched": 1.0, "dropped": 0.0}
+    act, key = make_act(env, "ik"), jax.random.key(0)
+    for _ in range(60):
+        state, _, key = act(None, state, key)
+        handled = handled.after(state.arm, env.setup)
+    raised = np.asarray(state.arm.bodies.position[:, -1, 2]) > 0.07
+    assert raised.any()
+    assert handled.shares() == {"untouched": 0.0, "dropped": 0.0}
+    moved, command = state.arm, state.command.at[:, -1].set(1.0)  # the hand opens, and stays where it is
+    for _ in range(20):
+        moved = env.simulator.step(moved, command)
+        fallen = replace(state.arm, bodies=moved.bodies)
+        handled = handled.after(fallen, env.setup)
+    assert (np.asarray(handled.dropped) >= raised).all()
+    assert begin_handling(state.arm, Env(configure("precise"), 1).setup) is None
 
 
 @pytest.mark.parametrize("task", ["push", "lift", "place"])

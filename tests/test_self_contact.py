@@ -9,7 +9,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from reachlab.evaluation.episodes import _make_meets
+from reachlab.evaluation.self_contact import make_meets
 from reachlab.robots.derive.arm import find_arm
 from reachlab.robots.files.model_file import read_model_file
 from reachlab.robots.loading import load_robot
@@ -79,7 +79,7 @@ def robot(tmp_path_factory: pytest.TempPathFactory) -> Robot:
 
 def test_links_meet_where_their_shapes_do_and_not_where_their_capsules_do(robot: Robot) -> None:
     env: Any = SimpleNamespace(setup=SimpleNamespace(robot=robot), config=SimpleNamespace(sim="mujoco"))
-    meets = _make_meets(cast("Any", env))
+    meets = make_meets(cast("Any", env))
     assert meets is not None
     q = np.array([STRAIGHT, BESIDE, INSIDE, INSIDE], np.float32)
     told = meets(cast("Any", q), np.array([True, True, True, False]))

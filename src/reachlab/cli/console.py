@@ -101,6 +101,8 @@ def print_reports(reports: Sequence[dict[str, Any]], config: RunConfig) -> None:
         if times := report.get("planning_s"):
             median, p99 = 1000 * times["median"], 1000 * times["p99"]
             say(f"{_who(report)} planned for {median:.0f} ms, in 99 % of the episodes for at most {p99:.0f} ms.")
+        if left := [f"{what} in {_percent(share)}" for what, share in (report.get("object") or {}).items() if share]:
+            say(f"The object was {' and '.join(left)} of the episodes, {_who(report)}.")
         if force := report.get("largest_force_n"):
             median, p95 = (f"{force[name]:.3g} N" for name in ("median", "p95"))
             say(f"{_who(report)} felt at most {median} at the wrist in the median episode, {p95} in 95 % of them.")

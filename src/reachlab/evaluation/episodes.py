@@ -17,11 +17,10 @@ from reachlab.agents.policy import Policy
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvFunctions, EnvState, Transition
 from reachlab.envs.random_streams import AGENT_STREAM, episode_keys
+from reachlab.evaluation.handled import Handled, begin_handling
+from reachlab.evaluation.self_contact import Meets, make_meets
 from reachlab.evaluation.straight import make_straight
 from reachlab.jax_setup import jit
-from reachlab.robots.shapes.clearance import capsules_at, self_distance
-from reachlab.robots.shapes.self_contact import meeting
-from reachlab.sims import SIMULATORS
 from reachlab.tasks.task import TaskSetup
 from reachlab.traced import kept
 
@@ -45,9 +44,6 @@ Keep = Callable[[Step], None]
 
 Watch = Callable[[int], None]
 """Called with the number of episodes that have ended."""
-
-Meets = Callable[[Array, np.ndarray], np.ndarray]
-"""Whether links of the arm meet `[B]` at joints `[B, n]`, of the episodes `[B]` that are named."""
 
 BATCH = 1000
 """Episodes evaluated together where everything is traced; one size, so one compiled program."""
@@ -91,6 +87,7 @@ class Episodes:
             where nothing is beside it.
         planned: time that planning took `[B]` [s]; None of an agent that does not plan.
         force: largest force at the wrist in it `[B]` [N]; None where it is not measured.
+        handled: what became of the object in it; None where there is none.
     """
 
     goal: Array
@@ -111,6 +108,7 @@ class Episodes:
     straight: Array | None = None
     planned: Array | None = None
     force: Array | None = None
+    handled: Handled | None = None
 
 
 class Beside(NamedTuple):
@@ -150,7 +148,7 @@ def make_runner(env: Env, agent: str | Function, episodes: int = FEW, keep: Keep
     traced = env.traced and isinstance(agent, str) and not moves and keep is None
     init = env.init if keep else env.init_held_out
     init = init if traced else env.compile_whole(init)
-    meets = None if traced or keep else _make_meets(env)
+    meets = None if traced or keep else make_meets(env)
 
     @env.compile_part
     def unplayed(state: EnvState, keys: Array) -> tuple[Episodes, Array]:
@@ -235,26 +233,8 @@ def _unplayed(state: EnvState, setup: TaskSetup, *, judged: bool) -> Episodes:
         touched=jnp.zeros(count, bool) if judged else None,
         contact=state.arm.contact,
         force=state.arm.force,
+        handled=begin_handling(state.arm, setup),
     )
-
-
-def _make_meets(env: Env) -> Meets | None:
-    """See `Meets`; None where dynamics do not move the arm, or no links of it can meet.
-
-    Exact shapes are looked at only where capsules, which contain them, overlap.
-    """
-    robot = env.setup.robot
-    if "dynamics" not in SIMULATORS[env.config.sim].gives or not (capsules := robot.capsules).pairs:
-        return None
-    near = jit(lambda q: self_distance(capsules, capsules_at(robot.chain, capsules, q)) < 0, brief=True)
-    exactly = functools.cache(lambda: meeting(robot))
-
-    def meets(q: Array, rows: np.ndarray) -> np.ndarray:
-        found = np.asarray(near(q)) & rows
-        found[found] = [exactly()(one) for one in np.asarray(q)[found]]
-        return found
-
-    return meets
 
 
 def _count(episodes: Episodes, state: EnvState, transition: Transition, setup: TaskSetup) -> Episodes:
@@ -278,6 +258,7 @@ def _count(episodes: Episodes, state: EnvState, transition: Transition, setup: T
         motion=(state.arm.q, moved_now, change_now),
         contact=episodes.contact | state.arm.contact,
         force=None if episodes.force is None else jnp.maximum(episodes.force, state.arm.force),
+        handled=episodes.handled and episodes.handled.after(state.arm, setup),
     )
     return EnvFunctions.merge(episodes.done, episodes, new)
 

@@ -73,6 +73,8 @@ class Report:
             that do not plan. It is part of `time_to_reach_s`.
         largest_force_n: largest force at the wrist in an episode, the weight of what it holds included: median, p95,
             p99, max [N]; None where it is not measured.
+        object: shares of episodes in which the object was `untouched`, moved by less than 1 cm, or `dropped`, let go in
+            the air; None where there is none.
         wall_s: time that the evaluation took [s].
         versions: of the packages that it depends on.
     """
@@ -104,6 +106,7 @@ class Report:
     straight: float | None
     planning_s: dict[str, float | None] | None
     largest_force_n: dict[str, float | None] | None
+    object: dict[str, float] | None
     wall_s: float
     versions: dict[str, str]
 
@@ -238,6 +241,7 @@ def summarise(
         straight=None if result.straight is None else float(result.straight.mean()),
         planning_s=quantiles(planned[planned > 0], QUANTILES) if planned.any() else None,
         largest_force_n=None if result.force is None else quantiles(np.asarray(result.force, np.float64), QUANTILES),
+        object=result.handled and result.handled.shares(),
         wall_s=wall_s,
         versions=versions(),
     )

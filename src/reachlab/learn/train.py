@@ -103,10 +103,7 @@ def train(
         run.check_robot(config)
     check(config, config if resume or isinstance(config, DistilRunConfig) else base)
     asked, config = config, _settled(config)
-    if resume:
-        _check_unfinished(run, config)
-    else:
-        run.refuse_existing()
+    _check_unfinished(run, config) if resume else run.refuse_existing()
     wanted = make_sinks(sinks)
     _choose_threads(run, config, threads)
     method: Method = METHODS[ACTIONS[config.rules.action].method or config.method].load()
