@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -383,11 +384,31 @@ def test_after_a_long_time_without_a_call_it_goes_on_from_rest(precise: Path) ->
     assert np.abs(controller.motion.speed).max() > 0.1, "else this test asks for nothing"
     commands = [sent] * 4
     for number in range(40):
+        controller._watch.stop_watch = partial(float, 0.02 if number else 98.0)
         commands.append(controller.step(commands[-1], 0 * sent, GOAL, 100.0 + number * controller.period))
         if number == 0:
             assert controller.problem.startswith("called 99.")
     assert broken(commands, controller) == []
     assert (commands[-1] != sent).any(), "it moves again"
+
+
+@pytest.mark.parametrize("jump", [-100.0, 1.5])
+@pytest.mark.parametrize("stays", [False, True])
+def test_a_clock_that_is_set_stops_an_arm_within_its_limits(
+    precise: Path, tmp_path: Path, jump: float, stays: bool
+) -> None:
+    controller = Controller(precise)
+    controller.reset(controller.home)
+    measured, commands = controller.home, [controller.home] * 4
+    for number in range(40):
+        time = number * controller.period + jump * (number == 15 or (stays and number > 15))
+        commands.append(controller.step(measured, (commands[-1] - measured) / controller.period, GOAL, time))
+        measured = measured + 0.3 * (commands[-1] - measured)
+        if number == 14:
+            assert np.abs(controller.motion.speed).max() > 0.1, "else this test asks for nothing"
+    assert broken(commands, controller) == []
+    controller.save_log(tmp_path / "log.jsonl")
+    assert controller.replay(tmp_path / "log.jsonl") == 0.0
 
 
 def test_joints_that_are_not_those_of_the_goal_are_refused(clutter: Path) -> None:

@@ -23,7 +23,7 @@ from reachlab.deploy.onboard.folder import FORMAT, LIMITS, read_folder
 from reachlab.deploy.onboard.log import Log, read_log
 from reachlab.deploy.onboard.reading import felt, in_words, read_bodies, read_numbers, read_seconds
 from reachlab.deploy.onboard.step import load_step
-from reachlab.deploy.onboard.watching import JUMP, STOOD, Watch
+from reachlab.deploy.onboard.watching import JUMP, Watch
 from reachlab.deploy.onboard.ways import PlannerProcess, Told, Way
 
 ASIDE = 0.01
@@ -191,15 +191,15 @@ class Controller:
         self.braking = bool(refused or brake) or was
         self.motion = self.limits.advance(self.motion, wanted, self.braking)
         command = self.motion.position
-        told = self.problem, self._way.ask(command) if self._way else None
-        self._log.add((q, qd, goal, seconds, velocity, around, things, joints, wrench, command, *told))
+        told = self._watch.waited, command, self.problem, self._way.ask(command) if self._way else None
+        self._log.add((q, qd, goal, seconds, velocity, around, things, joints, wrench, *told))
         return command.copy()
 
     def _look(self, q: Any, qd: Any, seconds: float | None) -> tuple[str, bool]:
         """What is wrong with a measurement, and whether to brake for it."""
         lost, sent = self._is_lost(q), self.motion.position
         problem, brake = self._watch.look(q, qd, seconds, sent)
-        if self._watch.passed > STOOD:
+        if self._watch.stood:
             self.motion = self.limits.at_rest(sent)
         return problem, brake or lost
 
@@ -273,10 +273,7 @@ class Controller:
     # --- log ----------------------------------------------------------------------------------------
 
     def save_log(self, file: str | Path) -> None:
-        """Write the last control steps, a line of JSON each; `replay` takes them again.
-
-        Pictures are not kept, so that a policy that gets some cannot be replayed.
-        """
+        """Write the last control steps, a line of JSON each; `replay` takes them again, if no pictures were given."""
         self._log.save(Path(file))
 
     def replay(self, file: str | Path) -> float:
@@ -289,7 +286,8 @@ class Controller:
         if self._way:
             self._way.planner = told
         for entry in read_log(Path(file)):
-            told.next = entry.pop("planned", None)
+            told.next, waited = entry.pop("planned", None), entry.pop("waited", 0.0)
+            self._watch.stop_watch = lambda waited=waited: waited
             if "reset" in entry:
                 self._make_anew() if entry["reset"] is None else self.reset(entry["reset"])
             elif "stop" in entry:

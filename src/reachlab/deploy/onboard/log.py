@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 NOTED = ("q", "qd", "goal", "time", "velocity", "obstacles", "objects", "joints", "wrench")
-NOTED += ("command", "problem", "planned")
+NOTED += ("waited", "command", "problem", "planned")
 """What is kept of a control step."""
 
 KEPT = 100_000

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
+from time import monotonic
 from typing import Any
 
 import numpy as np
@@ -16,7 +18,8 @@ PERIODS = 3
 """The same in control periods, for policies whose are long."""
 
 STOOD = 1.0
-"""Time without a call after which an arm rests where it was sent [s]."""
+"""Time without a call after which an arm rests where it was sent [s], by the machine's own clock too: one that is set
+says little of an arm in motion."""
 
 BEYOND = 0.2
 """How far a joint may be measured past its limits, where it swings for moments, or away from its command [rad or m]."""
@@ -38,12 +41,26 @@ CALLS, OFF = 15, 0.25
 """Calls whose mean rate is compared with the policy's, and by what share it may differ."""
 
 
+class StopWatch:
+    """Tells the time since it was last asked [s], 0 at first, by a clock that nobody sets."""
+
+    def __init__(self) -> None:
+        """Not asked yet."""
+        self._asked: float | None = None
+
+    def __call__(self) -> float:
+        """Seconds since the last call."""
+        before, self._asked = self._asked, monotonic()
+        return 0.0 if before is None else self._asked - before
+
+
 class Watch:
     """Looks at every measurement before it is used.
 
     Attributes:
         q, qd: the last measurement that was good.
-        passed: time since the call before, 0 in the first one [s].
+        waited: time since the call before, as `stop_watch` tells it [s].
+        stood: the arm rests where it was sent, for nothing has called for so long.
     """
 
     def __init__(self, facts: dict[str, Any], widest: dict[str, np.ndarray]) -> None:
@@ -55,13 +72,15 @@ class Watch:
         self._period = float(facts["control_period"])
         self._grace = max(GRACE, PERIODS * self._period)
         self._repeats = max(int(GRACE / self._period + 1e-6), 2)
+        self.stop_watch: Callable[[], float] = StopWatch()
+        self.waited = 0.0
         self.reset(np.array(facts["arm"]["home"], float))
 
     def reset(self, q: np.ndarray) -> None:
         """Begin anew with an arm that rests at joints `[n]`."""
         self.q, self.qd = q.copy(), np.zeros_like(q)
         self._time: float | None = None
-        self.passed = 0.0
+        self.stood = False
         self._good, self._same, self._command, self._measured = 0.0, 0, q.copy(), False
         self._passed: deque[float] = deque(maxlen=CALLS)
 
@@ -74,10 +93,12 @@ class Watch:
             time: of this control step [s], as `read_seconds` gives it.
             command: the last joint command `[n]`.
         """
+        self.waited, self.stood = self.stop_watch(), False
         if time is None:
             return "the time is not a finite number", True
         before, self._time = self._time, time
-        self.passed = 0.0 if before is None else time - before
+        passed = 0.0 if before is None else time - before
+        self.stood = min(passed, self.waited) > STOOD
         if before is None:
             self._good = time
         elif time <= before:
@@ -89,12 +110,12 @@ class Watch:
         if not wrong:
             frozen = self._frozen(q, qd, command)
             self.q, self.qd, self._good, self._measured = q, qd, time, True
-        if self.passed > self._grace:
+        if passed > self._grace:
             self._passed.clear()
-            return f"called {self.passed:.3f} s after the last time, more than {self._grace:g} s", True
+            return f"called {passed:.3f} s after the last time, more than {self._grace:g} s", True
         if frozen:
             return frozen, True
-        rate, too_fast = ("", False) if before is None else self._off_rate(self.passed)
+        rate, too_fast = ("", False) if before is None else self._off_rate(passed)
         return wrong or rate, too_fast or (bool(wrong) and time - self._good >= self._grace - 1e-9)
 
     def _off_rate(self, passed: float) -> tuple[str, bool]:
