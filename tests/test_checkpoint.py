@@ -27,7 +27,7 @@ from reachlab.envs.presets import configure
 from reachlab.jax_setup import jit
 from reachlab.learn.load import load_policy
 from reachlab.learn.ppo_method import TrainState, initial_state
-from reachlab.runs.checkpoint import seal
+from reachlab.runs.checkpoint import Counters, seal
 from reachlab.runs.directory import RunDirectory
 from reachlab.runs.files import write_json, written
 from reachlab.settings.config import RunConfig
@@ -50,6 +50,36 @@ def env(config: RunConfig) -> Env:
 @pytest.fixture(scope="module")
 def state(env: Env, config: RunConfig) -> TrainState:
     return env.compile_whole(lambda seed: initial_state(env, config, seed))(np.uint32(config.seed))
+
+
+@pytest.mark.parametrize("keep", [1, 2])
+def test_a_checkpoint_is_kept_beside_later_ones_that_are_damaged(keep: int, config: RunConfig, tmp_path: Path) -> None:
+    run, state = RunDirectory(tmp_path / "run"), {"x": np.zeros(9)}
+    run.create(config)
+
+    def write(step: int, success: float) -> None:
+        run.write_checkpoint(step, state, Counters(step, success=success, validated=True), keep)
+
+    write(100, 1.0)
+    for step in (200, 300):
+        write(step, 0.1)
+    for folder in run.checkpoints.glob("step_*[23]00"):
+        (folder / "state.safetensors").write_bytes(b"cut")
+    for step in (150, 160, 170):
+        write(step, 0.5)
+        assert run.read_state(state)[0].steps == step
+    assert 100 in run.checkpoint_steps(), "the best"
+    assert len(run.checkpoint_steps()) == keep + 1
+
+
+def test_a_damaged_checkpoint_is_not_the_best(config: RunConfig, tmp_path: Path) -> None:
+    run, state = RunDirectory(tmp_path / "run"), {"x": np.zeros(9)}
+    run.create(config)
+    for step, success in enumerate((1.0, 0.9, 0.1, 0.1), start=1):
+        run.write_checkpoint(step, state, Counters(step, success=success, validated=True), 2)
+        if step == 1:
+            (run.checkpoints / "step_000000000001" / "state.safetensors").write_bytes(b"cut")
+    assert run.checkpoint_steps() == [2, 3, 4]
 
 
 @pytest.fixture(scope="module")

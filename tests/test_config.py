@@ -46,7 +46,7 @@ def test_choose_guesses_nothing_where_nothing_is_near():
 def test_unknown_setting_is_refused_with_the_nearest():
     with pytest.raises(
         InputError,
-        match=r"setting 'learning_rat' does not exist. Did you mean 'learning_rate' or 'final_learning_rate'\?",
+        match=r"setting 'learning_rat' does not exist. Did you mean 'learning_rate'\?",
     ):
         configure(learning_rat=1e-3)
 

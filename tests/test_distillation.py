@@ -15,6 +15,7 @@ from PIL import Image
 
 from benchmarks.camera import SPOILT
 from reachlab.cli import main as cli
+from reachlab.envs.consistency import check
 from reachlab.envs.core import Env
 from reachlab.envs.presets import configure, distillation
 from reachlab.envs.random_streams import REPORT_STREAM, env_keys, episode_keys
@@ -163,6 +164,21 @@ def test_distil_then_eval_and_video(teacher: Path, tmp_path: Path, capsys: pytes
     assert "is finished" in capsys.readouterr().err
     assert cli.main(["train", "--resume", str(out)]) == cli.WRONG_INPUT
     assert f"is resumed with `reachlab distil --resume {out}`" in capsys.readouterr().err
+
+
+def test_a_teacher_that_remembers_is_refused_before_anything_is_made(tmp_path: Path) -> None:
+    tiny = {"num_envs": 16, "rollout_steps": 16, "total_steps": 256, "report_episodes": 4, "max_steps": 30}
+    train(configure(**tiny, stop_early=False, memory=4), tmp_path / "teacher")
+    with pytest.raises(InputError, match="remembers, and a teacher must not: train one with --memory 0"):
+        distil(lessons(tmp_path / "teacher", memory=0), tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("name", ["chained_starts", "gamma", "minibatches"])
+def test_what_has_no_effect_on_a_student_is_refused(teacher: Path, name: str) -> None:
+    with pytest.raises(InputError, match=f"{name} has no effect on a student"):
+        lessons(teacher, **{name: 1})
+    check(lessons(teacher, num_envs=7))
 
 
 @pytest.mark.parametrize(

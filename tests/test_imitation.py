@@ -192,6 +192,7 @@ def test_a_training_plans_and_comes_nearer_to_what_was_planned(tmp_path: Path) -
     rows = [json.loads(line) for line in (tmp_path / "run" / "metrics.jsonl").read_text().splitlines()]
     assert [row["plans"] > 2 * FRESH * (count + 1) for count, row in enumerate(rows)] == [True, True]
     assert rows[1]["heading_error"] < rows[0]["heading_error"]
+    np.testing.assert_allclose(np.exp(result.policy.parameters.log_std), config.learner.initial_std, rtol=1e-6)
     assert result.report.episodes == 4
 
 

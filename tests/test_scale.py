@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import shutil
 import signal
 import sys
 import time
@@ -19,6 +20,7 @@ from reachlab.cli.sweep_command import SweepDisplay
 from reachlab.envs.presets import configure
 from reachlab.learn.interrupts import Interrupted
 from reachlab.learn.train import train
+from reachlab.robots.loading import load_robot
 from reachlab.runs.directory import RunDirectory, read_config
 from reachlab.runs.files import write_json
 from reachlab.scale.cluster import Cluster
@@ -29,10 +31,10 @@ from reachlab.scale.space import dimensions, read_space
 from reachlab.scale.study import Study
 from reachlab.scale.sweep import SweepProgress, sweep
 from reachlab.scale.training import failure_file, read_validations
-from reachlab.scale.trials import DEATHS, SweepConfig, Trials, pessimistic
+from reachlab.scale.trials import DEATHS, NoRoomError, SweepConfig, Trials, pessimistic
 from reachlab.settings.config import RunConfig
 from reachlab.settings.json_form import to_json
-from reachlab.settings.validation import InputError, installing
+from reachlab.settings.validation import LAST_SEED, InputError, installing
 
 pytestmark = pytest.mark.slow
 
@@ -163,6 +165,10 @@ def test_a_space_is_read(tmp_path: Path) -> None:
         ("[space]\nseed = [1, 2]", "with --seeds"),
         ("[space]\nrobot = ['panda', 'nosuch']", "robot 'nosuch' is not one of"),
         ("[space]\nreward = ['dense', 'spars']", "Did you mean 'sparse'"),
+        ("[space]\ntask = ['tutorial', 'precise']", "sweep each of them by itself"),
+        ("[space]\ncloseness_weight = [1.0, 2.0]", "has an effect only with reward precise or closeness"),
+        ("[space]\nhidden = [[[1, 2], [3]], [64, 64]]", "hidden must be"),
+        ("[space]\nlearning_rate = [1e-3, {a = 1}]", "learning_rate must be"),
         ("a = " + 5000 * "[", "nests lists or tables too deep"),
         (f"[space]\n#{2**20 * ' '}", "larger than 1 MB"),
     ],
@@ -432,6 +438,37 @@ def test_a_training_whose_process_dies_is_continued_but_not_for_ever(tmp_path: P
     (trial,) = run_trials(tmp_path, 1, engine).trials
     assert (trial.state, engine.started) == ("fail", ["0000-0"] * DEATHS)
     assert f"its process died {DEATHS} times without a newer checkpoint" in trial.why
+
+
+class Full(Dying):
+    """One of which the first training's report cannot be written."""
+
+    def start(self, *order: Any) -> str:
+        write_json(failure_file(Path(order[0])), {"error": "no", "lost": "the report cannot be written"})
+        return Path(order[0]).name
+
+
+def test_a_sweep_that_cannot_save_a_training_goes_on_with_it_when_there_is_room(tmp_path: Path) -> None:
+    (tmp_path / "trials").mkdir()
+    with pytest.raises(NoRoomError, match="the report cannot be written"):
+        run_trials(tmp_path, 1, Full(finished=0))
+    study = run_trials(tmp_path, 1, Dying(finished=1))
+    assert [trial.state for trial in study.trials] == ["complete"]
+
+
+@pytest.mark.parametrize("seed", [4295, LAST_SEED])
+def test_a_study_takes_any_seed(seed: int, tmp_path: Path) -> None:
+    study = make_study(tmp_path, configure(seed=seed))
+    assert study.settings(study.ask())
+    assert study.settings(study.ask())
+
+
+def test_a_robot_file_of_a_space_is_known_by_its_absolute_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = load_robot("ur5e").model.file
+    shutil.copytree(file.parent, tmp_path / "arm")
+    monkeypatch.chdir(tmp_path)
+    (dimension,) = dimensions({"robot": ["iiwa14", f"arm/{file.name}"]}, configure())
+    assert dimension.choices == ("iiwa14", str(tmp_path / "arm" / file.name))
 
 
 def test_an_interrupted_sweep_says_how_it_continues(tmp_path: Path) -> None:

@@ -92,6 +92,22 @@ def test_presets_trouble_nobody_whatever_is_chosen_with_them(task: str, caplog: 
 
 
 WITHOUT_EFFECT: list[tuple[dict[str, Any], str]] = [
+    *[
+        (
+            {"task": "clutter", "robot": "panda", "scene": ("wall",), "action": "heading", name: value},
+            f"{name} has an effect only with action tool_delta or tool_step or joint_delta",
+        )
+        for name, value in {
+            "epochs": 3,
+            "minibatches": 2,
+            "gamma": 0.5,
+            "gae_lambda": 0.5,
+            "clip_ratio": 0.7,
+            "value_weight": 0.1,
+            "entropy_weight": 1.0,
+            "final_std": 0.5,
+        }.items()
+    ],
     ({"joint_scale": 0.1}, "joint_scale has an effect only with action joint_delta or joint_residual"),
     ({"action": "joint_delta", "tool_scale": 0.1}, "tool_scale has an effect only with action tool_delta or tool_step"),
     ({"targets": "box", "target_height": 0.1}, "target_height has an effect only with targets table"),

@@ -53,9 +53,8 @@ def _distillation(arguments: Distil) -> RunConfig:
 def _learn(arguments: Train | Distil, config: RunConfig, verb: str) -> None:
     """Train or distil, and show the result."""
     if config.verb != verb:
-        raise InputError(
-            f"run '{arguments.resume}' is resumed with `reachlab {config.verb} --resume {arguments.resume}`."
-        )
+        command = f"reachlab {config.verb} --resume {quote(str(arguments.resume))}"
+        raise InputError(f"run '{arguments.resume}' is resumed with `{command}`.")
     if arguments.resume and _is_finished(arguments, config, arguments.resume):
         return
     from reachlab.cli.progress import TrainDisplay, print_training

@@ -117,7 +117,7 @@ def _contradictions(config: RunConfig, changed: set[str]) -> Iterator[str]:
             f"with chained_starts {loop.chained_starts:g} episodes would start inside bodies, which leave only a start"
             " near home free: leave it out."
         )
-    if loop.num_envs % config.ppo.minibatches:
+    if (ACTIONS[rules.action].method or config.method) == "ppo" and loop.num_envs % config.ppo.minibatches:
         yield (
             f"num_envs {loop.num_envs} cannot be divided among {config.ppo.minibatches} minibatches: choose a divisor."
         )

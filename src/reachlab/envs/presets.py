@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import Any, TypeVar
 
-from reachlab.settings.config import DistilRunConfig, RunConfig
+from reachlab.settings.config import DistilRunConfig, PPOConfig, RunConfig
 from reachlab.settings.extensions import IMPORTED, import_installed
 from reachlab.settings.json_form import flatten, override, to_json
 from reachlab.settings.preset_record import Preset
@@ -26,8 +26,12 @@ DISTILLATION: dict[str, Any] = {
     "learning_rate": 3e-3,
     "final_learning_rate": 1e-4,
     "max_grad_norm": 1.0,
+    "chained_starts": 0.0,
 }
 """Settings with which a distillation starts, beside those of its teacher's task."""
+
+NOT_TAUGHT = frozenset({"chained_starts", *(entry.name for entry in dataclasses.fields(PPOConfig))})
+"""Settings of a training by trial and error alone."""
 
 Config = TypeVar("Config", bound=RunConfig)
 
@@ -118,8 +122,11 @@ def distillation(teacher: str, taught: RunConfig, **settings: Any) -> DistilRunC
         settings: settings of the student by name, where they differ.
 
     Raises:
-        InputError: a name that is no setting, or a value that is not allowed.
+        InputError: a name that is no setting or has no effect, or a value that is not allowed.
     """
+    for name in settings:
+        if name in NOT_TAUGHT:
+            raise InputError(f"{name} has no effect on a student, which is taught by its teacher: leave it out.")
     parts = {entry.name: getattr(taught, entry.name) for entry in dataclasses.fields(RunConfig)}
     settings = {"observation": "image", **DISTILLATION} | settings
     settings.setdefault("anneal_steps", settings["total_steps"])

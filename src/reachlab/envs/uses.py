@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Collection, Mapping
 from typing import Any
 
+from reachlab.settings.config import PPOConfig
 from reachlab.sims import SIMULATORS
 
 CLOSENESS = ("closeness_weight", "closeness_scale", "effort_weight")
 
+PPO = tuple(entry.name for entry in dataclasses.fields(PPOConfig))
+
 USES: dict[str, Mapping[Any, Collection[str]]] = {
     "action": {
-        **dict.fromkeys(("tool_delta", "tool_step"), ("tool_scale",)),
-        **dict.fromkeys(("joint_delta", "joint_residual", "heading", "picture_points"), ("joint_scale",)),
+        **dict.fromkeys(("tool_delta", "tool_step"), ("tool_scale", *PPO)),
+        **dict.fromkeys(("joint_delta", "joint_residual", "picture_points"), ("joint_scale", *PPO)),
+        "heading": ("joint_scale",),  # which is learnt by imitation
     },
     "reward": {
         **dict.fromkeys(("sparse", "goal", "goal_distance"), ()),

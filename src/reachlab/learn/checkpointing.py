@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
+from shlex import quote
 from typing import Any
 
 from reachlab.runs.checkpoint import Counters
@@ -73,16 +74,27 @@ class Checkpoints:
         """What is saved, and the command that continues from there."""
         if self.saved is None:
             return "nothing is saved."
-        command = f"reachlab {self._config.verb} --resume {self._run.path}"
+        command = f"reachlab {self._config.verb} --resume {quote(str(self._run.path))}"
         return f"step {self.saved.steps:,} is saved: `{command}` continues from there."
 
 
-def unwritable(what: str, run: RunDirectory, error: Exception, verb: str = "train") -> InputError:
+class UnwritableError(InputError):
+    """Something of a run could not be written; it is to be resumed.
+
+    Attributes:
+        lost: what it is, and why.
+    """
+
+    def __init__(self, lost: str, command: str) -> None:
+        """Of what the command continues once there is room."""
+        super().__init__(f"{lost}: make room there, and resume with `{command}`.")
+        self.lost = lost
+
+
+def unwritable(what: str, run: RunDirectory, error: Exception, verb: str = "train") -> UnwritableError:
     """An error that says what of a run could not be written, and what to do."""
-    return InputError(
-        f"the {what} cannot be written to '{run.path}' ({reason(error)}): make room there, and resume with"
-        f" `reachlab {verb} --resume {run.path}`."
-    )
+    lost = f"the {what} cannot be written to '{run.path}' ({reason(error)})"
+    return UnwritableError(lost, f"reachlab {verb} --resume {quote(str(run.path))}")
 
 
 def reason(error: Exception) -> str:

@@ -275,9 +275,12 @@ def _load_teacher(config: RunConfig, resume: bool) -> Policy | None:
     run = find_run(checked.teacher)
     env = Env(run.read_config(), 1)
     try:
-        return load_policy(run, env)
+        policy = load_policy(run, env)
     finally:
         env.close()
+    if policy.parameters.memory is not None:
+        raise InputError(f"teacher '{checked.teacher}' remembers, and a teacher must not: train one with --memory 0.")
+    return policy
 
 
 DAGGER = Method(

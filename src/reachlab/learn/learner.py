@@ -8,7 +8,7 @@ import os
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
@@ -57,17 +57,21 @@ def make_optimiser(config: RunConfig, updates: int, decay: float = 0.0) -> optax
     """Adam on gradients clipped by their global norm, the step size falling on a straight line.
 
     An iteration takes so many `updates`. With a `decay` of the weights (Loshchilov and Hutter, "Decoupled weight decay
-    regularization", ICLR 2019) an update needs to be given them.
+    regularization", ICLR 2019) an update needs to be given them; biases and the noise of actions are left as they are.
     """
     settings = config.learner
     iterations = -(-settings.anneal_steps // config.loop.iteration_steps)
     schedule = optax.linear_schedule(settings.learning_rate, settings.final_learning_rate, updates * iterations)
     return optax.chain(
         optax.clip_by_global_norm(settings.max_grad_norm),
-        optax.adamw(schedule, eps=ADAM_EPSILON, weight_decay=decay)
+        optax.adamw(schedule, eps=ADAM_EPSILON, weight_decay=decay, mask=_are_weights)
         if decay
         else optax.adam(schedule, eps=ADAM_EPSILON),
     )
+
+
+def _are_weights(parameters: optax.Params) -> Any:
+    return jax.tree.map(lambda x: jnp.ndim(x) > 1, parameters)
 
 
 def make_learner(optimiser: optax.GradientTransformation, policy: Policy) -> Learner:

@@ -97,11 +97,14 @@ def clean(checkpoints: Path) -> None:
         remove(left)
 
 
-def prune(checkpoints: Path, keep: int) -> None:
-    """Remove all checkpoints but the newest `keep` and the best."""
+def prune(checkpoints: Path, keep: int, step: int) -> None:
+    """Remove all checkpoints but the newest `keep` up to that of `step`, which was written just now, and the best.
+
+    Those of later steps were damaged, else training would have gone on from them: they count for nothing, and stay.
+    """
     found = find(checkpoints)
     best = max(found, key=_rank, default=None)
-    for folder in found[keep:]:
+    for folder in [folder for folder in found if folder <= folder_of(checkpoints, step)][keep:]:
         if folder != best:
             # Out of sight first: half a checkpoint is never there under its name.
             remove(folder.rename(folder.with_name(f".{folder.name}.tmp")))
@@ -110,10 +113,11 @@ def prune(checkpoints: Path, keep: int) -> None:
 def _rank(folder: Path) -> tuple[bool, bool, float]:
     """Order from worse to better: damaged, judged by training episodes, judged by a validation; then by success."""
     try:
-        counters = read_manifest(folder).counters
-    except InputError:
+        manifest = read_manifest(folder)
+        whole = all((folder / name).stat().st_size == size for name, size in manifest.sizes.items())
+    except (InputError, OSError):
         return False, False, 0.0
-    return True, counters.validated, counters.success
+    return whole, whole and manifest.counters.validated, whole * manifest.counters.success
 
 
 # --- writing --------------------------------------------------------------------------------------

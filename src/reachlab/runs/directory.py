@@ -8,6 +8,7 @@ import logging
 import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from reachlab.envs.earlier_configs import from_json
@@ -103,7 +104,7 @@ class RunDirectory:
         if taken:
             refuse_if_held(self.path)
             go_on = self.config_file.is_file() and not self.finished
-            more = f", or continue it with --resume {self.path}" if go_on else ""
+            more = f", or continue it with --resume {quote(str(self.path))}" if go_on else ""
             raise InputError(
                 f"run directory '{self.path}' exists and is not overwritten: name another with --out{more}."
             )
@@ -207,7 +208,7 @@ class RunDirectory:
         self.checkpoints.mkdir(exist_ok=True)
         checkpoint.write(self.checkpoints, state, counters or Counters(step), read_json(self.config_file))
         with contextlib.suppress(OSError):
-            checkpoint.prune(self.checkpoints, keep)
+            checkpoint.prune(self.checkpoints, keep, step)
 
     def checkpoint_steps(self) -> list[int]:
         """Steps of the checkpoints that are whole, oldest first; others are named in a warning.

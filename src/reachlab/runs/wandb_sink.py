@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 from reachlab.runs.files import read_json
@@ -74,7 +75,7 @@ class WeightsAndBiases:
             for row in read_metrics(folder / "metrics.jsonl"):
                 self.write(row)
         except (self._wandb.Error, OSError) as error:
-            raise _refusal(error, f"{WITHOUT}, and train on with --resume {folder}") from None
+            raise _refusal(error, f"{WITHOUT}, and train on with --resume {quote(str(folder))}") from None
 
     def write(self, row: Mapping[str, Any]) -> None:
         """Log a row at its `steps`, unless the server has it from before a resume."""

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from reachlab.envs.consistency import check_names
+from reachlab.envs.uses import MILD, unused, users
 from reachlab.robots.loading import load_robot
 from reachlab.settings.config import RunConfig
 from reachlab.settings.json_form import flatten, override, to_json
@@ -60,22 +61,24 @@ def dimensions(space: Mapping[str, Any], config: RunConfig) -> list[Dimension]:
     Raises:
         InputError: a name that is no setting, or values that are not allowed.
     """
+    idle = unused(flatten(to_json(config)))
+    for name in space:
+        if (choice := idle.get(name)) and choice not in space and choice not in MILD:
+            sentence = f"space varies {name}, which has an effect only with {users(name, choice)}"
+            raise InputError(f"{sentence}: leave it out, or choose that.")
     return [_dimension(name, entry, config) for name, entry in space.items()]
 
 
 def _dimension(name: str, entry: Any, config: RunConfig) -> Dimension:
+    if name == "task":
+        raise InputError("space varies task, whose settings are others: sweep each of them by itself.")
     if name == "seed":
         raise InputError("space varies seed, which is no setting to choose: take several seeds of each with --seeds.")
     if isinstance(entry, list):
-        choices = tuple(tuple(choice) if isinstance(choice, list) else choice for choice in entry)
+        choices = [_choice(name, tuple(one) if isinstance(one, list) else one, config) for one in entry]
         if len(set(choices)) < 2:
             raise InputError(f"space has fewer than two choices for {name}: leave it out, and set it by its flag.")
-        for choice in choices:
-            # What it names has to be there; what it contradicts alone may fit other choices.
-            check_names(chosen := override(config, **{name: choice}))
-            if name == "robot":
-                load_robot(chosen.robot)
-        return Dimension(name, choices=choices)
+        return Dimension(name, choices=tuple(choices))
     if not isinstance(entry, dict) or not {"low", "high"} <= set(entry) <= {"low", "high", "log"}:
         raise InputError(f"space must give {name} limits or a list of choices, as {EXAMPLE}")
     low, high, log = entry["low"], entry["high"], entry.get("log", False)
@@ -92,6 +95,16 @@ def _dimension(name: str, entry: Any, config: RunConfig) -> Dimension:
     now = flatten(to_json(config)).get(name)
     whole = isinstance(now, int) and isinstance(low, int) and isinstance(high, int)
     return Dimension(name, low, high, log, whole)
+
+
+def _choice(name: str, choice: Any, config: RunConfig) -> Any:
+    """A choice as the settings have it: a robot's file by its absolute path, wherever the sweep is resumed."""
+    # What it names has to be there; what it contradicts alone may fit other choices.
+    check_names(chosen := override(config, **{name: choice}))
+    if name != "robot":
+        return choice
+    load_robot(chosen.robot)
+    return chosen.robot
 
 
 def label(choice: Any) -> str:

@@ -131,7 +131,7 @@ class Study:
         return found
 
     def _seed_sampler(self, number: int) -> None:
-        self._study.sampler = self._optuna.samplers.TPESampler(seed=self._seed * 1_000_003 + number)
+        self._study.sampler = self._optuna.samplers.TPESampler(seed=(self._seed * 1_000_003 + number) % 2**32)
 
     def settings(self, trial: Any) -> dict[str, Any]:
         """Settings of a trial that vary."""

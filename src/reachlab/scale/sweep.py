@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 from reachlab.envs.consistency import check
@@ -18,9 +19,9 @@ from reachlab.runs.lock import locked
 from reachlab.scale import ENGINES
 from reachlab.scale.engines import Engine
 from reachlab.scale.goals import check_goal
-from reachlab.scale.space import dimensions
+from reachlab.scale.space import dimensions, label
 from reachlab.scale.study import Study, Trial, load_optuna
-from reachlab.scale.trials import SweepConfig, Trials
+from reachlab.scale.trials import NoRoomError, SweepConfig, Trials
 from reachlab.settings.config import RunConfig
 from reachlab.settings.json_form import override, to_json
 from reachlab.settings.validation import InputError, choose
@@ -131,11 +132,14 @@ def sweep(
             study = Study(run.path / "study.journal", space, goal, config)
             under_way = Trials(settings, config, folder, study, carrier)
             left, trials = True, settings.trials
+            how = f"`reachlab sweep --resume {quote(str(run.path))}` continues from there"
             while left:
-                left = under_way.advance(trials, workers)
+                try:
+                    left = under_way.advance(trials, workers)
+                except NoRoomError as error:
+                    raise InputError(f"{error}: make room there; every trial is saved: {how}.") from None
                 watch(SweepProgress(study.trials, trials, under_way.shares, next(iter(study.ranked), None)))
                 if interrupts.received is not None:
-                    how = f"`reachlab sweep --resume {run.path}` continues from there"
                     raise Interrupted(interrupts.received, f"interrupted; every trial is saved: {how}.")
                 time.sleep(LOOK)
             return _result(config, run.path, study, settings)
@@ -153,6 +157,11 @@ def _directory(path: Path, config: RunConfig, *, resume: bool) -> RunDirectory:
     return run
 
 
+def _written(value: Any) -> Any:
+    """A value as a table has it: several numbers as the space's file does."""
+    return label(value) if isinstance(value, tuple) else value
+
+
 def _result(config: RunConfig, folder: Path, study: Study, settings: SweepConfig) -> SweepResult:
     """What a sweep came to, also written to its folder."""
     ranked, trials, varied = study.ranked, study.trials, list(settings.space)
@@ -163,5 +172,6 @@ def _result(config: RunConfig, folder: Path, study: Study, settings: SweepConfig
         table = csv.writer(file)
         table.writerow(["trial", "state", settings.goal, *varied, "why"])
         for one in trials:
-            table.writerow([one.number, one.state, one.value, *(one.settings.get(name) for name in varied), one.why])
+            settled = [_written(one.settings.get(name)) for name in varied]
+            table.writerow([one.number, one.state, one.value, *settled, one.why])
     return SweepResult(ranked, chosen, trials, study.draw(folder, settings.goal))

@@ -12,11 +12,12 @@ from typing import Any
 
 from reachlab.envs.earlier_configs import from_json
 from reachlab.jax_setup import use_compilation_cache
+from reachlab.learn.checkpointing import UnwritableError
 from reachlab.learn.interrupts import Interrupted, end_if_deaf, raise_on_termination
 from reachlab.learn.loop import Progress
 from reachlab.learn.train import train
 from reachlab.runs.directory import RunDirectory
-from reachlab.runs.files import write_json
+from reachlab.runs.files import read_json, write_json
 from reachlab.runs.lock import in_turn
 from reachlab.scale.goals import GOALS
 from reachlab.settings.validation import InputError
@@ -28,6 +29,11 @@ VALIDATED = 200
 def failure_file(path: Path) -> Path:
     """File beside a run directory that says why the training cannot be done."""
     return path.with_suffix(".failed")
+
+
+def read_failure(path: Path) -> dict[str, str] | None:
+    """Why the training in a run directory cannot be done, `error`, and what there was no room for, `lost`, if so."""
+    return read_json(failure_file(path)) if failure_file(path).exists() else None
 
 
 def read_validations(path: Path) -> dict[int, float]:
@@ -53,7 +59,7 @@ def run_training(path: str, config: dict[str, Any], goal: str, validations: int)
     try:
         settings = from_json(config)
     except InputError as error:  # of an extension that is not here any more
-        write_json(failure_file(run.path), {"error": str(error)})
+        _write_failure(run.path, error)
         return
 
     def validations_until(steps: int) -> int:
@@ -80,7 +86,12 @@ def run_training(path: str, config: dict[str, Any], goal: str, validations: int)
     except Interrupted:
         return
     except (InputError, FloatingPointError) as error:
-        write_json(failure_file(run.path), {"error": str(error)})
+        _write_failure(run.path, error)
+
+
+def _write_failure(path: Path, error: Exception) -> None:
+    lost = {"lost": error.lost} if isinstance(error, UnwritableError) else {}
+    write_json(failure_file(path), {"error": str(error), **lost})
 
 
 def main() -> None:

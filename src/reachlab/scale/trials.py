@@ -18,7 +18,7 @@ from reachlab.runs.files import read_json
 from reachlab.scale.engines import Engine
 from reachlab.scale.goals import GOALS
 from reachlab.scale.study import Study
-from reachlab.scale.training import failure_file, read_validations
+from reachlab.scale.training import failure_file, read_failure, read_validations
 from reachlab.settings.config import RunConfig
 from reachlab.settings.json_form import override, to_json
 from reachlab.settings.validation import Checked, Count, InputError, NonNegativeInt
@@ -48,6 +48,10 @@ class SweepConfig(Checked):
 
 class Pruned(Exception):  # noqa: N818 (no error)
     """A trial is not worth more time."""
+
+
+class NoRoomError(InputError):
+    """A training could not be saved."""
 
 
 class Trials:
@@ -83,6 +87,8 @@ class Trials:
                 yield from self._train(trial, path, override(config, seed=config.seed + index), index)
                 value = goal.of(read_json(RunDirectory(path).report_file))
                 values.append(goal.worst if value is None else value)
+        except NoRoomError:  # the trial is not ended: it goes on where the sweep is resumed
+            raise
         except InputError as error:
             self._study.end(trial, why=str(error))
         except Pruned:
@@ -95,9 +101,12 @@ class Trials:
 
         Raises:
             InputError: the training cannot be done.
+            NoRoomError: nor can any, for there is no room to save it.
             Pruned: its validations are poor.
         """
         run, settings, newest, deaths, poor = RunDirectory(path), self._settings, -1, 0, False
+        if (read_failure(path) or {}).get("lost"):  # there may be room now
+            failure_file(path).unlink()
         while not run.finished and not failure_file(path).exists():
             if deaths == DEATHS:
                 log = path.with_suffix(".log")
@@ -122,8 +131,8 @@ class Trials:
                 raise Pruned
             steps = saved.counters.steps if (saved := run.newest_manifest()) else -1
             newest, deaths = steps, deaths + 1 if steps == newest else 1
-        if not run.finished:
-            raise InputError(read_json(failure_file(path))["error"])
+        if not run.finished and (failure := read_failure(path)):
+            raise NoRoomError(failure["lost"]) if "lost" in failure else InputError(failure["error"])
 
 
 def pessimistic(values: list[float], *, maximise: bool) -> float:

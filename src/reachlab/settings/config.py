@@ -126,7 +126,8 @@ class PPOConfig(Checked):
     clip_ratio: Positive = 0.2
     """PPO's bound on the change of an action's probability."""
     value_weight: NonNegative = 0.5
-    """Weight of the value loss; 0: there is no critic, and an action is judged by all that was paid after it."""
+    """Weight of the value loss; 0: there is no critic, and an action is judged by what was paid after it, with a
+    `gae_lambda` of 1 by all of it."""
     entropy_weight: NonNegative = 0.0
     """Weight of the entropy bonus."""
     final_std: Positive | None = None
