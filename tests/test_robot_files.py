@@ -209,8 +209,17 @@ def test_balanced_inertias_are_those_of_rigid_bodies_and_possible_ones_stay():
         a, b, c = np.linalg.eigvalsh(balance(symmetric, 1.0))
         assert a > 0
         assert a + b >= c * (1 - 1e-12)
+    for rod in ((0.0, 0.01, 0.01), (0.01, 0.0, 0.01), (-0.01, 0.01, 0.01)):
+        a, b, c = np.linalg.eigvalsh(balance(np.diag(rod), 1.0))
+        assert a + b >= c
+        np.testing.assert_allclose([a, b, c], [0.0, 0.01, 0.01], atol=1e-7)
     possible = np.diag([2.0, 3.0, 4.0])
     np.testing.assert_array_equal(balance(possible, 1.0), possible)
+
+
+def test_a_thin_rod_is_read(write):
+    rods = read_model_file(write(urdf().replace('ixx="1"', 'ixx="0"')))
+    assert rods.notices[0].startswith("Inertias that no rigid body has are replaced by the nearest possible: base")
 
 
 def test_floating_base_stands_still(write):
@@ -230,6 +239,24 @@ def test_extension_of_mujoco_of_urdf_is_kept(write):
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+def test_comments_that_are_never_closed_are_looked_at_once(write):
+    with pytest.raises(InputError, match="more than 20,000 XML tags"):
+        read_model_file(write('<robot name="r">' + "<!--" * 50_000))
+
+
+@pytest.mark.parametrize("number", ["0x1p900", "-0X1P900", "0x1p99999", "nan(1)", "-NaN(2)"])
+def test_numbers_that_mujoco_alone_reads_are_refused(number, write):
+    with pytest.raises(InputError, match="finite numbers up to"):
+        read_model_file(write(limited(f'<origin xyz="0 0 {number}"/>')))
+
+
+@pytest.mark.parametrize("what", ["damping", "frictionloss", "armature"])
+def test_joints_that_would_push_themselves_are_refused(what, write):
+    text = f'<mujoco><worldbody><body><joint name="j" {what}="-5"/><geom size="1"/></body></worldbody></mujoco>'
+    with pytest.raises(InputError, match="gives joint 'j' a negative damping, friction or armature"):
+        read_model_file(write(text, "arm.xml"))
+
+
 def test_encodings_and_loose_comments_are_read(encoding, write):
     text = "\n\n<!-- a -- b -->\n" * (encoding == "utf-8") + urdf().replace('name="r"', 'name="ä"')
     assert read_model_file(write(text.encode(encoding))).spec().modelname == "ä"
@@ -265,6 +292,8 @@ def test_limits_without_sense_are_refused(write, limits, why):
 @pytest.mark.parametrize(
     ("limits", "lower", "upper", "noted"),
     [
+        ('<limit lower="-2"/>', -2.0, 0.0, ""),
+        ('<limit upper="2"/>', 0.0, 2.0, ""),
         ('<limit lower="0" upper="0"/>', -2 * np.pi, 2 * np.pi, "from 0 to 0 are taken as none"),
         ('<limit lower="-150" upper="150"/>', -2 * np.pi, 2 * np.pi, "beyond ±100 rad or m are taken as none"),
         (

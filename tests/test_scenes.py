@@ -157,6 +157,17 @@ def test_bodies_of_a_file(tmp_path: Path) -> None:
         ('{"bodies": [{"shape": "ball", "position": [0, 0], "size": [1]}]}', "a ball needs a position of 3 numbers"),
         ('{"bodies": [{"shape": "ball", "position": [0, 0, 0], "size": [-1]}]}', "a size is not positive"),
         ('{"bodies": [{"shape": "ball", "position": [0, 0, NaN], "size": [1]}]}', "a ball needs"),
+        ("[" * 200_000, "cannot be read"),
+        (f'{{"bodies": [{{"shape": "ball", "position": [0, 0, 1{400 * "0"}], "size": [1]}}]}}', "cannot be read"),
+        ('{"bodies": [{"shape": "ball", "position": [0, 0, 1e9], "size": [1]}]}', "larger than 100 m, or farther"),
+        (
+            '{"bodies": [{"shape": "ball", "position": [0, 0, 1], "size": [1], "Yaw": 1}]}',
+            "nothing of a body is called Yaw",
+        ),
+        (
+            '{"bodies": [{"shape": "ball", "position": [0, 0, 1], "size": [1]}], "bodys": []}',
+            "nothing is called bodys",
+        ),
     ],
 )
 def test_a_file_that_says_something_else_is_refused(tmp_path: Path, content: str | None, sentence: str) -> None:

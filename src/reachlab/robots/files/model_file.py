@@ -32,7 +32,7 @@ REFUSALS = (ValueError, mujoco.FatalError, MemoryError)
 MOST_TRIED = 100
 """Up to so many meshes and textures are tried one by one where MuJoCo refuses one of them."""
 
-MOST_BODIES, LARGEST_MASS = 2000, 1e6
+MOST_BODIES, LARGEST_MASS, FARTHEST = 2000, 1e6, 1000.0
 """Largest number of bodies, and largest mass of one [kg]."""
 
 Stamp = dict[Path, tuple[int, int, int]]
@@ -227,12 +227,16 @@ def _checked(model: ModelFile) -> ModelFile:
     depth = np.zeros(compiled.nbody, int)
     for body in range(1, compiled.nbody):
         depth[body] = depth[compiled.body_parentid[body]] + 1
-    heavy = not (np.isfinite(compiled.body_pos).all() and (compiled.body_mass <= LARGEST_MASS).all())
+    heavy = not ((np.abs(compiled.body_pos) <= FARTHEST).all() and (compiled.body_mass <= LARGEST_MASS).all())
     if heavy or depth.max() > MOST_NESTING:
         raise InputError(
-            f"has a body that weighs more than {LARGEST_MASS:g} kg, lies at no finite position, or is held by more than"
-            f" {MOST_NESTING} others."
+            f"has a body that weighs more than {LARGEST_MASS:g} kg, lies more than {FARTHEST:g} m from what holds it,"
+            f" or is held by more than {MOST_NESTING} others."
         )
+    taken = np.stack([compiled.dof_damping, compiled.dof_frictionloss, compiled.dof_armature])
+    for dof in np.flatnonzero((taken < 0).any(axis=0)):
+        name = compiled.joint(compiled.dof_jntid[dof]).name
+        raise InputError(f"gives joint {name!r} a negative damping, friction or armature: leave its sign out.")
     return model
 
 

@@ -12,6 +12,8 @@ SMALL_MASS, SMALL_RADIUS = 0.01, 0.03
 """Mass [kg] and radius of gyration [m] of a moving body that has none."""
 LEAST_INERTIA = 1e-12
 """Least principal moment of inertia [kg m²]; MuJoCo refuses those below 1e-15."""
+LEAST_SHARE = 1e-5
+"""Least share of the largest moment that another one is: of a smaller one MuJoCo's solver may find a negative one."""
 ROUNDING = 1e-9
 """Relative margin by which moments of inertia satisfy A + B >= C."""
 NOTED = 1e-6
@@ -57,8 +59,12 @@ def balance(inertia: np.ndarray, mass: float) -> np.ndarray:
     moments, axes = np.linalg.eigh(inertia)
     if moments[2] < LEAST_INERTIA:
         return mass * SMALL_RADIUS**2 * np.eye(3)
-    possible = np.maximum(moments, LEAST_INERTIA)
+    possible = moments
+    if moments[0] < LEAST_INERTIA:
+        possible = np.maximum(moments, max(LEAST_INERTIA, LEAST_SHARE * moments[2]))
     lack = possible[2] * (1 + ROUNDING) - possible[0] - possible[1]
     if lack > 0.0:
-        possible = possible + lack / 3 * np.array([1.0, 1.0, -1.0])
+        even = possible + lack / 3 * np.array([1.0, 1.0, -1.0])
+        # Where that makes another moment the largest, as of a rod, the smallest gets all that lacks.
+        possible = even if even[1] <= even[2] else possible + lack * np.array([1.0, 0.0, 0.0])
     return inertia if np.array_equal(moments, possible) else axes @ np.diag(possible) @ axes.T

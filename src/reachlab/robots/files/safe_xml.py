@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import math
-import re
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from pathlib import Path
@@ -63,8 +62,18 @@ def parse_xml(text: str) -> Element:
 def _bounded(text: str, most: float) -> bool:
     """Whether a text is anything but numbers of which one is infinite, undefined or too large."""
     with contextlib.suppress(ValueError):
-        return all(abs(value) <= most for value in map(float, text.split()))
+        return all(abs(value) <= most for value in map(_value, text.split()))
     return True
+
+
+def _value(word: str) -> float:
+    """A number as MuJoCo reads it: in hexadecimal too, and `nan(...)`."""
+    if word.lower().lstrip("+-").startswith("nan("):
+        return math.nan
+    try:
+        return float.fromhex(word) if "0x" in word.lower() else float(word)
+    except OverflowError:
+        return math.inf
 
 
 def to_text(root: Element) -> str:
@@ -175,6 +184,8 @@ def _decoded(data: bytes) -> str:
         text = data.decode("utf-16" if data.startswith(BYTE_ORDERS) else "utf-8")
     except UnicodeDecodeError:
         text = data.decode("latin-1")
-    return re.sub(
-        r"<!--.*?-->", lambda found: "\n" * found[0].count("\n"), text.lstrip("\ufeff \t\r\n"), flags=re.DOTALL
-    )
+    text, parts, at = text.lstrip("\ufeff \t\r\n"), list[str](), 0
+    while (begin := text.find("<!--", at)) >= 0 and (end := text.find("-->", begin + 4)) >= 0:
+        parts += [text[at:begin], "\n" * text.count("\n", begin, end)]
+        at = end + 3
+    return "".join([*parts, text[at:]])

@@ -79,7 +79,11 @@ def _narrow(joint: Element, limit: Element, noted: dict[str, list[str]]) -> None
     low, high = number(limit, "lower"), number(limit, "upper")
     if low == high == 0.0:
         noted[NONE].append(joint.get("name", ""))
+        for end in ("lower", "upper"):
+            limit.attrib.pop(end, None)
         return
+    for end, value in (("lower", low), ("upper", high)):  # one that is not given is 0
+        limit.set(end, repr(value))
     soft = joint.find("safety_controller")
     if soft is None:
         return

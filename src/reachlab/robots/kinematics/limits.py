@@ -109,7 +109,7 @@ def torque_limits(model: mujoco.MjModel, joints: Sequence[int]) -> Limits:
             torques[joint] = (torques[joint] or 0.0) + most
     for joint, given in torques.items():
         if model.jnt_actfrclimited[joint]:
-            own = float(np.abs(model.jnt_actfrcrange[joint]).max())
+            own = _either_way(model.jnt_actfrcrange[joint])
             torques[joint] = min(own, given or own)
     return tuple(torques.values())
 
@@ -127,7 +127,7 @@ def force_limit(model: mujoco.MjModel, leads: Sequence[int], slopes: Mapping[int
     gear = np.abs(model.actuator_gear[:, 0])
     given = sum((_most(model, i) or 0.0) / gear[i] * abs(moment[i] @ way) for i in range(model.nu))
     limited = [j for j in leads if j in slopes and model.jnt_actfrclimited[j]]
-    let = sum(float(np.abs(model.jnt_actfrcrange[j]).max()) * abs(slopes[j]) for j in limited)
+    let = sum(_either_way(model.jnt_actfrcrange[j]) * abs(slopes[j]) for j in limited)
     return min((float(force) for force in (given, let) if force > 0), default=None)
 
 
@@ -135,9 +135,15 @@ def _most(model: mujoco.MjModel, actuator: int) -> float | None:
     """Largest torque of an actuator: its force range, else a motor's control range; times its gear."""
     gear = abs(float(model.actuator_gear[actuator, 0]))
     if model.actuator_forcelimited[actuator]:
-        return gear * float(np.abs(model.actuator_forcerange[actuator]).max())
+        return gear * _either_way(model.actuator_forcerange[actuator])
     motor = model.actuator_biastype[actuator] == int(mujoco.mjtBias.mjBIAS_NONE)
     if motor and model.actuator_ctrllimited[actuator]:
         gain = abs(float(model.actuator_gainprm[actuator, 0]))
-        return gear * gain * float(np.abs(model.actuator_ctrlrange[actuator]).max())
+        return gear * gain * _either_way(model.actuator_ctrlrange[actuator])
     return None
+
+
+def _either_way(ends: np.ndarray) -> float:
+    """What a range `[2]` allows in both directions; one that ends at 0, or has it outside, in its own."""
+    low, high = map(float, ends)
+    return min(-low, high) if low < 0.0 < high else max(abs(low), abs(high))

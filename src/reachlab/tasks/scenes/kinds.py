@@ -185,6 +185,9 @@ BOX = (0.25, -0.5, 0.05), (0.75, 0.5, 0.8)
 MOST_BODIES = 16
 """Bodies of a file at most."""
 
+FARTHEST = 100.0
+"""Their size, and how far from the origin they are, at most [m]."""
+
 SHAPES = {"ball": (Shape.BALL, 1), "capsule": (Shape.CAPSULE, 2), "box": (Shape.BOX, 3)}
 """Shapes of a file's bodies and how many numbers their size has: a radius; a radius and half a length; half sides."""
 
@@ -209,8 +212,11 @@ def _of_file(file: Path, robot: Robot) -> Kind:
     """Bodies that are always the same, with start and goal anywhere in the arm's box of goals."""
     try:
         content = read_regular(file, MOST_TEXT)[0].decode()
-        bodies = [_read(one) for one in json.loads(content)["bodies"]]
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        said = json.loads(content)
+        bodies = [_read(one) for one in said["bodies"]]
+        if unknown := sorted(said.keys() - {"bodies"}):
+            raise ValueError(f"nothing is called {', '.join(unknown)}")
+    except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         raise InputError(
             f'scene {str(file)!r} cannot be read ({error}): it must be JSON as {{"bodies": [{{"shape": "box",'
             ' "position": [0.5, 0, 0.2], "size": [0.3, 0.01, 0.2], "yaw": 0}]}, in metres and radians; shapes are'
@@ -228,9 +234,13 @@ def _of_file(file: Path, robot: Robot) -> Kind:
 
 def _read(one: dict[str, Any]) -> Body:
     shape, count = SHAPES[one["shape"]]
+    if unknown := sorted(one.keys() - {"shape", "size", "position", "yaw"}):
+        raise ValueError(f"nothing of a body is called {', '.join(unknown)}")
     size, position, yaw = np.array(one["size"], float), np.array(one["position"], float), float(one.get("yaw", 0.0))
     if size.shape != (count,) or position.shape != (3,) or not np.isfinite([*size, *position, yaw]).all():
         raise ValueError(f"a {one['shape']} needs a position of 3 numbers and a size of {count}")
+    if max(np.abs(position).max(), size.max()) > FARTHEST:
+        raise ValueError(f"a body is larger than {FARTHEST:g} m, or farther away")
     if size.min() <= 0:
         raise ValueError("a size is not positive")
     padded: Any = (*size, *[0.0] * (3 - count))
