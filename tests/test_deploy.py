@@ -103,6 +103,12 @@ def clutter(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return written(tmp_path_factory.mktemp("clutter") / "policy", "clutter", robot="ur5e")
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["so101/push", "panda/lift"])
+def test_shipped_policies_that_move_objects_are_exported(name: str, tmp_path: Path) -> None:
+    assert export(name, tmp_path / "policy").differences["step.py"] < 5 * SAME
+
+
 # --- what it computes -----------------------------------------------------------------------------
 
 

@@ -97,16 +97,19 @@ def ik_displace(chain: Chain, q: Array, displacement: Array, quaternion: Array) 
     return _pose_step(chain, q, frames, Vec(*components(displacement)), quaternion)
 
 
-def ik_approach(chain: Chain, q: Array, position: Array, quaternion: Array) -> Array:
+def ik_approach(chain: Chain, q: Array, position: Array, quaternion: Array, damping: float = DAMPING) -> Array:
     """The same step towards a tool at `position [..., 3]` m."""
     frames = frames_at(chain, components(q))
-    return _pose_step(chain, q, frames, Vec(*components(position)).minus(frames.position), quaternion)
+    return _pose_step(chain, q, frames, Vec(*components(position)).minus(frames.position), quaternion, damping)
 
 
-def _pose_step(chain: Chain, q: Array, frames: Frames, linear: Vec, quaternion: Array) -> Array:
+def _pose_step(
+    chain: Chain, q: Array, frames: Frames, linear: Vec, quaternion: Array, damping: float = DAMPING
+) -> Array:
     angular, columns = _orientation(chain, frames, quaternion)
-    turn = angular.times(_shrink(MAX_TURN, angular.norm()))
-    return stack(_bounded_step(chain, components(q), columns, linear, turn, DAMPING, MAX_JOINT_STEP), q)
+    shorten = _shrink(MAX_TURN, _size(angular))
+    turn = [mul(shorten, part) for part in angular]
+    return stack(_bounded_step(chain, components(q), columns, linear, turn, damping, MAX_JOINT_STEP), q)
 
 
 def ik_point_step(chain: Chain, q: Array, command: Array, displacement: Array) -> Array:
@@ -174,11 +177,11 @@ def inverse_kinematics(
     seeds = jax.random.uniform(key, shape, minval=np.array(chain.lower), maxval=np.array(chain.upper))
     start = jnp.broadcast_to(joint_vectors(chain, start), (*target.position.shape[:-1], chain.n))
 
-    def errors(q: Array) -> tuple[Vec, Vec, list[tuple[Scalar, ...]], Array, Array, Array]:
+    def errors(q: Array) -> tuple[Vec, tuple[Scalar, ...], list[tuple[Scalar, ...]], Array, Array, Array]:
         frames = frames_at(chain, components(q))
         linear = Vec(*components(target.position)).minus(frames.position)
         angular, columns = _orientation(chain, frames, target.quaternion)
-        distance, angle = linear.norm(), angular.norm()
+        distance, angle = linear.norm(), _size(angular)
         reached = (distance <= position_tolerance) & (angle <= angle_tolerance)
         return linear, angular, columns, distance, angle, reached
 
@@ -210,23 +213,31 @@ def _unit(target: Pose) -> Pose:
     return target
 
 
-def _orientation(chain: Chain, frames: Frames, quaternion: Array) -> tuple[Vec, list[tuple[Scalar, ...]]]:
+def _size(angular: tuple[Scalar, ...]) -> Array:
+    return Vec(*angular).norm() if len(angular) > 1 else jnp.abs(angular[0])
+
+
+def _orientation(
+    chain: Chain, frames: Frames, quaternion: Array
+) -> tuple[tuple[Scalar, ...], list[tuple[Scalar, ...]]]:
     """Rotation error [rad] from the tool to an orientation `[..., 4]`, and the Jacobian's columns to mend it.
 
-    Without the six joints of a pose both are cut down to the tilt, in the upright plane of first joint and tool.
+    It is a rotation vector's three parts or, without the six joints of a pose, the tilt alone, in the upright plane of
+    first joint and tool. Given as a vector that lies along one axis, it would leave the equations nearly singular.
     """
     target, columns = rotation_from_quaternion(*components(quaternion)), jacobian_columns(chain, frames)
     if chain.poses:
-        return rotation_error(frames.rotation, target), columns
+        return tuple(rotation_error(frames.rotation, target)), columns
     approach = Vec(*chain.approach)
-    axis, down = frames.rotation.apply(approach), target.apply(approach).z
+    axis, held = frames.rotation.apply(approach), target.apply(approach)
     out = frames.position.minus(frames.origins[0])
     length = jnp.sqrt(out.x**2 + out.y**2) + TINY
     across = once(Vec(-out.y / length, out.x / length, 0.0))
-    aside = jnp.sqrt(jnp.maximum(1.0 - down**2, 0.0))
-    wanted = once(Vec(mul(aside, across.y), mul(-aside, across.x), down))
-    angular = once(across.times(across.dot(axis.cross(wanted))))
-    return angular, once([(*column[:3], *across.times(across.dot(Vec(*column[3:])))) for column in columns])
+    # Not from the vertical part: of an axis that points down its rounding would be a tilt of 0.3 mrad.
+    aside = jnp.sqrt(held.x**2 + held.y**2)
+    wanted = once(Vec(mul(aside, across.y), mul(-aside, across.x), held.z))
+    tilt = once(across.dot(axis.cross(wanted)))
+    return (tilt,), once([(*column[:3], across.dot(Vec(*column[3:]))) for column in columns])
 
 
 def rotation_error(current: Rotation, target: Rotation) -> Vec:
@@ -243,7 +254,7 @@ def _bounded_step(
     q: Sequence[Array],
     columns: Sequence[Sequence[Scalar]],
     linear: Vec,
-    angular: Vec,
+    angular: Sequence[Scalar],
     damping: Scalar,
     bound: float,
 ) -> list[Scalar]:
