@@ -14,6 +14,7 @@ SHAPES = {"mesh", "box", "sphere", "cylinder", "capsule"}
 """Geometries that MuJoCo knows."""
 
 FIXED = "Floating joints are taken as fixed, so that the arm stands on its base"
+PLANAR = "Planar joints are taken as two slides and a hinge, a metre or a turn either way where they have no limits"
 NONE = "Position limits from 0 to 0 are taken as none, so a turn or a metre either way"
 SOFT = "Position limits are narrowed to the soft limits of safety_controller"
 
@@ -64,6 +65,8 @@ def _rewrite_joint(joint: Element, noted: dict[str, list[str]]) -> JointFacts:
     if kind == "floating":
         joint.set("type", "fixed")
         noted[FIXED].append(name)
+    if kind == "planar":
+        noted[PLANAR].append(name)
     limit, mimic = joint.find("limit"), joint.find("mimic")
     speed = 0.0
     if limit is not None:

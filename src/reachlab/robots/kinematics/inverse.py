@@ -213,7 +213,7 @@ def _unit(target: Pose) -> Pose:
     return target
 
 
-def _size(angular: tuple[Scalar, ...]) -> Array:
+def _size(angular: Sequence[Scalar]) -> Array:
     return Vec(*angular).norm() if len(angular) > 1 else jnp.abs(angular[0])
 
 
