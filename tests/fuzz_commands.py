@@ -49,6 +49,7 @@ from reachlab.settings.validation import Range, hints
 from reachlab.sims import SIMULATORS
 from reachlab.tasks import TASKS
 from reachlab.tasks.actions import ACTIONS
+from reachlab.tasks.handling import SHAPES
 from reachlab.tasks.observations import OBSERVATIONS
 from reachlab.tasks.paths import PATHS as GOAL_PATHS
 from reachlab.tasks.rewards import REWARDS
@@ -80,6 +81,7 @@ NAMES: dict[str, Sequence[str]] = {
     "targets": [*TARGETS, "floor"],
     "goal_paths": [*GOAL_PATHS, "zigzag"],
     "scene": ["balls", "moving", "shelv", "gone.json", "arm.xml"],  # furniture takes minutes to draw
+    "object_shape": [*SHAPES, "bx"],
     "agent": [*AGENTS, "tained"],
     "randomise": [*RANDOMISED, "colours"],
     "cameras": [*CAMERAS, "frnt"],
