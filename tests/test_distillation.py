@@ -167,7 +167,13 @@ def test_distil_then_eval_and_video(teacher: Path, tmp_path: Path, capsys: pytes
 
 
 def test_a_teacher_that_remembers_is_refused_before_anything_is_made(tmp_path: Path) -> None:
-    tiny = {"num_envs": 16, "rollout_steps": 16, "total_steps": 256, "report_episodes": 4, "max_steps": 30}
+    tiny: dict[str, Any] = {
+        "num_envs": 16,
+        "rollout_steps": 16,
+        "total_steps": 256,
+        "report_episodes": 4,
+        "max_steps": 30,
+    }
     train(configure(**tiny, stop_early=False, memory=4), tmp_path / "teacher")
     with pytest.raises(InputError, match="remembers, and a teacher must not: train one with --memory 0"):
         distil(lessons(tmp_path / "teacher", memory=0), tmp_path / "run")
