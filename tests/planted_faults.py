@@ -47,7 +47,12 @@ FAULTS = (
         "sims/mujoco.py", "self._batch.step(nstep=self._substeps)", "self._batch.step(nstep=self._substeps - 1)", "sims"
     ),
     Fault("tasks/reach.py", "recent[:, 1:], latest", "recent[:, :-1], latest", "task precise"),
-    Fault("runs/checkpoint.py", "for folder in found[keep:]", "for folder in found[keep - 1 :]", "checkpoint"),
+    Fault(
+        "runs/checkpoint.py",
+        "folder_of(checkpoints, step)][keep:]",
+        "folder_of(checkpoints, step)][keep - 1 :]",
+        "checkpoint",
+    ),
     Fault("scale/trials.py", "seed=config.seed + index", "seed=config.seed + index + 1", "scale"),
     # units
     Fault("sims/kinematic.py", "(q - state.q) / self._period", "(q - state.q) * self._period", "sims env"),

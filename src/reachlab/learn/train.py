@@ -85,8 +85,7 @@ def train(
         watch: called after every iteration.
         watch_report: called with the number of episodes of the report that have ended, now and then.
         begun: called once nothing is refused any more, before the programs of a new run are compiled.
-        resume: continue from the newest checkpoint of `out`, bit for bit as if training had never stopped; with an
-            object in PyBullet contacts are forgotten.
+        resume: continue from the newest checkpoint of `out`, bit for bit (but for objects in PyBullet) as if unstopped.
         base: settings from which `config` was changed, by default its preset: changes without effect are refused.
         sinks: where the numbers of `metrics.jsonl` go too: names of `SINKS`, for example `("tensorboard", "wandb")`.
         threads: threads to compute with, by default one a core; a run that is resumed has those that it began with.

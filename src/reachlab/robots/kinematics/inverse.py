@@ -103,10 +103,8 @@ def ik_approach(chain: Chain, q: Array, position: Array, quaternion: Array, damp
     return _pose_step(chain, q, frames, Vec(*components(position)).minus(frames.position), quaternion, damping)
 
 
-def _pose_step(
-    chain: Chain, q: Array, frames: Frames, linear: Vec, quaternion: Array, damping: float = DAMPING
-) -> Array:
-    angular, columns = _orientation(chain, frames, quaternion)
+def _pose_step(chain: Chain, q: Array, frames: Frames, linear: Vec, held: Array, damping: float = DAMPING) -> Array:
+    angular, columns = _orientation(chain, frames, held)
     shorten = _shrink(MAX_TURN, _size(angular))
     turn = [mul(shorten, part) for part in angular]
     return stack(_bounded_step(chain, components(q), columns, linear, turn, damping, MAX_JOINT_STEP), q)
@@ -222,8 +220,7 @@ def _orientation(
 ) -> tuple[tuple[Scalar, ...], list[tuple[Scalar, ...]]]:
     """Rotation error [rad] from the tool to an orientation `[..., 4]`, and the Jacobian's columns to mend it.
 
-    It is a rotation vector's three parts or, without the six joints of a pose, the tilt alone, in the upright plane of
-    first joint and tool. Given as a vector that lies along one axis, it would leave the equations nearly singular.
+    It has a rotation vector's parts or, without the six joints of a pose, the tilt alone, about the arm's side.
     """
     target, columns = rotation_from_quaternion(*components(quaternion)), jacobian_columns(chain, frames)
     if chain.poses:
