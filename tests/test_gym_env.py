@@ -106,7 +106,7 @@ def test_settings_are_keywords_and_the_kuka_environment_is_the_tutorials() -> No
 @pytest.mark.parametrize(
     ("settings", "sentence"),
     [
-        ({"max_step": 3}, "setting 'max_step' is not one of: .*Did you mean 'max_steps'"),
+        ({"max_step": 3}, "setting 'max_step' does not exist. Did you mean 'max_steps'"),
         ({"robot": "iiwa"}, "robot 'iiwa' is not one of: .*iiwa14"),
         ({"task": "tutoral"}, "task 'tutoral' is not one of: .*Did you mean 'tutorial'"),
         ({"render_mode": "human"}, "render mode 'human' is not one of: rgb_array"),

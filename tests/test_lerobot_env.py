@@ -131,7 +131,7 @@ def test_wrong_input_is_refused_in_a_sentence(env: LeRobotVectorEnv, tmp_path: P
         ({"task": "precis"}, "task 'precis' is not one of"),
         ({"task": str(tmp_path)}, "cannot be read as what `reachlab export` wrote"),
         ({"cameras": ["back"]}, "camera 'back' is not one of"),
-        ({"robott": "panda"}, "'robott' is not one of"),
+        ({"robott": "panda"}, "'robott' does not exist"),
         ({"n_envs": 0}, "num_envs"),
     )
     for settings, sentence in wrong:

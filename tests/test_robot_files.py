@@ -212,7 +212,7 @@ def test_balanced_inertias_are_those_of_rigid_bodies_and_possible_ones_stay():
     for rod in ((0.0, 0.01, 0.01), (0.01, 0.0, 0.01), (-0.01, 0.01, 0.01)):
         a, b, c = np.linalg.eigvalsh(balance(np.diag(rod), 1.0))
         assert a + b >= c
-        np.testing.assert_allclose([a, b, c], [0.0, 0.01, 0.01], atol=1e-7)
+        np.testing.assert_allclose([a, b, c], [0.0, 0.01, 0.01], atol=1e-6)
     possible = np.diag([2.0, 3.0, 4.0])
     np.testing.assert_array_equal(balance(possible, 1.0), possible)
 
@@ -238,7 +238,6 @@ def test_extension_of_mujoco_of_urdf_is_kept(write):
     assert (drawn.nmesh, drawn.opt.timestep) == (1, 0.5)
 
 
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
 def test_comments_that_are_never_closed_are_looked_at_once(write):
     with pytest.raises(InputError, match="more than 20,000 XML tags"):
         read_model_file(write('<robot name="r">' + "<!--" * 50_000))
@@ -257,6 +256,7 @@ def test_joints_that_would_push_themselves_are_refused(what, write):
         read_model_file(write(text, "arm.xml"))
 
 
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
 def test_encodings_and_loose_comments_are_read(encoding, write):
     text = "\n\n<!-- a -- b -->\n" * (encoding == "utf-8") + urdf().replace('name="r"', 'name="ä"')
     assert read_model_file(write(text.encode(encoding))).spec().modelname == "ä"

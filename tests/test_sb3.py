@@ -119,7 +119,7 @@ def test_a_wrong_action_names_its_environment(env: ReachVecEnv) -> None:
 
 
 def test_wrong_settings_and_an_id_of_others_are_refused_in_one_sentence() -> None:
-    with pytest.raises(InputError, match=r"setting 'max_step' is not one of: .*Did you mean 'max_steps'"):
+    with pytest.raises(InputError, match=r"setting 'max_step' does not exist. Did you mean 'max_steps'"):
         make_vec_env(n_envs=2, max_step=3)
     with pytest.raises(InputError, match=r"environment id 'CartPole-v1' is not one of: .*reachlab/ReachGoal-v0"):
         make_vec_env("CartPole-v1")

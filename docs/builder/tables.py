@@ -176,7 +176,7 @@ def _actions() -> str:
         seen = {"observation": "image"} if "picture" in ACTIONS[name].needs else {}
         setup = make_setup(_fitting(action=name, **seen))
         low, high = design.bounds(setup)
-        (scale,) = USES["action"][name]
+        scale, *_ = USES["action"][name]
         unit = f"{number(setup.rules.tool_scale)} m" if scale == "tool_scale" else _joint_unit()
         unit = "half of the picture's side" if design.points else unit
         bounds = " × ".join(dict.fromkeys(span([a], [b]) for a, b in zip(low.tolist(), high.tolist(), strict=True)))

@@ -10,7 +10,7 @@
 
 from __future__ import annotations
 
-from math import isfinite
+from math import inf, isfinite
 from pathlib import Path
 from typing import Any
 
@@ -286,7 +286,7 @@ class Controller:
         if self._way:
             self._way.planner = told
         for entry in read_log(Path(file)):
-            told.next, waited = entry.pop("planned", None), entry.pop("waited", 0.0)
+            told.next, waited = entry.pop("planned", None), entry.pop("waited", inf)
             self._watch.stop_watch = lambda waited=waited: waited
             if "reset" in entry:
                 self._make_anew() if entry["reset"] is None else self.reset(entry["reset"])
