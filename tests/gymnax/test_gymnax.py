@@ -184,7 +184,7 @@ def test_observe_and_discount_are_those_of_the_state(made: tuple[Any, Any]) -> N
         ({"observation": "image"}, "got .* observation 'image': .* without a picture"),
         ({"task": "precise"}, "got simulator 'mujoco'"),
         ({"task": "tutoral"}, "task 'tutoral' is not one of: .*Did you mean 'tutorial'"),
-        ({"max_step": 3}, "setting 'max_step' is not one of: .*Did you mean 'max_steps'"),
+        ({"max_step": 3}, "setting 'max_step' does not exist. Did you mean 'max_steps'"),
     ],
 )
 def test_what_cannot_be_is_refused_in_one_sentence(settings: dict[str, Any], sentence: str) -> None:
