@@ -36,18 +36,15 @@ TINY: dict[str, Any] = {"num_envs": 8, "rollout_steps": 4, "action_repeat": 4, "
 TINY |= {"batch": 16, "guided": 2, "capacity": 128, "report_episodes": 4, "max_steps": 30}
 """Six iterations of 32 pictures; the buffer is overwritten once."""
 
+TEACHER: dict[str, Any] = {"num_envs": 16, "rollout_steps": 16, "total_steps": 256, "stop_early": False}
+TEACHER |= {"report_episodes": 4, "max_steps": 30}
+"""A training of one iteration."""
+
 
 @pytest.fixture(scope="module")
 def teacher(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("teacher") / "run"
-    tiny: dict[str, Any] = {
-        "num_envs": 16,
-        "rollout_steps": 16,
-        "total_steps": 256,
-        "report_episodes": 4,
-        "max_steps": 30,
-    }
-    train(configure(**tiny, stop_early=False), out)
+    train(configure(**TEACHER), out)
     return out
 
 
@@ -167,14 +164,7 @@ def test_distil_then_eval_and_video(teacher: Path, tmp_path: Path, capsys: pytes
 
 
 def test_a_teacher_that_remembers_is_refused_before_anything_is_made(tmp_path: Path) -> None:
-    tiny: dict[str, Any] = {
-        "num_envs": 16,
-        "rollout_steps": 16,
-        "total_steps": 256,
-        "report_episodes": 4,
-        "max_steps": 30,
-    }
-    train(configure(**tiny, stop_early=False, memory=4), tmp_path / "teacher")
+    train(configure(**TEACHER, memory=4), tmp_path / "teacher")
     with pytest.raises(InputError, match="remembers, and a teacher must not: train one with --memory 0"):
         distil(lessons(tmp_path / "teacher", memory=0), tmp_path / "run")
     assert not (tmp_path / "run").exists()
