@@ -18,6 +18,7 @@ import pytest
 from reachlab.cli.main import main
 from reachlab.cli.sweep_command import SweepDisplay
 from reachlab.envs.presets import configure
+from reachlab.learn.checkpointing import UnwritableError
 from reachlab.learn.interrupts import Interrupted
 from reachlab.learn.train import train
 from reachlab.robots.loading import load_robot
@@ -31,7 +32,7 @@ from reachlab.scale.space import dimensions, read_space
 from reachlab.scale.study import Study
 from reachlab.scale.sweep import SweepProgress, sweep
 from reachlab.scale.training import failure_file, read_validations
-from reachlab.scale.trials import DEATHS, NoRoomError, SweepConfig, Trials, pessimistic
+from reachlab.scale.trials import DEATHS, SweepConfig, Trials, pessimistic
 from reachlab.settings.config import RunConfig
 from reachlab.settings.json_form import to_json
 from reachlab.settings.validation import InputError, installing
@@ -450,7 +451,9 @@ class Full(Dying):
 
 def test_a_sweep_that_cannot_save_a_training_goes_on_with_it_when_there_is_room(tmp_path: Path) -> None:
     (tmp_path / "trials").mkdir()
-    with pytest.raises(NoRoomError, match="the report cannot be written"):
+    with pytest.raises(
+        UnwritableError, match=r"the report cannot be written: make room there.*`reachlab sweep --resume"
+    ):
         run_trials(tmp_path, 1, Full(finished=0))
     study = run_trials(tmp_path, 1, Dying(finished=1))
     assert [trial.state for trial in study.trials] == ["complete"]

@@ -21,7 +21,7 @@ from reachlab.scale.engines import Engine
 from reachlab.scale.goals import check_goal
 from reachlab.scale.space import dimensions, label
 from reachlab.scale.study import Study, Trial, load_optuna
-from reachlab.scale.trials import NoRoomError, SweepConfig, Trials
+from reachlab.scale.trials import SweepConfig, Trials
 from reachlab.settings.config import RunConfig
 from reachlab.settings.json_form import override, to_json
 from reachlab.settings.validation import InputError, choose
@@ -132,14 +132,11 @@ def sweep(
             study = Study(run.path / "study.journal", space, goal, config)
             under_way = Trials(settings, config, folder, study, carrier)
             left, trials = True, settings.trials
-            how = f"`reachlab sweep --resume {quote(str(run.path))}` continues from there"
             while left:
-                try:
-                    left = under_way.advance(trials, workers)
-                except NoRoomError as error:
-                    raise InputError(f"{error}: make room there; every trial is saved: {how}.") from None
+                left = under_way.advance(trials, workers)
                 watch(SweepProgress(study.trials, trials, under_way.shares, next(iter(study.ranked), None)))
                 if interrupts.received is not None:
+                    how = f"`reachlab sweep --resume {quote(str(run.path))}` continues from there"
                     raise Interrupted(interrupts.received, f"interrupted; every trial is saved: {how}.")
                 time.sleep(LOOK)
             return _result(config, run.path, study, settings)

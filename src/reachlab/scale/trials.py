@@ -7,12 +7,14 @@ import statistics
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 import numpy as np
 
 from reachlab.envs.consistency import check
 from reachlab.evaluation.intervals import student_half_width
+from reachlab.learn.checkpointing import UnwritableError
 from reachlab.runs.directory import RunDirectory
 from reachlab.runs.files import read_json
 from reachlab.scale.engines import Engine
@@ -50,10 +52,6 @@ class Pruned(Exception):  # noqa: N818 (no error)
     """A trial is not worth more time."""
 
 
-class NoRoomError(InputError):
-    """A training could not be saved."""
-
-
 class Trials:
     """Trials of a study, whose trainings an engine carries, each in a run directory below a folder.
 
@@ -87,7 +85,7 @@ class Trials:
                 yield from self._train(trial, path, override(config, seed=config.seed + index), index)
                 value = goal.of(read_json(RunDirectory(path).report_file))
                 values.append(goal.worst if value is None else value)
-        except NoRoomError:  # the trial is not ended: it goes on where the sweep is resumed
+        except UnwritableError:  # the trial is not ended: it goes on where the sweep is resumed
             raise
         except InputError as error:
             self._study.end(trial, why=str(error))
@@ -101,7 +99,7 @@ class Trials:
 
         Raises:
             InputError: the training cannot be done.
-            NoRoomError: nor can any, for there is no room to save it.
+            UnwritableError: nor can any, for there is no room to save it.
             Pruned: its validations are poor.
         """
         run, settings, newest, deaths, poor = RunDirectory(path), self._settings, -1, 0, False
@@ -132,7 +130,8 @@ class Trials:
             steps = saved.counters.steps if (saved := run.newest_manifest()) else -1
             newest, deaths = steps, deaths + 1 if steps == newest else 1
         if not run.finished and (failure := read_failure(path)):
-            raise NoRoomError(failure["lost"]) if "lost" in failure else InputError(failure["error"])
+            again = f"reachlab sweep --resume {quote(str(self._folder.parent))}"
+            raise UnwritableError(failure["lost"], again) if "lost" in failure else InputError(failure["error"])
 
 
 def pessimistic(values: list[float], *, maximise: bool) -> float:
