@@ -30,6 +30,9 @@ from reachlab.tasks.tutorial import Tutorial
 TURN = 0.5
 """How far the first joint turns to either target [rad]."""
 
+THERE = 1e-3
+"""A target that is no farther to the side is on neither [m]: which one it would be is a matter of rounding."""
+
 
 @dataclass(frozen=True)
 class Cue(Tutorial):
@@ -77,7 +80,8 @@ def _sample(setup: TaskSetup, key: Array) -> Goal:
 def _side(setup: TaskSetup, now: Situation) -> Array:
     """On which side of the tool the target is; 0 where it is not seen."""
     del setup
-    return jnp.sign(now.goal.position - now.tool_position)[..., 1:2]
+    way = (now.goal.position - now.tool_position)[..., 1:2]
+    return jnp.where(jnp.abs(way) > THERE, jnp.sign(way), 0.0)
 
 
 def _turn(setup: TaskSetup, now: Situation, action: Array) -> Array:

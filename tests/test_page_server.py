@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Iterator
 from functools import partial
 from http.client import HTTPConnection
+from http.server import ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 from urllib.request import Request, urlopen
@@ -30,7 +31,7 @@ from reachlab.watch.page import server as server_module
 from reachlab.watch.page.document import page_head
 from reachlab.watch.page.episode import programs, sampled
 from reachlab.watch.page.page import page_body
-from reachlab.watch.page.remote import MOST_STEPS, Remote, read_asked, record
+from reachlab.watch.page.remote import MOST_STEPS, Asked, Remote, read_asked, record
 from reachlab.watch.page.server import LOCAL, MOST_BYTES, MOST_CONNECTIONS, PageServer, is_local
 from reachlab.watch.page.shown import Shown
 
@@ -119,6 +120,21 @@ def test_an_arm_is_moved_as_a_page_asks(server: PageServer, arm: Shown) -> None:
     assert (np.array(far["goal_position"]) >= np.array(low) - 1e-4).all()
     again = ask(server, begin=True)
     assert (again["clock"], again["over"]) == ([0], False)
+
+
+@pytest.mark.parametrize("task", ["precise", "track"])
+def test_joints_are_moved_by_hand_where_the_policy_holds_the_goal(task: str) -> None:
+    remote = Remote(shown(task, sim="kinematic"))
+    wanted = np.add(remote.message()["q"], 0.3)
+    told = [remote.play(Asked(agent="ik", command=tuple(wanted), steps=MOST_STEPS)) for _ in range(3)]
+    np.testing.assert_allclose(told[-1]["q"], wanted, atol=1e-3)
+
+
+def test_the_page_is_told_which_episode_it_is_though_many_steps_come_at_once(arm: Shown) -> None:
+    remote = Remote(arm)
+    asked = [{}, {"steps": 3}, {"begin": True, "steps": 3}, {"proceed": True}]
+    told = [remote.play(Asked(agent="ik", **one)) for one in asked]
+    assert [(one["begun"], one["clock"]) for one in told] == [(0, [0]), (0, [3]), (1, [3]), (2, [0])]
 
 
 def test_joints_are_moved_by_hand_no_faster_than_they_are(server: PageServer, arm: Shown) -> None:
@@ -274,6 +290,28 @@ def test_a_browser_that_does_not_read_the_page_is_left_after_a_while(monkeypatch
             wait_for(lambda: server._http.free._value == MOST_CONNECTIONS)
 
 
+def test_a_slow_browser_gets_all_of_the_page(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server_module._Handler, "timeout", 0.5)
+    monkeypatch.setattr(server_module._Server, "process_request", slowly_sent)
+    with serving() as server:
+        server.add("x" * 1_500_000, last=True)
+        with connected(server) as slow:
+            slow.sendall(b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nConnection: close\r\n\r\n")
+            begun, read = time.monotonic(), bytearray()
+            while part := slow.recv(50_000):
+                read += part
+                time.sleep(0.04)
+        assert time.monotonic() - begun > 2 * 0.5, "else nothing was slow"
+        assert read.count(b"x") == 1_500_001  # with that of the type of content
+        assert read.endswith(b"0\r\n\r\n")
+
+
+def slowly_sent(self: Any, request: socket.socket, client_address: Any) -> None:
+    request.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 10_000)  # the kernel would take all of it at once
+    self.free.acquire()
+    ThreadingHTTPServer.process_request(self, request, client_address)
+
+
 def wait_for(happened: Callable[[], bool]) -> None:
     end = time.monotonic() + PATIENCE
     while not happened():
@@ -365,6 +403,16 @@ def test_a_host_is_answered_by_its_name_in_small_letters_and_large_ones() -> Non
 def test_a_host_that_is_not_this_machine_is_refused() -> None:
     with pytest.raises(InputError, match=r"host '192.0.2.1' is no address of this machine \(.+\): leave it out"):
         PageServer("192.0.2.1", 8080)
+
+
+def test_no_host_and_ports_that_cannot_be_used_are_refused() -> None:
+    with pytest.raises(InputError, match="host is empty: leave it out"):
+        PageServer("", 8080)
+    with (
+        PageServer(LOCAL, 65_535),
+        pytest.raises(InputError, match=r"ports 65535 to 65535 cannot be listened on \(.+ in use\): choose another"),
+    ):
+        PageServer(LOCAL, 65_535)
 
 
 def test_what_other_machines_reach_is_known() -> None:

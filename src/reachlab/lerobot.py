@@ -17,6 +17,7 @@ from reachlab.deploy.lerobot_env import LeRobotVectorEnv
 from reachlab.deploy.lerobot_policy import LeRobotPolicy
 from reachlab.envs.earlier_configs import from_json
 from reachlab.envs.setup import configure_env, in_evaluation
+from reachlab.settings.json_form import override
 from reachlab.settings.validation import InputError
 from reachlab.tasks import TASKS
 
@@ -50,10 +51,15 @@ def make_env(
     del use_async_envs
     if settings.get("shaping"):
         raise InputError("an exported controller shapes its commands itself: leave shaping out.")
+    varied = tuple(settings.get("randomise", ()))
+    if cameras and "view" in varied:  # what its pictures show, whatever a policy observes
+        settings["randomise"] = tuple(one for one in varied if one != "view")
     name = (cfg and cfg.task) or task
     if name not in TASKS and Path(name).is_dir():
         trained = from_json(read_facts(Path(name))["settings"])
         config = in_evaluation(trained, settings.pop("sim", trained.sim), **settings)
     else:
         config = configure_env(name, **settings)
+    if cameras and "view" in varied:
+        config = override(config, randomise=varied)
     return LeRobotVectorEnv(config, n_envs, cameras, size)

@@ -102,12 +102,12 @@ def _by_kind(problems: Mapping[str, int]) -> dict[str, int]:
 def _say_evaluated(folder: Path) -> None:
     """Say how well a policy does, as far as its run knows."""
     from reachlab.cli.console import note, say
+    from reachlab.deploy.card import evaluated_with
     from reachlab.deploy.check import read_facts
 
-    if reports := read_facts(folder)["held_out"]:
-        say(
-            f"Its run says: success in {100 * reports[0]['success_rate']:.4g} % of {reports[0]['episodes']:,} episodes."
-        )
+    if reports := (facts := read_facts(folder))["held_out"]:
+        told = f"success in {100 * reports[0]['success_rate']:.4g} % of {reports[0]['episodes']:,} episodes"
+        say(f"Its run says: {', '.join(filter(None, (told, evaluated_with(facts))))}.")
     else:
         note("The policy was never evaluated: its training has not ended. Try it with reachlab eval before a robot.")
 
@@ -117,8 +117,10 @@ def _say_unshaped(folder: Path) -> None:
     from reachlab.cli.console import note
     from reachlab.deploy.check import read_facts
 
-    if not read_facts(folder)["settings"]["physics"]["shaping"]:
+    settings = read_facts(folder)["settings"]
+    if not settings["physics"]["shaping"]:
+        task = settings["task"] if settings["sim"] == "mujoco" else "precise"
         note(
             "The policy was trained without the limits of acceleration and jerk that its controller keeps, and may fail"
-            " within them: for a robot, train with --task precise --shaping --randomise dynamics delay."
+            f" within them: for a robot, train with --task {task} --shaping --randomise dynamics delay."
         )

@@ -141,7 +141,8 @@ def _serve_page(arguments: View) -> None:
         if not is_local(arguments.host):
             note(
                 f"Warning: --host {arguments.host} lets other machines in, without a password: anyone who reaches"
-                " it can watch, and move arms that are computed here."
+                " it can watch, and move arms that are computed here. They name this machine by its number, not by its"
+                " name."
             )
         if arguments.open:
             webbrowser.open(server.url)

@@ -16,6 +16,9 @@ Numbers = Any
 STOP_TIME = 0.18
 """Time in which an arm can come to rest from any motion that is commanded [s]."""
 
+LONG, SMALL = 5, 1e-9
+"""A motion that is told to stay rests after so many times that, or below so small a speed [rad/s or m/s]."""
+
 INSIDE = 1.0 - 1e-9
 """Share of the limits that is used: what is left over is for rounding."""
 
@@ -100,6 +103,14 @@ class MotionLimits:
         """The motion of an arm that rests at joints `q [..., n]`."""
         still = xp.zeros_like(q)
         return Motion(q, still, still, still, still, xp.full(q.shape, self.steps))
+
+    def rest(self, motion: Motion) -> np.ndarray:
+        """Joints `[n]` at which a motion comes to rest that is told in each step to stay where it is."""
+        for _ in range(LONG * self.steps):
+            if not (np.abs(motion.speed) > SMALL).any():
+                break
+            motion = self.advance(motion, motion.position)
+        return motion.position
 
     def advance(self, motion: Motion, wanted: Numbers, brake: Numbers = False, xp: Any = np) -> Motion:
         """The motion after the next command, which is as near to `wanted [..., n]` as the limits allow.

@@ -99,7 +99,7 @@ class Situation(NamedTuple):
         last_action: `[B, a]`.
         bodies: what is beside the arm `[B, K]`.
         contact: whether the arm touched anything in the last control period `[B]`; `[B, 0]` where that is not judged.
-        achieved: where the tool truly is.
+        achieved: where the tool truly is, or what the task moves.
         opening: of the gripper, as measured `[B, 1]` [m]; `[B, 0]` where none is driven.
         picture: the camera's `[B, SIZE, SIZE]` uint8, where the observation holds one.
         wrench: force and torque at the wrist, as measured `[B, 6]` [N, Nm]; None where they are not.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from typing import Any
 
 EXAMPLE = """```python
@@ -12,7 +13,7 @@ controller = Controller(".")
 controller.reset(controller.home)  # joints of the arm, at rest
 q, qd = controller.home, 0 * controller.home  # what is measured: here an arm that follows at once
 for step in range({steps}):
-    command = controller.step(q, qd, {goal}, step * controller.period)
+    command = controller.step(q, qd, {goal}, step * controller.period{beside})
     q, qd = command, (command - q) / controller.period
 print(dict(zip(controller.joints, command.round(3))), controller.problem or "no problem")
 ```"""
@@ -39,7 +40,7 @@ def _metadata(facts: dict[str, Any], title: str) -> str:
     lines += [
         f"- {_yaml(tag)}" for tag in ("robotics", "reinforcement-learning", "onnx", facts["robot"], facts["task"])
     ]
-    if facts["held_out"]:
+    if facts["held_out"] and not facts["evaluated_with"]:
         report = facts["held_out"][0]
         result = {
             "task": {"type": "reinforcement-learning", "name": facts["task"]},
@@ -80,7 +81,7 @@ def _sections(facts: dict[str, Any]) -> list[str]:
         "",
         "## Example",
         "",
-        EXAMPLE.format(steps=round(2 / facts["control_period"]), goal=[*middle, *held]),
+        EXAMPLE.format(steps=round(2 / facts["control_period"]), goal=[*middle, *held], beside=_beside(facts, middle)),
         "",
         "## Held-out figures",
         "",
@@ -102,10 +103,33 @@ def _sections(facts: dict[str, Any]) -> list[str]:
         )
     if any(report.get("self_contact") is not None for report in facts["held_out"]):
         lines += ["", f"Links met: {MET}."]
+    if told := evaluated_with(facts):
+        lines += ["", f"They are {told}. Evaluate what this export asks for before it is used."]
     return [*lines, "", *_limits(facts)]
 
 
+def evaluated_with(facts: dict[str, Any]) -> str:
+    """Of what held-out figures are, where it is not all that is exported; empty where it is, or there are none."""
+    parts = ["of the policy alone, without its planner"] * ("planner" in facts)
+    if other := facts.get("evaluated_with"):
+        parts.append(f"not of what is asked for here: with {', '.join(f'{name} {one}' for name, one in other.items())}")
+    return ", and ".join(parts) if facts["held_out"] else ""
+
+
+def sees(facts: dict[str, Any]) -> bool:
+    """Whether the policy has to be told of obstacles."""
+    return facts["inputs"].get("bodies_kind", [0]) != [len(facts.get("objects", []))]
+
+
+def _beside(facts: dict[str, Any], place: Sequence[float]) -> str:
+    """What the example's step is told of beside the arm: one small body at its side; an object at a place."""
+    told = ', obstacles=[{"position": [0.0, 0.6, 0.1], "half": [0.05, 0.05, 0.1]}]' if sees(facts) else ""
+    objects = [{"position": list(place), "velocity": [0.0, 0.0, 0.0]}] * len(facts.get("objects", []))
+    return told + (f", objects={json.dumps(objects)}" if objects else "")
+
+
 def _limits(facts: dict[str, Any]) -> list[str]:
+    knows = "the arm's joints" + ", and the bodies that it is told of" * sees(facts)
     rows = [
         f"| `{one['name']}` | {one['widest']['lower']:.4g} to {one['widest']['upper']:.4g} {one['unit']},"
         f" {one['sources']['position']} | "
@@ -131,7 +155,7 @@ def _limits(facts: dict[str, Any]) -> list[str]:
         "## Limits of use",
         "",
         (
-            "Trained and judged in simulation alone. The controller knows the arm's joints, not what is around it: it"
+            f"Trained and judged in simulation alone. The controller knows {knows}, not what is around it: it"
             " does not see people, tables or cables, does not keep the arm's links from each other, does not measure"
             " forces, and is no safety function in the sense of any standard. Keep the arm's own limits, its emergency"
             " stop and a fence."

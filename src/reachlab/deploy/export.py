@@ -8,6 +8,7 @@ import json
 import shutil
 import tempfile
 from collections import defaultdict
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -41,7 +42,8 @@ from reachlab.runs.directory import RunDirectory
 from reachlab.runs.files import read_json
 from reachlab.runs.provenance import versions
 from reachlab.runs.shipped import find_run
-from reachlab.settings.json_form import override
+from reachlab.settings.config import RunConfig
+from reachlab.settings.json_form import flatten, override, to_json
 from reachlab.settings.validation import InputError, choose, installing
 
 SITUATIONS, TOGETHER = 1000, 50
@@ -102,6 +104,7 @@ def export(run: RunDirectory | str | Path, out: str | Path, agent: str | None = 
     try:
         saved, planner = load_saved(run, env), _planner(env, agent)
         more = {"run": saved.checkpoint, "held_out": _held_out(run), "versions": versions()} | planner
+        more["evaluated_with"] = _evaluated_with(trained, env.config, goals)
         more["robot_sha256"] = find_model_file(trained.robot, trained.package).digest
         with tempfile.TemporaryDirectory() as place:
             folder = Path(place) / "policy"
@@ -160,6 +163,12 @@ def _planner(env: Env, agent: str | None) -> dict[str, Any]:
     arm = arm_of(setup.robot, setup.lag, setup.period)._asdict()
     plain = {name: np.asarray(part).tolist() for name, part in arm.items()}
     return {"planner": {"arm": plain, "bodies": scene.bodies, "turns": setup.rules.asks_orientation}}
+
+
+def _evaluated_with(trained: RunConfig, asked: RunConfig, names: Iterable[str]) -> dict[str, Any]:
+    """Settings by name of what the run was evaluated in, where the export asks for something else."""
+    was, now = (flatten(to_json(one)) for one in (trained, asked))
+    return {name: was.get(name) for name in names if was.get(name) != now.get(name)}
 
 
 def _held_out(run: RunDirectory) -> list[dict[str, Any]]:

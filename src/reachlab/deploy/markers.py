@@ -35,8 +35,10 @@ def to_markers(bodies: Sequence[dict[str, Any]], frame: str = "base") -> Any:
 def from_markers(message: Any, seen: float) -> list[dict[str, Any]]:
     """Bodies, seen at a time [s], of a `MarkerArray` that holds all of them.
 
-    A cylinder is taken as the capsule around it: its axis, swept by a ball of its radius. What is no sphere, cube or
-    cylinder is a ball around its scale.
+    A cylinder is taken as the capsule around it: its axis, swept by a ball of its radius.
+
+    Raises:
+        ValueError: a marker is none of the three, or has no size: where it is is not known.
     """
     from visualization_msgs.msg import Marker
 
@@ -46,13 +48,13 @@ def from_markers(message: Any, seen: float) -> list[dict[str, Any]]:
             continue
         place, turn = marker.pose.position, marker.pose.orientation
         half = np.array([marker.scale.x, marker.scale.y, marker.scale.z]) / 2
-        shape: dict[str, Any] = {"radius": float(np.linalg.norm(half))}
+        if marker.type not in (Marker.CUBE, Marker.CYLINDER, Marker.SPHERE) or not (half > 0).all():
+            raise ValueError(f"marker {marker.id} of '{marker.ns}' has type {marker.type} and scale {2 * half}")
+        shape: dict[str, Any] = {"radius": max(half)}
         if marker.type == Marker.CUBE:
             shape = {"half": half}
         elif marker.type == Marker.CYLINDER:
             shape = {"half": np.array([0.0, 0.0, half[2]]), "radius": max(half[:2])}
-        elif marker.type == Marker.SPHERE:
-            shape = {"radius": max(half)}
         pose = {"position": [place.x, place.y, place.z], "quaternion": [turn.w, turn.x, turn.y, turn.z]}
         found.append({**pose, **shape, "time": seen})
     return found

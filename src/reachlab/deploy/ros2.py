@@ -11,9 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from reachlab.deploy.card import sees
 from reachlab.deploy.check import read_facts, start_controller
 from reachlab.deploy.markers import from_markers
-from reachlab.deploy.seen import RECENT, Seen, seen
+from reachlab.deploy.seen import RECENT, seen
 from reachlab.deploy.topics import Topics
 from reachlab.settings.validation import InputError, installing
 
@@ -66,12 +67,11 @@ def run_node(
         InputError: ROS 2 is missing, the folder is none that was exported, or there are not as many names as joints.
     """
     controller, facts = start_controller(folder, feels=True), read_facts(folder)
-    sees = "bodies_kind" in facts["inputs"] and facts["inputs"]["bodies_kind"] != [len(facts.get("objects", []))]
     if joint_names and len(joint_names) != len(controller.joints):
         raise InputError(
             f"{len(joint_names)} joint names are given, and the policy has {', '.join(controller.joints)}."
         )
-    needs = {"sees": sees, "feels": "wrench" in facts["inputs"], "fastest": facts["goal"].get("fastest", 0.0)}
+    needs = {"sees": sees(facts), "feels": "wrench" in facts["inputs"], "fastest": facts["goal"].get("fastest", 0.0)}
     needs |= {"names": joint_names or controller.joints, "frame": frame}
     with ros2() as rclpy:
         node = PolicyNode(rclpy.create_node("reachlab_policy"), controller, topics, trajectory=trajectory, **needs)
@@ -123,13 +123,9 @@ class PolicyNode:
         from trajectory_msgs.msg import JointTrajectory
 
         self.node, self._controller, self._trajectory = node, controller, trajectory
-        self._names, self._fastest, self._sees = list(names or controller.joints), fastest, sees
-        self._frame = frame
-        self._goal: list[float] | None = None
-        self._goal_seen: Seen | None = None
-        self._joints_seen: Seen | None = None
+        self._names, self._fastest, self._sees, self._frame = list(names or controller.joints), fastest, sees, frame
+        self._goal = self._goal_seen = self._joints_seen = self._object_seen = None
         self._topics, self._objects = topics, list[dict[str, Any]]()
-        self._object_seen: Seen | None = None
         self._obstacles: list[dict[str, Any]] | None = None if sees else []
         self._measured: tuple[np.ndarray, np.ndarray] | None = None
         self._wrench: tuple[float, list[float]] | None = None
@@ -153,7 +149,7 @@ class PolicyNode:
 
     def _on_reset(self, _: Any) -> None:
         """Begin anew once the arm rests, to which it is brought if it moves."""
-        self._resets, self._stops, self._measured = True, False, None
+        self._resets, self._stops, self._measured, self._goal, self._goal_seen = True, False, None, None, None
         self._controller.stop()
 
     def _on_stop(self, _: Any) -> None:
@@ -199,8 +195,13 @@ class PolicyNode:
             self._objects[0]["velocity"] = now.velocity
 
     def _on_obstacles(self, message: Any) -> None:
-        if not any(self._foreign(marker.header) for marker in message.markers):
+        if any(self._foreign(marker.header) for marker in message.markers):
+            return
+        try:
             self._obstacles = from_markers(message, time.monotonic())
+        except ValueError as error:
+            self._obstacles = None
+            self._warn_once("marker", f"obstacles are spheres, cubes and cylinders, and {error}: none of them is used")
 
     def _on_wrench(self, message: Any) -> None:
         force, torque = message.wrench.force, message.wrench.torque
@@ -220,8 +221,8 @@ class PolicyNode:
             self._warn_once("old", f"joint states are {age:.2g} s old by their stamps, and not used: do clocks differ?")
             return
         self._joints_seen = seen([places[name] for name in self._names], now - age, self._joints_seen)
-        told = np.array([speeds[name] for name in self._names]) if {*self._names} <= speeds.keys() else None
-        self._measured = self._joints_seen.place, self._joints_seen.velocity if told is None else told
+        told = np.array([speeds.get(name, np.nan) for name in self._names])
+        self._measured = self._joints_seen.place, np.where(np.isfinite(told), told, self._joints_seen.velocity)
         if now >= self._due - EARLY * self._controller.period:
             self._step()
 
@@ -276,8 +277,7 @@ class PolicyNode:
             return f"waiting: {error}"
         if self._stops:
             self._controller.stop()
-        self._goal, self._goal_seen, self._resets, self._begun, self._told = None, None, False, True, ""
-        self._sent = q
+        self._resets, self._begun, self._told, self._sent = False, True, "", q
         return ""
 
     def _tell(self, problem: str) -> None:

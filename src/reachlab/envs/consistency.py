@@ -39,8 +39,8 @@ NAMES: dict[str, tuple[str, Mapping[str, object]]] = {
 }
 """Settings that are names of tables, or lists of them, and what they are called."""
 
-LONGEST = 0.01
-"""Step of the engine from which on objects sink into what they lie on, and slip out of hands [s]."""
+LONGEST = 0.005
+"""Longest step of the engine with which objects do not sink into what they lie on, and slip out of hands [s]."""
 
 RANDOMISED = ("dynamics", "delay", "view", "objects", "sight")
 """Parts that can vary from episode to episode; see `RunConfig.randomise`."""
@@ -117,6 +117,8 @@ def _contradictions(config: RunConfig, changed: set[str]) -> Iterator[str]:
             f"with chained_starts {loop.chained_starts:g} episodes would start inside bodies, which leave only a start"
             " near home free: leave it out."
         )
+    if "collisions" in changed and config.physics.collisions and {"bodies", "object"} & rules.gives:
+        yield "collisions has no effect beside obstacles and objects, whose contacts are judged anyway: leave it out."
     if (ACTIONS[rules.action].method or config.method) == "ppo" and loop.num_envs % config.ppo.minibatches:
         yield (
             f"num_envs {loop.num_envs} cannot be divided among {config.ppo.minibatches} minibatches: choose a divisor."

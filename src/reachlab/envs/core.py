@@ -101,10 +101,9 @@ class Env:
         in_some = solved_for(setup) and not simulated
         self._sample_some = in_parts(f.sample_episode, self._part) if in_some else None
         # With pictures a simulator that can be traced is compiled here: only the pictures are drawn on the host.
-        whole = jit if simulated and self.pictured else lambda function: function
+        whole = self._whole = jit if simulated and self.pictured else lambda function: function
         self._init, self._reset = whole(self._init_all), whole(self._reset_some)
-        self._steps = functools.cache(lambda times: whole(functools.partial(self._repeat, times)))
-        robot = setup.robot
+        self._steps, robot = dict[int, Callable[..., Stepped]](), setup.robot
         self._clearances = jit(
             lambda q, here: clearances(robot.capsules, capsules_at(robot.chain, robot.capsules, q), here), brief=True
         )
@@ -152,10 +151,11 @@ class Env:
         """State and transition after `action [B, a]`, taken so many `times`.
 
         An environment whose episode ends on the way stays where it ended, to be reset; rewards are added up. Where
-        `instead [B, n]` is a number it is the joint command; without it the command stays
-        where the rules let the arm rest at the goal.
+        `instead [B, n]` is a number it is the joint command; without it the arm rests at the goal if the rules let it.
         """
-        return self._steps(times)(state, action, instead)
+        if times not in self._steps:
+            self._steps[times] = self._whole(functools.partial(self._repeat, times))
+        return self._steps[times](state, action, instead)
 
     def rearrange(self, state: EnvState, bodies: Bodies) -> EnvState:
         """State with the bodies `[B, K]` where these are."""

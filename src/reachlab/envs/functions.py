@@ -236,7 +236,8 @@ class EnvFunctions:
         arm = state.arm
         beside = arm.bodies, arm.contact, arm.tool, arm.opening
         now = Situation(arm.q, arm.qd, *arm.tool, state.goal, state.command, state.last_action, *beside)
-        now = now._replace(wrench=arm.wrench)
+        moved = arm.tool._replace(position=self.setup.task.achieved(now))
+        now = now._replace(wrench=arm.wrench, achieved=moved)
         return self.measured(now, state.key, state.clock, state.sensed, state.sight)
 
     def measured(

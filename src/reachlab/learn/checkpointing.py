@@ -72,9 +72,9 @@ class Checkpoints:
 
     def how_to_resume(self) -> str:
         """What is saved, and the command that continues from there."""
-        if self.saved is None:
-            return "nothing is saved."
         command = f"reachlab {self._config.verb} --resume {quote(str(self._run.path))}"
+        if self.saved is None:
+            return f"nothing is saved: `{command}` begins again, or remove '{self._run.path}'."
         return f"step {self.saved.steps:,} is saved: `{command}` continues from there."
 
 

@@ -61,7 +61,13 @@ class Interrupts:
         self._before: dict[int, Any] = {}
 
     def __enter__(self) -> Self:
-        """Begin to note signals."""
+        """Begin to note signals.
+
+        Raises:
+            Interrupted: one came, and what it raised was lost in a callback of a library.
+        """
+        if asked:
+            raise Interrupted(asked[0])
         self._before = {number: signal.signal(number, self._note) for number in _heard()}
         _entered.append(self)
         return self
@@ -86,7 +92,8 @@ class Interrupts:
 
 
 def raise_on_termination() -> None:
-    """Let SIGTERM and SIGHUP raise `Interrupted` from here on, as Ctrl-C raises `KeyboardInterrupt`."""
+    """Let signals raise `Interrupted` from here on; one that was raised before is none of what comes now."""
+    asked.clear()
 
     def end(number: int, frame: FrameType | None) -> None:
         del frame
@@ -96,8 +103,7 @@ def raise_on_termination() -> None:
         raise Interrupted(number)
 
     for number in _heard():
-        if number != signal.SIGINT:
-            signal.signal(number, end)
+        signal.signal(number, end)
 
 
 def end_if_deaf() -> None:

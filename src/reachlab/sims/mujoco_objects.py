@@ -55,7 +55,7 @@ def add_objects(spec: mujoco.MjSpec, robot: Robot, scene: Scene) -> None:
         body.add_freejoint(name=name)
         body.add_geom(name=name, type=kind, size=[HALF] * 3, mass=0.0, contype=0, conaffinity=0)
         for other in (TABLE, *walls):
-            _add_pair(spec, name, other, scene.friction)
+            _add_pair(spec, name, other, scene.friction, rolls=kind == _Geom.mjGEOM_SPHERE)
         for tip in TIPS:
             _add_pair(spec, name, tip, scene.grip)
     for tip in TIPS:
@@ -63,8 +63,9 @@ def add_objects(spec: mujoco.MjSpec, robot: Robot, scene: Scene) -> None:
             _add_pair(spec, tip, other, 0.0)
 
 
-def _add_pair(spec: mujoco.MjSpec, one: str, other: str, friction: float) -> None:
-    pair = spec.add_pair(geomname1=one, geomname2=other, condim=4 if friction else 1)
+def _add_pair(spec: mujoco.MjSpec, one: str, other: str, friction: float, *, rolls: bool = False) -> None:
+    # Friction against rolling costs time, and only balls roll.
+    pair = spec.add_pair(geomname1=one, geomname2=other, condim=6 if rolls else 4 if friction else 1)
     pair.solref = SOFTNESS
     pair.friction = [max(friction, 1e-5)] * 2 + [TURNING, ROLLING, ROLLING]
 

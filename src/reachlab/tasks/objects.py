@@ -50,8 +50,8 @@ ON_TABLE = 0.2
 """Share of the goals above a table that are on it."""
 
 
-def handled(asked: str, control: Control, **parts: Any) -> Task:
-    """A task with an object on the table, of what is asked for in words, and what is not as in `push`."""
+def handled(asked: str, control: Control, *, also: str = "", **parts: Any) -> Task:
+    """A task with an object on the table, of what is `asked` in words and `also`, and what is not as in `push`."""
     usual: dict[str, Any] = {
         "goal_box": goal_box,
         "sample_goal": sample_goal,
@@ -66,8 +66,8 @@ def handled(asked: str, control: Control, **parts: Any) -> Task:
         "update": update,
         "counted": reach.counted,
         "check": check,
-        "asks": functools.partial(asks, asked),
-        "succeeds": succeeds,
+        "asks": functools.partial(asks, asked, also),
+        "succeeds": functools.partial(succeeds, also),
         "needs": frozenset({"objects"}),
     }
     return Task("flange", control, **(usual | parts))
@@ -185,15 +185,15 @@ def update(setup: TaskSetup, before: reach.Held, errors: Errors, now: Situation,
     return reach.update(setup, before, errors, now._replace(qd=jnp.where(moves[:, None], jnp.inf, now.qd)), clock)
 
 
-def asks(asked: str, rules: Any, period: float) -> str:
+def asks(asked: str, also: str, rules: Any, period: float) -> str:
     """What is asked for, in words."""
     steps = f"{rules.max_steps:,} steps ({rules.max_steps * period:.2g} s)"
-    return f"{asked}: {_rests(rules, period)}; an episode has {steps}"
+    return f"{asked}: {_rests(rules, period)}{also}; an episode has {steps}"
 
 
-def succeeds(rules: Any, period: float) -> str:
+def succeeds(also: str, rules: Any, period: float) -> str:
     """What an episode has to come to, in words."""
-    return f"at the end {_rests(rules, period)}"
+    return f"at the end {_rests(rules, period)}{also}"
 
 
 def _rests(rules: Any, period: float) -> str:

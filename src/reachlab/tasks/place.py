@@ -30,6 +30,7 @@ class Place(Lift):
         return handled(
             "take an object over a wall, set it down at a place behind it and let go",
             Control("place", residual_gain=0.2, fade=0.05),
+            also=f", with the hand {1000 * walls.LET_GO:g} mm away",
             scene=walls.scene,
             sample_goal=walls.sample_goal,
             sample_bodies=walls.sample_bodies,

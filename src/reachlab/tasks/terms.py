@@ -41,7 +41,7 @@ def _goal_bounds(setup: TaskSetup) -> Bounds:
     if setup.rules.hides_goal:  # at times it is observed where the tool is
         return _tool_bounds(setup)
     low, high = setup.task.goal_box(setup)
-    if (low < high).all():
+    if (low < high).all() and "object" not in setup.rules.gives:  # smaller objects lie lower
         return low, high
     inner, outer = np.array(setup.robot.workspace, np.float32)
     low[2] = min(inner[2], LOWEST_GOAL, low[2])
@@ -114,7 +114,7 @@ def _seen(setup: TaskSetup, now: Situation) -> Array:
 
 def _achieved(setup: TaskSetup, now: Situation) -> Array:
     """Where what is moved truly is, so that rewards can be recomputed."""
-    place = setup.task.achieved(now)
+    place = now.achieved.position
     return jnp.concatenate([place, now.achieved.quaternion], axis=-1) if setup.rules.asks_orientation else place
 
 

@@ -257,10 +257,10 @@ def make_advance(env: Env, agent: str | Function) -> Advance:
     def advance(
         policy: Policy | None, state: EnvState, key: Array, following: bool, command: np.ndarray
     ) -> tuple[EnvState, Transition, Array]:
-        instead = None
+        instead = jnp.asarray(command)[None]
         if rests_there:
             rests = env.setup.task.near(rules, state.errors) & (following | rules.rests_at_goal)
-            instead = jnp.where(rests[:, None], state.command, command)
+            instead = jnp.where(rests[:, None], state.command, instead)
         return act(policy, state, key, instead=instead)
 
     # What is no function of arrays alone is called outside of JAX's traces.

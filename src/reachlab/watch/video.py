@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import math
 import subprocess
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
@@ -34,6 +35,9 @@ SPEEDS, LONG_ENOUGH = (1.0, 0.5, 0.25, 0.1), 2.0
 
 WEBP_QUALITY = 82
 """Of 100: the lowest at which the workspace's thin edges stay clean."""
+
+SHORTEST = {".webp": 0.02, ".gif": 0.02}
+"""Time for which a picture stands at least [s], by ending: browsers show one of 10 ms or less for 100 ms."""
 
 MP4_QUALITY = 20
 """Constant rate factor of x264: 18 is visually lossless, 23 its default."""
@@ -80,7 +84,8 @@ def write_video(
         out: file to write; its ending is one of `ENCODERS`.
         seed: seed of the targets.
         episodes: how many.
-        fps: pictures for each second of the video, about: each shows a whole number of control steps.
+        fps: pictures for each second of the video, about: each shows a whole number of control steps. A .webp or .gif
+            has 50 at most.
         speed: 1 is real time, 0.5 half as fast; 0 chooses among `SPEEDS`.
         watch: called after every episode with how many have been filmed.
 
@@ -94,7 +99,8 @@ def write_video(
     name = name_of(agent) if callable(agent) else choose("agent", agent, AGENTS)
     period, player = env.config.physics.control_period, Player(env, seed)
     speed = speed or _slow_enough(player, agent, policy, period, episodes)
-    stride = max(1, round(speed / (fps * period)))
+    shortest = SHORTEST.get(out.suffix.lower(), 0.0) * (1 - 1e-9)
+    stride = max(1, round(speed / (fps * period)), math.ceil(shortest * speed / period))
     interval = stride * period / speed
     if interval > LONGEST_PICTURE:
         raise InputError(
@@ -201,7 +207,7 @@ def encode_mp4(out: Path, pictures: Iterable[bytes], size: tuple[int, int], rate
     """
     source = f"-f rawvideo -pix_fmt rgb24 -s {size[0]}x{size[1]} -r {rate} -i -".split()
     codec = f"-c:v libx264 -pix_fmt yuv420p {settings} -f mp4".split()
-    command = [_ffmpeg(), "-loglevel", "error", "-y", *source, *codec, str(out)]
+    command = [_ffmpeg(), "-loglevel", "error", "-y", *source, *codec, f"file:{out}"]
     # A bare pipe: imageio-ffmpeg's own writer forks, which can hang beside JAX's threads.
     with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as process:  # noqa: S603
         pipe = cast("IO[bytes]", process.stdin)

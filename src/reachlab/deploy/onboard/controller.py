@@ -191,7 +191,7 @@ class Controller:
         self.braking = bool(refused or brake) or was
         self.motion = self.limits.advance(self.motion, wanted, self.braking)
         command = self.motion.position
-        told = self._watch.waited, command, self.problem, self._way.ask(command) if self._way else None
+        told = self._watch.waited, command, self.problem, self._way.ask(self.limits, self.motion) if self._way else None
         self._log.add((q, qd, goal, seconds, velocity, around, things, joints, wrench, *told))
         return command.copy()
 

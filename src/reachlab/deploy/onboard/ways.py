@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import subprocess
 import sys
@@ -14,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from reachlab.control.motion_limits import Motion, MotionLimits
 from reachlab.control.planning.following import PATIENCE, PROGRESS, Follower, Trajectory, gap
 
 DEADLINE, LOOK = 5.0, 0.2
@@ -26,6 +28,9 @@ ENDED = "the planner has ended: it needs mujoco, ompl and toppra, and says on st
 
 LATE = 1.5
 """Control periods from which on the arm has not been where its motion was."""
+
+PLACED, STILL = 1e-3, 0.02
+"""A command rests where a plan begins within the first [rad or m], and slower than the second [rad/s or m/s]."""
 
 
 class PlannerProcess:
@@ -65,9 +70,10 @@ class PlannerProcess:
 
 
 def _read(lines: Any, answers: deque[dict[str, Any]], came: threading.Event) -> None:
-    for line in lines:
-        answers.append(json.loads(line))
-        came.set()
+    with contextlib.suppress(ValueError):  # who writes anything else is no planner any more
+        for line in lines:
+            answers.append(json.loads(line))
+            came.set()
     answers.append({"ended": True})
     came.set()
 
@@ -102,9 +108,10 @@ class Told:
 class Way:
     """Decides in each control step who moves the arm.
 
-    To a new goal the policy moves at once, for one step. The planner is told where that leads, and finds out whether
-    the policy would get through from there and soon; otherwise it plans a motion. Until it has answered the arm waits
-    there. A policy that comes no nearer is taken over from, and a motion is given up where bodies have moved into it.
+    To a new goal the policy moves at once, for one step. Then the arm is brought to rest. The planner is told where
+    that will be, and finds out whether the policy would get through from there and soon; otherwise it plans a motion.
+    Until it has answered the arm waits there. A policy that comes no nearer is taken over from, and a motion is given
+    up where bodies have moved into it.
 
     Attributes:
         planner: it is asked.
@@ -116,7 +123,7 @@ class Way:
         self.planner, self._tool, self._period = planner, tool, float(arm["period"])
         self._near, self._turn = goal["success_distance"], goal.get("success_turn", 0.0)
         self._follower = Follower(arm["lag"], arm["speed"], self._period)
-        self._asked = 0
+        self._asked, self._outstanding, self._since = 0, None, 0.0
         self.clear()
 
     def clear(self) -> None:
@@ -124,9 +131,9 @@ class Way:
         self._told: dict[str, Any] | None = None
         self._goal: Any = None
         self._motion: Trajectory | None = None
-        self._seconds, self._since, self._came = -np.inf, 0.0, 0.0
+        self._seconds, self._came, self._before = np.inf, 0.0, None
         self._forget(trust=True)
-        self._checked, self._outstanding, self._asked = None, None, self._asked + 1
+        self._checked, self._begun = None, False  # what was asked for is still to be answered
 
     def _forget(self, *, trust: bool) -> None:
         """Ask in the next step what to do, and whether to trust the policy; what is still to be answered is stale."""
@@ -141,7 +148,7 @@ class Way:
             seconds: of this control step.
         """
         scene = {name: given["bodies_" + name] for name in ("kind", "position", "quaternion", "size")}
-        if seconds < self._seconds:  # the clock has run back
+        if seconds < self._seconds:  # the clock has run back, or begins
             self._since = self._came = seconds
         if goal["joints"] != self._goal:
             self._goal = goal["joints"]
@@ -151,6 +158,8 @@ class Way:
         elif self._mode == "none" and scene != self._scene:
             self._forget(trust=True)
         self._seconds, self._scene, held = seconds, scene, np.array(given["command"])
+        self._speed = 0.0 if self._before is None else float(np.abs(held - self._before).max()) / self._period
+        self._before = held
         self._listen()
         allowed = LOOK if self._mode == "follow" else DEADLINE
         if self._outstanding is not None and seconds - self._since > allowed:
@@ -166,8 +175,8 @@ class Way:
         if self._mode == "ask":
             first, self._moved = self._trust and not self._moved, True
             return (None if first else held), ""
-        if self._mode == "wait":
-            return self._start, ""
+        if self._mode == "wait" or not self._rests(held):
+            return held, ""
         if self._mode == "follow" and self._motion:
             command = self._follower.command(self._motion, self._step, q, held)
             self._step += 1
@@ -179,6 +188,14 @@ class Way:
             return None, ""
         self._forget(trust=False)
         return held, ""
+
+    def _rests(self, held: np.ndarray) -> bool:
+        """Whether what was planned has begun or may: at rest, and where it was told to, else it is planned anew."""
+        if not self._begun and self._speed <= STILL:
+            self._begun, self._came = bool(np.abs(held - self._start).max() <= PLACED), self._seconds
+            if not self._begun:
+                self._forget(trust=False)
+        return self._begun
 
     def _listen(self) -> None:
         """Do what the planner has answered, if it has."""
@@ -199,10 +216,10 @@ class Way:
             if not told["leads"]:
                 self._forget(trust=False)
         elif "q" in told:
-            self._mode, self._step = "follow", 0
+            self._mode, self._step, self._begun = "follow", 0, False
             self._motion = Trajectory(np.array(told["q"]), np.array(told["command"]))
         elif told.get("policy"):
-            self._mode, self._nearest, self._came = "policy", np.inf, self._seconds
+            self._mode, self._nearest, self._begun = "policy", np.inf, False
         else:
             self._mode = "none"
 
@@ -211,14 +228,14 @@ class Way:
         """What comes next depends on an answer of the planner."""
         return self._mode == "wait" or (self._mode == "ask" and self._outstanding is not None)
 
-    def ask(self, command: np.ndarray) -> dict[str, Any] | None:
-        """Ask the planner what is to be asked, now that `command [n]` is given; what it has answered in this step."""
+    def ask(self, limits: MotionLimits, motion: Motion) -> dict[str, Any] | None:
+        """Ask the planner what is to be asked, now that a `motion` is commanded; what it has answered in this step."""
         told, self._told = self._told, None
         if self._outstanding is not None:
             return told
         if self._mode == "ask" and self._moved:
-            self._mode, self._start = "wait", command.copy()
-            self._send({"start": command.tolist(), "goal": self._goal, "policy": self._trust})
+            self._mode, self._start = "wait", limits.rest(motion)
+            self._send({"start": self._start.tolist(), "goal": self._goal, "policy": self._trust})
         elif self._mode == "follow" and self._scene != self._checked:
             self._send({"step": self._step})
         return told

@@ -124,7 +124,7 @@ def _drawn(robot: Robot, scene: str) -> Bank:
     about = f"{count} scenes {scene!r} for {robot.name}, kept for later"
     console, seen = Console(stderr=True), sys.stderr.isatty()
     if not seen:
-        log.warning("reachlab: drawing %s, in a minute or so.", about)
+        log.warning("reachlab: drawing %s, in one to five minutes.", about)
     scenes = track(drawn_scenes(robot, scene, count), about, count, console=console, disable=not seen)
     start, joints, bodies = zip(*scenes, strict=True)
     together = jax.tree.map(lambda *rows: np.stack(rows), *bodies)
@@ -152,8 +152,8 @@ def drawn_scenes(
             if batch * TOGETHER > MOST_DRAWN * (found + PATIENCE):
                 raise InputError(
                     f"scene {scene!r} does not fit robot {robot.name!r}: only {found} of {batch * TOGETHER:,} that were"
-                    " drawn have a start, a goal and a way between them that is not straight: choose another scene or"
-                    " arm."
+                    " drawn have a start and a goal in the open, and a way between them that is not straight: choose"
+                    " bodies that stand in the arm's way, and neither around it nor out of its reach."
                 )
 
 

@@ -210,17 +210,23 @@ def kind_of(name: str, robot: Robot) -> Kind:
 
 def _of_file(file: Path, robot: Robot) -> Kind:
     """Bodies that are always the same, with start and goal anywhere in the arm's box of goals."""
+    if not file.exists():
+        raise InputError(f"scene {str(file)!r} does not exist: put it there, or name another one.")
     try:
         content = read_regular(file, MOST_TEXT)[0].decode()
         said = json.loads(content)
+        if not isinstance(said, dict) or not isinstance(said.get("bodies"), list):
+            raise TypeError("there is no list of bodies")
         bodies = [_read(one) for one in said["bodies"]]
         if unknown := sorted(said.keys() - {"bodies"}):
             raise ValueError(f"nothing is called {', '.join(unknown)}")
-    except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
+    except KeyError as error:
+        raise InputError(f"scene {str(file)!r} cannot be read: a body has no {error}.") from None
+    except (OSError, ValueError, TypeError, OverflowError, RecursionError) as error:
         raise InputError(
             f'scene {str(file)!r} cannot be read ({error}): it must be JSON as {{"bodies": [{{"shape": "box",'
-            ' "position": [0.5, 0, 0.2], "size": [0.3, 0.01, 0.2], "yaw": 0}]}, in metres and radians; shapes are'
-            f" {', '.join(SHAPES)}."
+            ' "position": [0.5, 0, 0.2], "size": [0.3, 0.01, 0.2], "yaw": 0}]}, in metres and radians, with half the'
+            f" lengths of a box; shapes are {', '.join(SHAPES)}."
         ) from None
     if not 0 < len(bodies) <= MOST_BODIES:
         raise InputError(f"scene {str(file)!r} has {len(bodies)} bodies: 1 to {MOST_BODIES} are allowed.")
@@ -233,7 +239,9 @@ def _of_file(file: Path, robot: Robot) -> Kind:
 
 
 def _read(one: dict[str, Any]) -> Body:
-    shape, count = SHAPES[one["shape"]]
+    shape, count = SHAPES[choose("shape", one["shape"], SHAPES)]
+    if not all(type(part) in (int, float) for part in (*one["size"], *one["position"], one.get("yaw", 0))):
+        raise TypeError("a size, position or yaw is not of numbers")
     if unknown := sorted(one.keys() - {"shape", "size", "position", "yaw"}):
         raise ValueError(f"nothing of a body is called {', '.join(unknown)}")
     size, position, yaw = np.array(one["size"], float), np.array(one["position"], float), float(one.get("yaw", 0.0))

@@ -26,10 +26,10 @@ class Chart {
 
   /** Note where the players are now. */
   note(players) {
-    players.forEach(({ episode }, i) => {
-      const way = this.ways[i], last = way.points[way.points.length - 1];
-      if (last && last[0] === episode.clock) return;
-      if (last && last[0] > episode.clock) way.points = [];
+    players.forEach(({ episode, path }, i) => {
+      const way = this.ways[i], last = way.points[way.points.length - 1], same = way.path === path;
+      if (same && last && last[0] === episode.clock) return;
+      if (!same || (last && last[0] > episode.clock)) Object.assign(way, { points: [], path });
       way.points.push([episode.clock, this.height(episode.distance)]);
       if (way.points.length > POINTS) way.points.shift();
     });

@@ -7,6 +7,9 @@ const SOFTWARE = /swiftshader|llvmpipe|software|basic render/i;
 /** Mean time between pictures [ms], of so many, above which the scene becomes simpler. */
 const SLOW = 42, PICTURES = 12;
 
+/** Longest time that counts between two pictures [ms]: a page that is hidden draws none. */
+const LONGEST = 100;
+
 /** Pixels of the drawing for one of the page, at most. Less than one take longer: the page has to enlarge them. */
 const FINEST = 2;
 
@@ -27,7 +30,7 @@ class Drawing {
     this.camera = new THREE.PerspectiveCamera();
     this.camera.up.set(0, 0, 1);
     this.ratio = Math.min(window.devicePixelRatio, FINEST);
-    Object.assign(this, { simple: false, since: null, pictures: 0, arms: [], shapes: [] });
+    Object.assign(this, { simple: false, spent: 0, pictures: 0, arms: [], shapes: [] });
   }
 
   /** Show so many arms of a run in place of others: what the page holds of it, and its meshes by `geometries`. */
@@ -70,11 +73,12 @@ class Drawing {
 
   /** Draw more simply where pictures take long, as without a graphics card: first no shadow, then fewer pixels. */
   keepPace(now) {
-    this.since ??= now;
+    this.spent += Math.min(now - (this.drawn ?? now), LONGEST);
+    this.drawn = now;
     this.pictures++;
     if (this.pictures < PICTURES) return;
-    const mean = (now - this.since) / this.pictures;
-    Object.assign(this, { since: now, pictures: 0 });
+    const mean = this.spent / this.pictures;
+    Object.assign(this, { spent: 0, pictures: 0 });
     if (mean < SLOW) return;
     if (!this.simple) {
       this.simple = true;

@@ -32,7 +32,8 @@ class Listener {
 
   /** Take in what was told of a moment. */
   take(message) {
-    if (message.clock[0] === 0) this.clear();
+    if (message.begun !== this.begun) this.clear();
+    this.begun = message.begun;
     this.episode = new Told(this.run, message);
     for (const name of ["steps", "episodes", "successes", "over", "failed", "reachable", "picture"]) this[name] = message[name];
     this.path.add(message.tool);
@@ -114,7 +115,8 @@ class Recording extends Listener {
 
   begin() {
     this.number = (this.number + 1) % this.record.length;
-    this.at = 0;
+    Object.assign(this, { at: 0, waited: undefined });
+    this.clear();
     this.take(this.record[this.number][0]);
   }
 

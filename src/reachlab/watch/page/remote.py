@@ -103,7 +103,7 @@ class Remote:
     def __init__(self, shown: Shown) -> None:
         """Arm of a run at the begin of its first episode."""
         self.player, self._shown = Player(shown.env, shown.seed), shown
-        self._reachable = True
+        self._reachable, self._begun = True, 0
         setup, n = shown.env.setup, shown.env.setup.robot.chain.n
 
         def arrays(state: Any) -> dict[str, Any]:
@@ -124,7 +124,8 @@ class Remote:
             player.begin(player.number + 1)
         elif asked.proceed:
             player.proceed()
-        self._reachable = True if asked.begin or asked.proceed else self._reachable
+        if asked.begin or asked.proceed:
+            self._reachable, self._begun = True, self._begun + 1
         if asked.follow is not None:
             player.follow(asked.follow)
         if asked.goal:
@@ -147,7 +148,7 @@ class Remote:
         Raises:
             InputError: it does not.
         """
-        choose("agent", asked.agent, [*AGENTS, self._shown.agent_name])
+        choose("agent", asked.agent, {*AGENTS, self._shown.agent_name})
         bodies, joints = len(self.player.moment.blocks), len(self._shown.env.setup.robot.actuators)
         if asked.body and asked.body[0] not in range(bodies):
             raise InputError(f"body must begin with a number below {bodies}, got {asked.body[0]:g}.")
@@ -168,6 +169,7 @@ class Remote:
             "episodes": player.episodes,
             "successes": player.successes,
             "steps": player.steps,
+            "begun": self._begun,
             "reachable": self._reachable,
             "picture": self._observed(),
         }

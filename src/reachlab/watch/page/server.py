@@ -38,6 +38,9 @@ COMPILING = 120.0
 MOST_CONNECTIONS, MOST_BYTES = 64, 65536
 """Connections at once, and the length of what a page may ask for."""
 
+AT_ONCE = 65536
+"""Bytes of the page that are sent at once."""
+
 PORTS = 20
 """Ports that are tried, one after the other."""
 
@@ -68,7 +71,7 @@ class PageServer:
         """Server on an address and a port, or on one of those after it where it is taken.
 
         Raises:
-            InputError: the address is not this machine's, or all of these ports are taken.
+            InputError: the address is not this machine's, or none of these ports can be used.
         """
         self._parts: list[bytes] = []
         self._whole = self._closed = False
@@ -96,7 +99,7 @@ class PageServer:
     def add(self, part: str, *, last: bool = False) -> None:
         """Add a part of the page: browsers that ask for it have it at once."""
         with self._grown:
-            self._parts.append(part.encode())
+            self._parts.append(part.encode(errors="replace"))
             self._whole = last
             self._grown.notify_all()
 
@@ -164,9 +167,13 @@ class _Server(ThreadingHTTPServer):
         TCPServer.server_bind(self)  # the one above it asks for the name of the address, which may take seconds
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        if self.free.acquire(blocking=False):
+        if not self.free.acquire(blocking=False):
+            self.shutdown_request(request)
+            return
+        try:
             super().process_request(request, client_address)
-        else:
+        except RuntimeError:  # no thread can be started
+            self.free.release()
             self.shutdown_request(request)
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
@@ -188,7 +195,12 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         """Give the page."""
-        if not self._is_own() or self.path.partition("?")[0] not in ("/", "/index.html"):
+        if not self._is_own():
+            self._say(
+                HTTPStatus.NOT_FOUND, {"error": "name this machine by its number, as 192.168.0.2, not by a name."}
+            )
+            return
+        if self.path.partition("?")[0] not in ("/", "/index.html"):
             self._say(HTTPStatus.NOT_FOUND, {"error": "there is only the page."})
             return
         self.send_response(HTTPStatus.OK)
@@ -197,7 +209,9 @@ class _Handler(BaseHTTPRequestHandler):
         self.send_header("Cache-Control", "no-store")
         self.end_headers()
         for part in self._page().parts():
-            self.wfile.write(b"%x\r\n%b\r\n" % (len(part), part))
+            for start in range(0, len(part), AT_ONCE):  # the time for which it may take nothing counts for each of them
+                some = part[start : start + AT_ONCE]
+                self.wfile.write(b"%x\r\n%b\r\n" % (len(some), some))
         self.wfile.write(b"0\r\n\r\n")
 
     def do_POST(self) -> None:
@@ -253,15 +267,20 @@ def _listening(host: str, port: int, page: PageServer) -> _Server:
     Raises:
         InputError: the address is not this machine's, or no port is free.
     """
+    if not host:
+        raise InputError("host is empty: leave it out, or name an address of this machine, as 0.0.0.0 for all of them.")
     try:
         socket.create_server((host, 0)).close()
     except OSError as error:
         why = str(error.strerror).partition(" (")[0]
         raise InputError(f"host {host!r} is no address of this machine ({why}): leave it out.") from None
-    for one in range(port, min(port + PORTS, 65536)):
-        with suppress(OSError):
+    last, why = min(port + PORTS, 65536) - 1, ""
+    for one in range(port, last + 1):
+        try:
             return _Server((host, one), page)
-    raise InputError(f"ports {port} to {port + PORTS - 1} are taken: choose another --port.")
+        except OSError as error:
+            why = error.strerror
+    raise InputError(f"ports {port} to {last} cannot be listened on ({why}): choose another --port.")
 
 
 def is_local(host: str) -> bool:

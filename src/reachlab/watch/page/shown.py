@@ -115,12 +115,14 @@ def load_shown(
     run = find_run(path)
     env = Env(settings_shown(run.read_config(), sim, **changed), 1)
     name = path.name if step is None else f"{path.name}, {step:,} steps"
-    one = shown_in(env, "ik" if agent == SCRIPT else agent, load_policy(run, env, step), seed=seed, name=name)
-    return replace(one, failed=tuple(failures(run, env.config.sim, one.agent_name)))
+    one = shown_in(env, agent, load_policy(run, env, step), seed=seed, name=name)
+    failed = () if changed else failures(run, env.config.sim, one.agent_name)  # reports are of the goals of training
+    return replace(one, failed=tuple(failed))
 
 
 def shown_in(env: Env, agent: str | Function, policy: Policy | None, *, seed: int, name: str) -> Shown:
     """An agent in an environment of one episode, computed by the page if it can."""
+    agent = "ik" if agent == SCRIPT else agent  # they are the same
     why = why_streamed(env.config, agent) or "the page has no policy" * (policy is None)
     if why or policy is None:
         return Shown(name, env, policy, agent, seed, why=why)
