@@ -177,6 +177,20 @@ def test_the_card_of_an_arm_of_any_name_begins_with_yaml(precise: Path, name: st
     assert front["model-index"][0]["name"] == f"precise for {name}"
 
 
+def test_the_card_says_where_figures_are_of_something_else(clutter: Path) -> None:
+    report = {"seed": 1, "sim": "mujoco", "success_rate": 0.98, "success_interval": [0.9, 1.0], "episodes": 9}
+    report |= {"final_error_mm": {"median": 1.0}, "randomised": []}
+    facts = json.loads((clutter / "policy.json").read_text()) | {"held_out": [report]}
+    assert "model-index" in model_card(facts)
+    assert "the bodies that it is told of, not what is around it" in model_card(facts)
+    other = model_card(facts | {"evaluated_with": {"scene": ["balls"], "max_steps": 150}, "planner": {}})
+    assert "model-index" not in other
+    assert (
+        "They are of the policy alone, without its planner, and not of what is asked for here: with scene ['balls'],"
+        " max_steps 150. Evaluate what this export asks for" in other
+    )
+
+
 ADDED: dict[str, tuple[str, Any]] = {
     "observation": ("observation", extension.OBSERVATION),
     "action": ("action", extension.ACTION),
@@ -258,9 +272,11 @@ assert not loaded & {{"reachlab", "jax", "mujoco", "onnxruntime", "scipy"}}, loa
 """
 
 
-def test_the_example_of_the_card_runs_with_numpy_alone(precise: Path) -> None:
-    example = (precise / "README.md").read_text().partition("```python\n")[2].partition("```")[0]
-    code = EXAMPLE.format(folder=str(precise), example=example.replace('"."', repr(str(precise))))
+@pytest.mark.parametrize("which", ["precise", "clutter"])
+def test_the_example_of_the_card_runs_with_numpy_alone(which: str, request: pytest.FixtureRequest) -> None:
+    exported: Path = request.getfixturevalue(which)
+    example = (exported / "README.md").read_text().partition("```python\n")[2].partition("```")[0]
+    code = EXAMPLE.format(folder=str(exported), example=example.replace('"."', repr(str(exported))))
     done = subprocess.run([sys.executable, "-I", "-c", code], capture_output=True, text=True, check=False)
     assert done.stderr == ""
     assert "no problem" in done.stdout
@@ -516,11 +532,12 @@ def test_obstacles_come_through_markers_as_they_are_told() -> None:
     expected = placed(read_bodies(told), 4)
     for name, numbers in expected.items():
         np.testing.assert_allclose(came[name], numbers, atol=1e-12)
-    gone, arrow = Marker(action=Marker.DELETE), Marker(type=Marker.ARROW, id=9)
-    arrow.scale.x = arrow.scale.y = arrow.scale.z = 0.2
-    found = from_markers(MarkerArray(markers=[gone, arrow]), 3.0)
-    assert len(found) == 1, "what is taken away is not there"
-    assert found[0]["radius"] == pytest.approx(0.1 * np.sqrt(3)), "what is unknown is a ball around its scale"
+    assert not from_markers(MarkerArray(markers=[Marker(action=Marker.DELETE)]), 3.0), "what is taken away is not there"
+    cubes, flat = Marker(type=Marker.CUBE_LIST, id=9, ns="map"), Marker(type=Marker.SPHERE, id=9, ns="map")
+    cubes.scale.x = cubes.scale.y = cubes.scale.z = 0.2
+    for wrong in (cubes, flat):
+        with pytest.raises(ValueError, match="marker 9 of 'map' has type"):
+            from_markers(MarkerArray(markers=[wrong]), 3.0)
 
 
 def test_the_node_holds_the_arm_until_obstacles_were_told(clutter: Path) -> None:

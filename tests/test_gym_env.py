@@ -489,6 +489,26 @@ def test_a_copy_continues_as_the_original_and_leaves_it_alone(sim: str) -> None:
         assert one[1:4] == other[1:4]
 
 
+def test_a_copy_steps_a_simulator_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    original = ReachEnv(sim="mujoco", **SHORT)
+    original.reset(seed=3)
+    original.step(np.zeros(3, np.float32))
+    twin = copy.deepcopy(original)
+    taken = []
+    for name, env in (("original", original), ("twin", twin)):
+        simulator = env._episodes.env.simulator
+        own = type(simulator).step
+
+        def step(*given: Any, name: str = name, own: Any = own, simulator: Any = simulator) -> Any:
+            taken.append(name)
+            return own(simulator, *given)
+
+        monkeypatch.setattr(simulator, "step", step)
+    twin.step(np.zeros(3, np.float32))
+    original.step(np.zeros(3, np.float32))
+    assert taken == ["twin", "original"]
+
+
 def test_a_closed_environment_takes_no_step_and_no_reset() -> None:
     for env in (ReachEnv(), ReachVectorEnv(num_envs=1)):
         env.close()

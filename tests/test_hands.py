@@ -19,6 +19,8 @@ from reachlab.control.situation import up_to_date
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState
 from reachlab.envs.given_goal import goal_at, make_place
+from reachlab.envs.gymnasium_goal import ReachGoalVectorEnv
+from reachlab.envs.gymnasium_vector import ReachVectorEnv
 from reachlab.envs.presets import configure
 from reachlab.envs.random_streams import REPORT_STREAM, episode_keys
 from reachlab.envs.setup import configure_env
@@ -214,13 +216,60 @@ def test_what_rolls_or_is_too_low_is_not_pushed() -> None:
     configure_env("slide", object_shape="cylinder", object_size=0.02)
 
 
+def test_a_ball_that_rolls_comes_to_rest() -> None:
+    """Friction against rolling, 1 mm of the weight: 0.2 m/s end after 0.7 v² r / (g · 1 mm), some 6 cm."""
+    env = Env(configure("lift", robot="panda", object_shape="ball", randomise=()), 1)
+    state = env.init(episode_keys(3, REPORT_STREAM, 0, 1))
+    bodies = state.arm.bodies
+    begun = np.asarray(bodies.position)[0, -1]
+    rolling = jnp.array([0.2, 0.0, 0.0, 0.0, 0.2 / float(bodies.extent[0, -1, 2]), 0.0])
+    state = env.rearrange(state, replace(bodies, velocity=bodies.velocity.at[0, -1].set(rolling)))
+    for _ in range(60):
+        state, _ = env.step(state, np.zeros((1, len(env.action_bounds[0])), np.float32), instead=state.command)
+    moved, last = np.asarray(state.arm.bodies.position)[0, -1] - begun, np.asarray(state.arm.bodies.velocity)[0, -1]
+    assert 0.03 < moved[0] < 0.09
+    assert abs(last[0]) < 0.01
+
+
+def test_what_place_asks_for_is_told() -> None:
+    setup = Env(configure("place", robot="panda"), 1).setup
+    assert setup.task.succeeds(setup.rules, setup.period).endswith(
+        f"no joint faster than 0.05 rad/s, with the hand {1000 * LET_GO:g} mm away"
+    )
+
+
+def test_smaller_objects_on_the_table_are_in_the_observation_space() -> None:
+    envs = ReachVectorEnv(num_envs=64, task="lift", robot="panda", randomise=("objects",))
+    observations, _ = envs.reset(seed=0)
+    assert envs.observation_space.contains(observations)
+    envs.close()
+
+
+@pytest.mark.parametrize("randomise", [("objects",), ("sight",)])
+def test_rewards_of_goals_are_of_where_an_object_truly_is(randomise: tuple[str, ...]) -> None:
+    settings = {"task": "push", "robot": "panda", "observation": "goal+state", "reward": "goal_distance"}
+    envs = ReachGoalVectorEnv(num_envs=8, randomise=randomise, **settings)
+    envs.reset(seed=0)
+    for _ in range(20):
+        observation, rewards, _, _, info = envs.step(envs.action_space.sample())
+        again = envs.compute_reward(observation["achieved_goal"], observation["desired_goal"], info)
+        np.testing.assert_allclose(rewards, again, atol=1e-6)
+    envs.close()
+
+
+def test_collisions_that_have_no_effect_are_refused() -> None:
+    for task in ("push", "clutter"):
+        with pytest.raises(InputError, match="collisions has no effect beside obstacles and objects"):
+            configure(task, collisions=True)
+
+
 def test_steps_of_the_engine_are_short_enough_for_contact() -> None:
     with pytest.raises(
         InputError,
-        match=r"of 20 ms are too long for objects: with control_period 0.02, physics_steps must be at least 2",
+        match=r"of 20 ms are too long for objects: with control_period 0.02, physics_steps must be at least 4",
     ):
         Env(configure("push", physics_steps=1), 1)
-    Env(configure("push", physics_steps=2), 1)
+    Env(configure("push", physics_steps=4), 1)
     with pytest.raises(InputError, match="gripper 'hand' is not one of: own, parallel"):
         Env(configure("lift", gripper="hand"), 1)
 

@@ -52,17 +52,24 @@ with Interrupts() if sys.argv[1] == "saves" else contextlib.nullcontext():
     with contextlib.suppress(KeyboardInterrupt):  # as a callback does that lets out nothing
         print("up", flush=True)
         time.sleep(3)
+    if sys.argv[1] == "begins":
+        with Interrupts():
+            time.sleep(3)
     time.sleep(3)
 """
 
 
-@pytest.mark.parametrize(("kind", "status"), [("saves", 0), ("idle", 143)])
-def test_a_signal_ends_a_process_that_does_not_hear_it_unless_it_saves(kind: str, status: int) -> None:
-    with subprocess.Popen([sys.executable, "-c", DEAF, kind], stdout=subprocess.PIPE, text=True) as process:
+@pytest.mark.parametrize(("kind", "status"), [("saves", 0), ("idle", 143), ("begins", 1)])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_ends_a_process_that_does_not_hear_it_unless_it_saves(kind: str, status: int, number: int) -> None:
+    pipe, command = subprocess.PIPE, [sys.executable, "-c", DEAF, kind]
+    with subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True) as process:
         assert process.stdout
+        assert process.stderr
         assert process.stdout.readline() == "up\n"
-        process.send_signal(signal.SIGTERM)
-        assert process.wait(20) == status
+        process.send_signal(number)
+        assert process.wait(20) == (130 if status == 143 and number == signal.SIGINT else status)
+        assert ("Interrupted: interrupted." in process.stderr.read()) == (kind == "begins")
 
 
 def test_a_closed_terminal_that_says_so_twice_ends_nothing_at_once() -> None:

@@ -119,6 +119,15 @@ def test_cameras_and_their_size_are_chosen() -> None:
     env.close()
 
 
+def test_views_vary_of_cameras_though_the_policy_gets_no_picture() -> None:
+    pictures = []
+    for randomise in ((), ("view",)):
+        env = make_env(1, cameras=["front"], size=48, randomise=randomise)
+        pictures.append(env.reset(seed=0)[0]["pixels"]["front"])
+        env.close()
+    assert (pictures[0] != pictures[1]).mean() > 0.1
+
+
 def test_a_configuration_of_lerobot_names_the_task() -> None:
     env = make_env(cfg=SimpleNamespace(task="pose"))
     assert env.call("task") == ("pose",)

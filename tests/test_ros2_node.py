@@ -186,6 +186,42 @@ def test_speeds_that_are_not_told_follow_from_the_joints(precise: Path, monkeypa
     np.testing.assert_allclose(seen[-1], 0.1, rtol=1e-3)
 
 
+def test_speeds_that_are_no_numbers_follow_from_the_joints_too(precise: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    driver = Driver(precise, monkeypatch)
+    driver.run(3, qd=np.full(len(driver.q), np.nan))
+    driver.ask(driver.aside)
+    driver.run(20, qd=np.full(len(driver.q), np.nan))
+    assert driver.commands
+    assert np.abs(driver.q - driver.controller.home).max() > 0.05
+
+
+@pytest.mark.parametrize("reset", [False, True])
+def test_a_goal_counts_that_came_before_the_arm_was_measured_and_after_a_reset(
+    precise: Path, monkeypatch: pytest.MonkeyPatch, reset: bool
+) -> None:
+    driver = Driver(precise, monkeypatch)
+    if reset:
+        driver.ask(driver.aside)
+        driver.run(3)
+        driver.send(Topics().reset)
+    begun = driver.q
+    driver.ask(driver.aside)
+    driver.run(30)
+    assert np.abs(driver.q - begun).max() > 0.05
+
+
+def test_obstacles_of_other_shapes_hold_the_arm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    driver = Driver(written(tmp_path / "policy", "clutter", robot="ur5e"), monkeypatch, sees=True)
+    markers = to_markers([{"position": [0.5, 0.0, 0.2], "radius": 0.05}])
+    markers.markers[0].type = markers.markers[0].CUBE_LIST
+    driver.run(2)
+    driver.topics[Topics().obstacles](markers)
+    driver.ask(driver.aside)
+    driver.run(5)
+    np.testing.assert_allclose(driver.q, driver.controller.home, atol=1e-6)
+    assert any(said.startswith("obstacles are spheres, cubes and cylinders, and marker 0") for said in driver.said)
+
+
 def test_a_goal_that_moves_has_its_velocity_at_any_rate(track: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     driver = Driver(track, monkeypatch, fastest=1.0)
     driver.run(2)

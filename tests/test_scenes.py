@@ -147,16 +147,19 @@ def test_bodies_of_a_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "sentence"),
     [
-        (None, r"cannot be read .*No such file"),
+        (None, "does not exist: put it there"),
         ("[]", "cannot be read"),
         ('{"bodies": []}', "has 0 bodies: 1 to 16 are allowed"),
         (
             '{"bodies": [{"shape": "cone", "position": [0, 0, 0], "size": [1]}]}',
-            "'cone'.*shapes are ball",
+            "shape 'cone' is not one of: ball",
         ),
         ('{"bodies": [{"shape": "ball", "position": [0, 0], "size": [1]}]}', "a ball needs a position of 3 numbers"),
         ('{"bodies": [{"shape": "ball", "position": [0, 0, 0], "size": [-1]}]}', "a size is not positive"),
         ('{"bodies": [{"shape": "ball", "position": [0, 0, NaN], "size": [1]}]}', "a ball needs"),
+        ('{"bodies": [{"shape": "ball", "position": [0, 0, 1], "size": [true]}]}', "is not of numbers"),
+        ('{"bodies": [{"shape": "ball", "position": [0, 0, 1], "size": [1], "yaw": "1"}]}', "is not of numbers"),
+        ('{"bodies": [{"position": [0, 0, 1], "size": [1]}]}', "a body has no 'shape'"),
         ("[" * 200_000, "cannot be read"),
         (f'{{"bodies": [{{"shape": "ball", "position": [0, 0, 1{400 * "0"}], "size": [1]}}]}}', "cannot be read"),
         ('{"bodies": [{"shape": "ball", "position": [0, 0, 1e9], "size": [1]}]}', "larger than 100 m, or farther"),

@@ -22,7 +22,7 @@ from reachlab.settings.validation import InputError, installing
 from reachlab.watch import video
 from reachlab.watch.captions import HEIGHT, VERDICTS, Caption, angle_text, captioned, distance_text
 from reachlab.watch.player import Player, played
-from reachlab.watch.video import BEGIN_PAUSE, ENCODERS, END_PAUSE, LONG_ENOUGH, SPEEDS, Clip, write_video
+from reachlab.watch.video import BEGIN_PAUSE, ENCODERS, END_PAUSE, LONG_ENOUGH, SPEEDS, Clip, encode_mp4, write_video
 
 SIZE = (64, 48)
 """Of the pictures that stand for rendered ones here."""
@@ -154,8 +154,22 @@ def test_slower_shows_more_pictures_for_longer(film: Callable[..., Clip], moment
 
 
 def test_no_more_pictures_than_steps(film: Callable[..., Clip], moments: list[list[Shown]]) -> None:
-    clip = film("film.webp", fps=10_000.0)
+    pytest.importorskip("imageio_ffmpeg")
+    clip = film("film.mp4", fps=10_000.0)
     assert clip.frames == moments[0][-1].step + 1
+
+
+@pytest.mark.parametrize("ending", ["webp", "gif"])
+def test_no_picture_is_too_short_for_a_browser(film: Callable[..., Clip], ending: str) -> None:
+    clip = film(f"film.{ending}", fps=10_000.0, speed=1.0)
+    assert min(durations(clip.out)) >= 20
+
+
+def test_the_name_of_an_mp4_may_hold_a_colon(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("imageio_ffmpeg")
+    monkeypatch.chdir(tmp_path)
+    encode_mp4(Path("12:30.mp4"), [bytes(64 * 64 * 3)] * 3, (64, 64), 10.0, "")
+    assert (tmp_path / "12:30.mp4").stat().st_size > 0
 
 
 def test_mp4_has_the_same_length(film: Callable[..., Clip]) -> None:

@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import mujoco
@@ -29,7 +30,7 @@ from reachlab.deploy.check import settings_of
 from reachlab.deploy.export import export
 from reachlab.deploy.onboard.controller import Controller
 from reachlab.deploy.onboard.log import read_log
-from reachlab.deploy.onboard.ways import DEADLINE, LOOK, Told
+from reachlab.deploy.onboard.ways import DEADLINE, LOOK, PLACED, STILL, Told, Way
 from reachlab.deploy.plant import Plant
 from reachlab.robots.catalogue import ROBOTS
 from reachlab.robots.loading import load_robot
@@ -81,6 +82,11 @@ def mode(controller: Controller) -> str:
     return controller._way._mode
 
 
+def way_of(controller: Controller) -> Way:
+    assert controller._way is not None
+    return controller._way
+
+
 def touches(path: list[np.ndarray], obstacles: list[dict[str, Any]], robot: str = "panda") -> bool:
     checker = CollisionChecker(arm_of(load_robot(robot)), len(obstacles))
     rows = [(6, one["position"], [1.0, 0.0, 0.0, 0.0], one["half"]) for one in obstacles]
@@ -123,6 +129,37 @@ def test_the_policy_moves_first_and_goes_on_where_nothing_is_in_its_way(controll
     assert arm.distance(goal) < 0.005
     assert modes[-1] == "policy"
     assert "follow" not in modes
+
+
+def test_a_motion_begins_at_rest_where_it_was_planned_from_though_the_goal_changed_on_the_way(
+    controller: Controller,
+) -> None:
+    arm, begun, way = Arm(controller), [], way_of(controller)
+    there_and_back = [GOAL, [0.45, 0.4, 0.3]]
+    for part in range(4):
+        for _ in range(45):
+            before = controller.motion
+            arm.step(there_and_back[part % 2])
+            if way._motion is not None and mode(controller) == "follow" and way._step == 1:
+                begun.append((np.abs(before.position - way._motion.command[0]).max(), np.abs(before.speed).max()))
+    assert len(begun) >= 3, "else nothing was planned on the way"
+    assert max(aside for aside, _ in begun) <= PLACED
+    assert max(speed for _, speed in begun) <= STILL
+
+
+def test_a_planner_that_hangs_is_asked_once_however_often_the_controller_is_reset(controller: Controller) -> None:
+    asked, way = list[Any](), way_of(controller)
+    way.planner.close()
+    way.planner = SimpleNamespace(ask=asked.append, answer=lambda: None, close=lambda: None)
+    for number in range(50):
+        arm = Arm(controller, paced=False)  # which resets it
+        for _ in range(3):
+            arm.step([0.45, -0.4 + 0.001 * number, 0.3])
+    assert len(asked) == 1, "a pipe that nobody reads is full some day, and then a step would wait"
+    arm = Arm(controller, paced=False)
+    for _ in range(round(DEADLINE / controller.period) + 5):
+        arm.step()
+    assert "the planner has not answered for 5 s" in controller.problem
 
 
 def test_a_body_that_moves_into_its_way_has_it_planned_again(controller: Controller) -> None:

@@ -154,6 +154,7 @@ def _run(words: list[str]) -> int:
         _say(error)
         return NOT_FINITE
     except KeyboardInterrupt as interruption:
+        asked.clear()  # it has come to where it is heard
         _say(str(interruption) or "interrupted.")
         return vars(interruption).get("status", INTERRUPTED)
     return DONE

@@ -39,6 +39,9 @@ class Interrupted(KeyboardInterrupt):
 asked: list[int] = []
 """Signals that have raised `Interrupted`; a library that is being imported may turn that into an error of its own."""
 
+_lost_counts: list[bool] = []
+"""Holds something in a process that is one command's own: there what a signal raised, and was lost, is raised again."""
+
 _entered: list[Interrupts] = []
 """Those that are entered, and those that had something to save: what follows them, as closing a log, is spared too."""
 
@@ -66,7 +69,7 @@ class Interrupts:
         Raises:
             Interrupted: one came, and what it raised was lost in a callback of a library.
         """
-        if asked:
+        if _lost_counts and asked:
             raise Interrupted(asked[0])
         self._before = {number: signal.signal(number, self._note) for number in _heard()}
         _entered.append(self)
@@ -92,27 +95,30 @@ class Interrupts:
 
 
 def raise_on_termination() -> None:
-    """Let signals raise `Interrupted` from here on; one that was raised before is none of what comes now."""
-    asked.clear()
-
-    def end(number: int, frame: FrameType | None) -> None:
-        del frame
-        asked.append(number)
-        if number == HANGUP:
-            signal.signal(number, signal.SIG_IGN)  # the second one must not interrupt what is being put away
-        raise Interrupted(number)
-
+    """Let SIGTERM and SIGHUP raise `Interrupted` from here on, as Ctrl-C raises `KeyboardInterrupt`."""
     for number in _heard():
-        signal.signal(number, end)
+        if number != signal.SIGINT:
+            signal.signal(number, _raise)
+
+
+def _raise(number: int, frame: FrameType | None) -> None:
+    del frame
+    asked.append(number)
+    if number == HANGUP:
+        signal.signal(number, signal.SIG_IGN)  # the second one must not interrupt what is being put away
+    raise Interrupted(number)
 
 
 def end_if_deaf() -> None:
-    """Let a signal end this process after `PATIENCE`, but for what `Interrupts` are there to save.
+    """Let a signal end this process after `PATIENCE`, or where `Interrupts` are entered, but for what they save.
 
     Python runs no handler while a program compiles, which takes seconds, and what a handler raises is lost where it
     runs inside a callback. A thread hears of signals at once (`signal.set_wakeup_fd`).
     """
     if threading.current_thread() is threading.main_thread():
+        _lost_counts.append(True)
+        if signal.getsignal(signal.SIGINT) == signal.default_int_handler:  # in the background it may be ignored
+            signal.signal(signal.SIGINT, _raise)
         hearing, told = socket.socketpair()
         told.setblocking(False)
         signal.set_wakeup_fd(told.fileno(), warn_on_full_buffer=False)
