@@ -193,6 +193,11 @@ def test_a_goal_that_is_moved_is_as_high_as_its_object() -> None:
         np.testing.assert_allclose(np.asarray(after.position), np.asarray(before.position), atol=1e-6)
 
 
+@pytest.mark.parametrize("task", tried(["lift", "push", "place"], ["lift"]))
+def test_scripts_do_what_is_asked_within_the_limits_of_a_controller_too(task: str) -> None:
+    assert played(task, shaping=True, max_steps={"lift": 150, "push": 300, "place": 400}[task])[-1].mean() >= 0.95
+
+
 def test_what_varies_is_held_too() -> None:
     assert played("lift", randomise=("objects",))[-1].mean() >= 0.96
 
@@ -260,7 +265,7 @@ def test_rewards_of_goals_are_of_where_an_object_truly_is(randomise: tuple[str, 
 def test_collisions_that_have_no_effect_are_refused() -> None:
     for task in ("push", "clutter"):
         with pytest.raises(InputError, match="collisions has no effect beside obstacles and objects"):
-            configure(task, collisions=True)
+            configure_env(task, collisions=True)
 
 
 def test_steps_of_the_engine_are_short_enough_for_contact() -> None:

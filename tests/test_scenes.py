@@ -216,5 +216,5 @@ def test_where_there_is_no_terminal_one_sentence_says_what_is_waited_for_the_fir
         for _ in range(2):
             scenes("xarm7", "bin")[0].close()
     said = [record.getMessage() for record in caplog.records]
-    assert said == ["reachlab: drawing 16 scenes 'bin' for xarm7, kept for later, in a minute or so."]
+    assert said == ["reachlab: drawing 16 scenes 'bin' for xarm7, kept for later, in one to five minutes."]
     assert capfd.readouterr().out == ""

@@ -17,6 +17,9 @@ from reachlab.robots.robot import Robot
 TRAVEL, GAIN, BRAKE = 1.5, 15.0, 10.0
 """Of the tool on its way to a point: largest speed [m/s], speed over distance [1/s], and deceleration [m/s²]."""
 
+SHAPED = 1.0, 6.0, 3.0
+"""The same where commands are shaped: what is commanded then comes later, and with more the hand swings at its goal."""
+
 PASSES = 3
 """Damped steps of inverse kinematics to the tool's pose after the servos' lag."""
 
@@ -34,10 +37,16 @@ TINY = 1e-6
 """Added to a length that divides [m]."""
 
 
-def velocity_to(way: Array) -> Array:
+def pace(drive: Drive, usual: tuple[float, float, float], shaped: tuple[float, float, float], far: Array) -> Array:
+    """Speed `[...]` m/s at so far from where to rest `[...]` m, by a largest speed, a gain and a deceleration."""
+    fastest, gain, brake = shaped if drive.shaped else usual
+    return jnp.minimum(jnp.minimum(fastest, gain * far), jnp.sqrt(2 * brake * far))
+
+
+def velocity_to(drive: Drive, way: Array) -> Array:
     """Velocity `[B, 3]` m/s along a way `[B, 3]` m, at whose end the tool rests."""
     far = norm(way)[:, None] + TINY
-    return way / far * jnp.minimum(jnp.minimum(TRAVEL, GAIN * far), jnp.sqrt(2 * BRAKE * far))
+    return way / far * pace(drive, (TRAVEL, GAIN, BRAKE), SHAPED, far)
 
 
 def yaw(quaternion: Array) -> Array:

@@ -120,7 +120,7 @@ def approach(drive: Drive, now: Situation, grip: Grip) -> Array:
     low = (tool[:, 2] < middle[:, 2] + LOW) & (aside > BESIDE)
     place = jnp.where(low[:, None], tool[:, :2], middle[:, :2])
     height = jnp.where(low, middle[:, 2] + HOVER + RISE, height)
-    return velocity_to(jnp.concatenate([place, height[:, None]], axis=-1) - tool)
+    return velocity_to(drive, jnp.concatenate([place, height[:, None]], axis=-1) - tool)
 
 
 def carry(drive: Drive, now: Situation, grip: Grip, goal: Array) -> Array:
@@ -130,7 +130,7 @@ def carry(drive: Drive, now: Situation, grip: Grip, goal: Array) -> Array:
     lowest = drive.robot.table_top + now.bodies.extent[:, -1, 2] + rise
     up = jnp.maximum(goal[:, 2], lowest) - goal[:, 2]
     way = way + up[:, None] * jnp.array([0.0, 0.0, 1.0])
-    return grip.firm[:, None] * velocity_to(way)
+    return grip.firm[:, None] * velocity_to(drive, way)
 
 
 def moved(drive: Drive, now: Situation, velocity: Array, turn: Array, closes: Array) -> Array:

@@ -43,17 +43,17 @@ def place(drive: Drive, now: Situation) -> Array:
     within = jnp.where(grip.closing, 1.0, LOOSE)
     put = (norm((goal - middle)[:, :2]) < within * PUT) & (middle[:, 2] < goal[:, 2] + within * SET_DOWN)
     up = jnp.where(now.opening[:, 0] > width + OPENED, goal[:, 2] + AWAY - now.tool_position[:, 2], 0.0)
-    leaving = velocity_to(up[:, None] * jnp.array([0.0, 0.0, 1.0]))
+    leaving = velocity_to(drive, up[:, None] * jnp.array([0.0, 0.0, 1.0]))
     closes, waits = grip.closes & ~put, grip.closes & ~grip.held
     velocity = jnp.where(waits[:, None], 0.0, approach(drive, now, grip))
-    velocity = jnp.where(grip.held[:, None], _over(now, grip, middle, goal), velocity)
+    velocity = jnp.where(grip.held[:, None], _over(drive, now, grip, middle, goal), velocity)
     velocity = jnp.where(put[:, None], leaving, velocity)
     rests = jnp.arange(now.command.shape[-1]) < now.q.shape[-1]
     rests &= (put & (jnp.abs(up) < HIGH))[:, None]
     return jnp.where(rests, 0.0, moved(drive, now, velocity, grip.turn, closes))
 
 
-def _over(now: Situation, grip: Grip, middle: Array, goal: Array) -> Array:
+def _over(drive: Drive, now: Situation, grip: Grip, middle: Array, goal: Array) -> Array:
     """Velocity `[B, 3]` of what is held: up, over the wall, and down at the goal."""
     top = now.bodies.position[:, 0, 2] + now.bodies.extent[:, 0, 2]
     cruise = top + now.bodies.extent[:, -1, 2] + MARGIN - goal[:, 2]
@@ -62,7 +62,7 @@ def _over(now: Situation, grip: Grip, middle: Array, goal: Array) -> Array:
     rise = jnp.minimum(STEEP * jnp.maximum(aside - PUT, 0.0), cruise)
     # On the way up nothing goes aside before it is over the wall's edge, nor further than the slope down allows.
     free = jnp.clip(1 - (rise - high) / MARGIN, 0.0, 1.0)[:, None]
-    velocity = velocity_to(way + rise[:, None] * jnp.array([0.0, 0.0, 1.0])) * jnp.concatenate(
+    velocity = velocity_to(drive, way + rise[:, None] * jnp.array([0.0, 0.0, 1.0])) * jnp.concatenate(
         [free, free, free * 0 + 1], -1
     )
     sinking = (aside < PUT) & (velocity[:, 2] < -SINK)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
-from reachlab.control.hand import TINY, TRAVEL, across, towards, velocity_to, yaw
+from reachlab.control.hand import TINY, TRAVEL, across, pace, towards, velocity_to, yaw
 from reachlab.control.situation import Drive, Situation
 from reachlab.robots.files.gripper import BEYOND, GRIPPERS
 from reachlab.robots.kinematics.forward import norm
@@ -34,6 +34,9 @@ down behind it [m]."""
 
 PUSH, PUSH_GAIN, PUSH_BRAKE = 0.6, 10.0, 2.0
 """Of the tool while it pushes, as in `hand`. Friction of 0.3 stops an object that slides ahead with 3 m/s²."""
+
+PUSH_SHAPED = 0.3, 4.0, 0.6
+"""The same where commands are shaped."""
 
 DOWN_GAIN, LEVEL = 6.0, 0.02
 """Of the tool on its way to that height: speed over distance [1/s]. So far from it a push is at half its speed, and
@@ -87,14 +90,14 @@ def push(drive: Drive, now: Situation, done: float = DONE, again: float = AGAIN)
     that is backed; it remembers nothing.
     """
     state = planned(now)
-    speed = jnp.minimum(jnp.minimum(PUSH, PUSH_GAIN * state.left), jnp.sqrt(2 * PUSH_BRAKE * state.left))
+    speed = pace(drive, (PUSH, PUSH_GAIN, PUSH_BRAKE), PUSH_SHAPED, state.left)
     # Tips that come down while they push make a cube tumble that sticks to them.
     speed = speed * jnp.clip(1.5 - jnp.abs(state.down) / (DOWN_GAIN * LEVEL), 0.2, 1.0)
     speed = jnp.minimum(speed + 8 * jnp.maximum(state.gap - 0.003, 0.0), TRAVEL)
     normal = _normal(state.line)
     pushing = state.line * speed[:, None] - normal * ((STEER * speed + 0.05) * state.aside / 0.03)[:, None]
     pushing = jnp.concatenate([pushing, state.down[:, None]], axis=-1)
-    velocity = jnp.where(state.ready[:, None], pushing, run_up(now, state))
+    velocity = jnp.where(state.ready[:, None], pushing, run_up(drive, now, state))
     away = norm((now.goal.position - now.bodies.position[:, -1])[:, :2])
     # A hand that rests against the object lets it creep: it goes on resting.
     rests = jnp.abs(now.qd).max(axis=-1) < STILL
@@ -140,7 +143,7 @@ def planned(now: Situation) -> Push:
     return Push(line, left, along, aside, gap, ready, down)
 
 
-def run_up(now: Situation, state: Push) -> Array:
+def run_up(drive: Drive, now: Situation, state: Push) -> Array:
     """Velocity `[B, 3]` on the way to behind the object, over it where it is in the way."""
     tool, middle, half = now.tool_position, now.bodies.position[:, -1], now.bodies.extent[:, -1]
     table = now.goal.position[:, 2] - half[:, 2]
@@ -152,4 +155,4 @@ def run_up(now: Situation, state: Push) -> Array:
     place = jnp.where(blocked[:, None], tool[:, :2], before)
     height = jnp.where(blocked, table + over + 0.01, height)
     way = jnp.concatenate([place, height[:, None]], axis=-1) - tool
-    return velocity_to(way)
+    return velocity_to(drive, way)

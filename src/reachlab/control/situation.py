@@ -32,12 +32,14 @@ class Drive:
         period: time from one command to the next [s].
         lag: time by which each joint follows its command `[n]` [s].
         late: mean age of what is measured of the joints [s].
+        shaped: commands are kept within limits of acceleration and jerk, as those of an exported controller.
     """
 
     robot: Robot
     period: float
     lag: tuple[float, ...]
     late: float = field(default=0.0, kw_only=True)
+    shaped: bool = field(default=False, kw_only=True)
 
 
 def shaped_within(drive: Drive) -> MotionLimits:

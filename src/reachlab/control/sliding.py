@@ -86,7 +86,7 @@ def slide(setup: Any, now: Situation) -> Array:
     )
     strike = jnp.concatenate([strike, 2.5 * state.down[:, None]], axis=-1)
     turn = across(setup, now, jnp.arctan2(state.line[:, 1], state.line[:, 0]))
-    before = towards(setup, now, run_up(now, state), turn)
+    before = towards(setup, now, run_up(setup, now, state), turn)
     # Held down until it meets the puck, the hand is square to it.
     met = touches | (norm(moving) > MET)
     struck = jnp.where(met[:, None], swing(setup, now, strike), towards(setup, now, strike, turn))

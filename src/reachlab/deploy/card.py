@@ -40,7 +40,7 @@ def _metadata(facts: dict[str, Any], title: str) -> str:
     lines += [
         f"- {_yaml(tag)}" for tag in ("robotics", "reinforcement-learning", "onnx", facts["robot"], facts["task"])
     ]
-    if facts["held_out"] and not facts["evaluated_with"]:
+    if facts["held_out"] and not facts.get("evaluated_with"):
         report = facts["held_out"][0]
         result = {
             "task": {"type": "reinforcement-learning", "name": facts["task"]},

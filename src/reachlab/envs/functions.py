@@ -236,15 +236,15 @@ class EnvFunctions:
         arm = state.arm
         beside = arm.bodies, arm.contact, arm.tool, arm.opening
         now = Situation(arm.q, arm.qd, *arm.tool, state.goal, state.command, state.last_action, *beside)
-        moved = arm.tool._replace(position=self.setup.task.achieved(now))
-        now = now._replace(wrench=arm.wrench, achieved=moved)
+        now = now._replace(wrench=arm.wrench)
         return self.measured(now, state.key, state.clock, state.sensed, state.sight)
 
     def measured(
         self, now: Situation, keys: Array, clock: Array, sensed: Sensed | None, sight: Sight | None
     ) -> Situation:
         """A situation as it is measured, and the goal as far as it is known."""
-        now = now._replace(goal=self.setup.task.known(self.setup, now.goal))
+        moved = now.achieved._replace(position=self.setup.task.achieved(now))
+        now = now._replace(goal=self.setup.task.known(self.setup, now.goal), achieved=moved)
         if sight is not None:
             now = now._replace(bodies=sight.known)
         if "objects" in self.randomise:

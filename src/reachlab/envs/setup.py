@@ -60,7 +60,8 @@ def make_setup(config: RunConfig) -> TaskSetup:
     lag = (0.0,) * robot.chain.n
     period = config.physics.control_period
     late = age(period) if "delay" in config.randomise else 0.0
-    setup = TaskSetup(robot, period, lag, task, on_arm(config.rules, robot), late=late)
+    rules, shaped = on_arm(config.rules, robot), config.physics.shaping
+    setup = TaskSetup(robot, period, lag, task, rules, late=late, shaped=shaped)
     task.check(setup)
     return setup
 

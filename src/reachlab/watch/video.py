@@ -36,7 +36,7 @@ SPEEDS, LONG_ENOUGH = (1.0, 0.5, 0.25, 0.1), 2.0
 WEBP_QUALITY = 82
 """Of 100: the lowest at which the workspace's thin edges stay clean."""
 
-SHORTEST = {".webp": 0.02, ".gif": 0.02}
+SHORTEST = {".webp": 0.02, ".gif": 0.02, ".mp4": 0.0}
 """Time for which a picture stands at least [s], by ending: browsers show one of 10 ms or less for 100 ms."""
 
 MP4_QUALITY = 20
@@ -84,8 +84,7 @@ def write_video(
         out: file to write; its ending is one of `ENCODERS`.
         seed: seed of the targets.
         episodes: how many.
-        fps: pictures for each second of the video, about: each shows a whole number of control steps. A .webp or .gif
-            has 50 at most.
+        fps: pictures a second, about: each shows a whole number of control steps; at most 50 in .webp and .gif.
         speed: 1 is real time, 0.5 half as fast; 0 chooses among `SPEEDS`.
         watch: called after every episode with how many have been filmed.
 
@@ -99,8 +98,7 @@ def write_video(
     name = name_of(agent) if callable(agent) else choose("agent", agent, AGENTS)
     period, player = env.config.physics.control_period, Player(env, seed)
     speed = speed or _slow_enough(player, agent, policy, period, episodes)
-    shortest = SHORTEST.get(out.suffix.lower(), 0.0) * (1 - 1e-9)
-    stride = max(1, round(speed / (fps * period)), math.ceil(shortest * speed / period))
+    stride = max(1, round(speed / (fps * period)), math.ceil(SHORTEST[out.suffix.lower()] * speed / period - 1e-9))
     interval = stride * period / speed
     if interval > LONGEST_PICTURE:
         raise InputError(
