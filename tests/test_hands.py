@@ -264,7 +264,7 @@ def test_rewards_of_goals_are_of_where_an_object_truly_is(randomise: tuple[str, 
 
 def test_collisions_that_have_no_effect_are_refused() -> None:
     for task in ("push", "clutter"):
-        with pytest.raises(InputError, match="collisions has no effect beside obstacles and objects"):
+        with pytest.raises(InputError, match="collisions has no effect beside other bodies"):
             configure_env(task, collisions=True)
 
 

@@ -118,7 +118,7 @@ def _contradictions(config: RunConfig, changed: set[str]) -> Iterator[str]:
             " near home free: leave it out."
         )
     if "collisions" in changed and config.physics.collisions and {"bodies", "object"} & rules.gives:
-        yield "collisions has no effect beside obstacles and objects, whose contacts are judged anyway: leave it out."
+        yield "collisions has no effect beside other bodies, whose contacts are judged anyway: leave it out."
     if (ACTIONS[rules.action].method or config.method) == "ppo" and loop.num_envs % config.ppo.minibatches:
         yield (
             f"num_envs {loop.num_envs} cannot be divided among {config.ppo.minibatches} minibatches: choose a divisor."

@@ -125,7 +125,7 @@ class XmlFiles:
             InputError: it is missing or no XML that can be read.
         """
         if not self.file.exists():
-            raise InputError("does not exist: put it there, or train with another --robot.")
+            raise InputError("does not exist: put it there, or name another robot.")
         root = self._parse(self.file)
         if root.tag not in ("mujoco", "robot"):
             raise InputError(f"is neither MJCF (<mujoco>) nor URDF (<robot>): its root is <{root.tag[:40]}>.")
