@@ -186,7 +186,7 @@ def test_the_card_says_where_figures_are_of_something_else(clutter: Path) -> Non
     other = model_card(facts | {"evaluated_with": {"scene": ["balls"], "max_steps": 150}, "planner": {}})
     assert "model-index" not in other
     assert (
-        "They are of the policy alone, without its planner, and not of what is asked for here: with scene ['balls'],"
+        "They are of the policy alone, without its planner, and not of what is asked for here: with scene balls,"
         " max_steps 150. Evaluate what this export asks for" in other
     )
 

@@ -6,6 +6,8 @@ import json
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 EXAMPLE = """```python
 from controller import Controller
 
@@ -112,7 +114,8 @@ def evaluated_with(facts: dict[str, Any]) -> str:
     """Of what held-out figures are, where it is not all that is exported; empty where it is, or there are none."""
     parts = ["of the policy alone, without its planner"] * ("planner" in facts)
     if other := facts.get("evaluated_with"):
-        parts.append(f"not of what is asked for here: with {', '.join(f'{name} {one}' for name, one in other.items())}")
+        was = [" ".join(map(str, (name, *np.atleast_1d(one)))) for name, one in other.items()]
+        parts.append(f"not of what is asked for here: with {', '.join(was)}")
     return ", and ".join(parts) if facts["held_out"] else ""
 
 
