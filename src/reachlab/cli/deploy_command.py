@@ -117,10 +117,11 @@ def _say_unshaped(folder: Path) -> None:
     from reachlab.cli.console import note
     from reachlab.deploy.check import read_facts
 
-    settings = read_facts(folder)["settings"]
+    settings = (facts := read_facts(folder))["settings"]
     if not settings["physics"]["shaping"]:
+        varied = "objects sight" if facts.get("objects") else "dynamics"
         task = settings["task"] if settings["sim"] == "mujoco" else "precise"
         note(
             "The policy was trained without the limits of acceleration and jerk that its controller keeps, and may fail"
-            f" within them: for a robot, train with --task {task} --shaping --randomise dynamics delay."
+            f" within them: for a robot, train with --task {task} --shaping --randomise {varied} delay."
         )

@@ -40,7 +40,7 @@ NAMES: dict[str, tuple[str, Mapping[str, object]]] = {
 """Settings that are names of tables, or lists of them, and what they are called."""
 
 LONGEST = 0.005
-"""Longest step of the engine with which objects do not sink into what they lie on, and slip out of hands [s]."""
+"""Longest step of the engine with which objects neither sink into what they lie on nor slip out of hands [s]."""
 
 RANDOMISED = ("dynamics", "delay", "view", "objects", "sight")
 """Parts that can vary from episode to episode; see `RunConfig.randomise`."""
