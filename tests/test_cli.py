@@ -299,7 +299,7 @@ WRONG = {
     "video of no pictures a second": ("video run --fps 0", "fps must be above 0"),
     "video of too few pictures": ("video run --agent ik --fps 1e-6", "a picture would stand for 1e.06 s"),
     "plot of nothing": ("plot", "run"),
-    "plot of no run": ("plot nothing", "'nothing' holds no metrics.jsonl"),
+    "plot of no run": ("plot nothing", "run directory 'nothing' does not exist"),
     "plot to an unknown ending": ("plot young --out curve.xyz", "cannot be written to 'curve.xyz'"),
     "plot to a folder": ("plot young --out .", "cannot be written to '.': name a file that ends in .png or .svg"),
 }

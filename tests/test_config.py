@@ -189,8 +189,8 @@ def test_number_out_of_range_is_refused(name, value, message):
         ("clip_actions", 1, "clip_actions must be true or false, got 1"),
         ("reward", 3, "reward must be a name, got 3"),
         ("hidden", (64, "64"), "each entry of hidden must be a whole number, got '64'"),
-        ("hidden", 64, "hidden must be a tuple, each entry a whole number, got 64"),
-        ("target_low", (0.0, 0.0), r"target_low must be a tuple of 3, each entry a number, got \(0.0, 0.0\)"),
+        ("hidden", 64, "hidden must be a list, each entry a whole number, got 64"),
+        ("target_low", (0.0, 0.0), r"target_low must be a list of 3, each entry a number, got \(0.0, 0.0\)"),
     ],
 )
 def test_value_of_the_wrong_type_is_refused(name, value, message):

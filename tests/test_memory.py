@@ -247,7 +247,7 @@ def test_a_graph_remembers_and_is_told_where_episodes_begin(tmp_path: Path) -> N
     policy = untrained(config, env)
     write_files(tmp_path, env, policy, {"run": {}, "held_out": [], "versions": {}})
     graph = OnnxNetwork(tmp_path)
-    graph.check(env.schema)
+    graph.check(env)
     by_graph, own = env.compile_whole(make_act(env, "trained")), make_act(env, graph.act)
     ours = theirs = env.compile_whole(env.init)(env_keys(0, B))
     key = jax.random.key(0)

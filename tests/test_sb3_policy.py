@@ -139,4 +139,4 @@ def test_a_normaliser_that_is_none_is_named(trained: tuple[Path, Path, np.ndarra
 def test_a_model_is_not_asked_about_observations_that_it_does_not_know(trained: tuple[Path, Path, np.ndarray]) -> None:
     env = Env(configure(observation="target"), 1)
     with pytest.raises(InputError, match=r"observes arrays of \(6,\), and the environment gives \(3,\)"):
-        load_model(trained[0]).check(env.schema)
+        load_model(trained[0]).check(env)

@@ -8,6 +8,7 @@ datasets that `reachlab record` writes.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -17,8 +18,9 @@ from reachlab.deploy.lerobot_env import LeRobotVectorEnv
 from reachlab.deploy.lerobot_policy import LeRobotPolicy
 from reachlab.envs.earlier_configs import from_json
 from reachlab.envs.setup import configure_env, in_evaluation
+from reachlab.settings.config import PICTURE_SIDES
 from reachlab.settings.json_form import override
-from reachlab.settings.validation import InputError
+from reachlab.settings.validation import InputError, whole_number
 from reachlab.tasks import TASKS
 
 __all__ = ["LeRobotPolicy", "make_env"]
@@ -51,10 +53,14 @@ def make_env(
     del use_async_envs
     if settings.get("shaping"):
         raise InputError("an exported controller shapes its commands itself: leave shaping out.")
-    varied = tuple(settings.get("randomise", ()))
+    whole_number("size", size, *PICTURE_SIDES)
+    varied = tuple(settings.get("randomise") or ())
     if cameras and "view" in varied:  # what its pictures show, whatever a policy observes
         settings["randomise"] = tuple(one for one in varied if one != "view")
-    name = (cfg and cfg.task) or task
+    name = getattr(cfg, "task", None) or task
+    if not isinstance(name, str | os.PathLike):
+        raise InputError(f"task must be the name of a task or a folder of an export, got {name!r}.")
+    name = os.fspath(name)
     if name not in TASKS and Path(name).is_dir():
         trained = from_json(read_facts(Path(name))["settings"])
         config = in_evaluation(trained, settings.pop("sim", trained.sim), **settings)

@@ -41,6 +41,12 @@ def make_vec_env(
             f"{foreign[0]} is for single environments, and these are one batch: leave it out, and put a VecEnvWrapper"
             " around the batch, as VecMonitor(env, FILE), VecNormalize or VecFrameStack."
         )
+    if "num_envs" in settings:
+        raise InputError(
+            "the number of environments is n_envs here, as in Stable-Baselines3: say it in place of num_envs."
+        )
+    if not isinstance(env_kwargs, dict | None):
+        raise InputError(f"env_kwargs must be a dict of settings, got {env_kwargs!r}.")
     try:
         from reachlab.envs.sb3_vector import ReachVecEnv
     except ModuleNotFoundError:

@@ -8,18 +8,20 @@ import io
 import logging
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from inspect import signature
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from gymnasium.spaces import Box
 
 from reachlab.agents.acting import Function
+from reachlab.envs.core import Env
 from reachlab.envs.earlier_configs import from_json
 from reachlab.envs.gymnasium_shared import SETTINGS
 from reachlab.settings.config import RunConfig
 from reachlab.settings.reading import MOST_MODEL, read_regular
 from reachlab.settings.validation import InputError, installing
-from reachlab.tasks.schema import Schema
 
 log = logging.getLogger(__name__)
 
@@ -32,25 +34,40 @@ class SavedModel:
         act: its deterministic actions `[B, a]` for observations.
         config: settings of the environment that it was trained in; None if it was not one of ours.
         checkpoint: its environment steps, and SHA-256 of its file.
-        shapes: of an observation, by name in a dict.
+        observations, actions: the spaces of Gymnasium that it was trained with.
     """
 
     act: Function
     config: RunConfig | None
     checkpoint: dict[str, Any]
-    shapes: Any
+    observations: Any
+    actions: Any
 
-    def check(self, schema: Schema) -> None:
-        """Make sure that an environment's observations are what the model expects.
+    def check(self, env: Env) -> None:
+        """Make sure that an environment's observations and actions are what the model expects.
 
         Raises:
             InputError: they are not.
         """
-        if (given := _shapes(schema.bounds[0])) != self.shapes:
+        expected, given = _shapes(self.observations), _shapes(env.schema.bounds[0])
+        if given != expected:
             raise InputError(
-                f"the model observes arrays of {self.shapes}, and the environment gives {given}: evaluate it from"
+                f"the model observes arrays of {expected}, and the environment gives {given}: evaluate it from"
                 " Python in an environment with the settings that it was trained with, see `reachlab.evaluate`."
             )
+        # Of a model that knows its settings the goals may be others; only a wrapper changes its actions.
+        if not _same(self.actions, env.action_bounds) or not (self.config or self._observes(env.schema.bounds)):
+            raise InputError(
+                "the spaces of the model are not those of the environment: it was trained with other settings, or"
+                " behind a wrapper, as RescaleAction, that no model holds: evaluate it from Python behind the same one."
+            )
+
+    def _observes(self, bounds: tuple[Any, Any]) -> bool:
+        """Whether observations within such bounds are what it was trained on."""
+        low, high = bounds
+        if not isinstance(low, Mapping):
+            return _same(self.observations, bounds)
+        return all(_same(self.observations[name], (low[name], high[name])) for name in low)
 
 
 def load_model(file: Path, normaliser: Path | None = None) -> SavedModel:
@@ -75,7 +92,7 @@ def load_model(file: Path, normaliser: Path | None = None) -> SavedModel:
         data, parameters, _ = load_from_zip_file(io.BytesIO(content), device="cpu")
         data = data or {}
         policy = _policy(data, parameters)
-    normalise = None
+    observations, normalise = policy.observation_space, None
     if normaliser is None and _was_normalised(data):
         log.warning(
             "reachlab: '%s' was trained on normalised observations, and gets plain ones: name what VecNormalize.save"
@@ -84,7 +101,10 @@ def load_model(file: Path, normaliser: Path | None = None) -> SavedModel:
         )
     if normaliser:
         with _loading(normaliser, "a normaliser"):
-            normalise = load_from_pkl(io.BytesIO(read_regular(normaliser, MOST_MODEL)[0])).normalize_obs
+            saved = load_from_pkl(io.BytesIO(read_regular(normaliser, MOST_MODEL)[0]))
+            normalise = saved.normalize_obs
+            if _shapes(saved.observation_space) != _shapes(observations):
+                raise ValueError("it is of other observations than the model")
 
     kept: Any = None
 
@@ -96,7 +116,8 @@ def load_model(file: Path, normaliser: Path | None = None) -> SavedModel:
 
     settings = getattr(policy.action_space, SETTINGS, None)
     checkpoint = {"steps": data.get("num_timesteps"), "sha256": digest}
-    return SavedModel(sb3, from_json(settings) if settings else None, checkpoint, _shapes(policy.observation_space))
+    config = from_json(settings) if settings else None
+    return SavedModel(sb3, config, checkpoint, observations, policy.action_space)
 
 
 def _was_normalised(data: Mapping[str, Any]) -> bool:
@@ -105,7 +126,8 @@ def _was_normalised(data: Mapping[str, Any]) -> bool:
     if space is None or last is None:
         return False
     parts = [(space[name], part) for name, part in last.items()] if isinstance(last, Mapping) else [(space, last)]
-    return any(bool(np.any((part < box.low) | (part > box.high))) for box, part in parts)
+    boxes = [(box, part) for box, part in parts if isinstance(box, Box)]
+    return any(bool(np.any((part < box.low) | (part > box.high))) for box, part in boxes)
 
 
 @contextlib.contextmanager
@@ -120,11 +142,20 @@ def _loading(file: Path, what: str) -> Iterator[None]:
 
 def _policy(data: dict[str, Any], parameters: dict[str, Any]) -> Any:
     """The policy alone, whatever algorithm trained it."""
-    spaces, options = (data["observation_space"], data["action_space"]), data["policy_kwargs"]
-    policy = data["policy_class"](*spaces, lambda _: 0.0, **options)
+    kind, spaces = data["policy_class"], (data["observation_space"], data["action_space"])
+    asked = signature(kind).parameters  # of what an algorithm gives beside the policy's own options, where it has it
+    given = {"lr_schedule": lambda _: 0.0, "use_sde": data.get("use_sde", False)}
+    policy = kind(*spaces, **{name: given[name] for name in given if name in asked} | data["policy_kwargs"])
     policy.load_state_dict(parameters["policy"])
     policy.set_training_mode(False)
     return policy
+
+
+def _same(space: Any, bounds: tuple[Any, Any]) -> bool:
+    """Whether a space is the box of bounds."""
+    if not isinstance(space, Box) or space.shape != np.shape(bounds[0]):
+        return False
+    return np.allclose(space.low, bounds[0]) and np.allclose(space.high, bounds[1])
 
 
 def _shapes(observation: Any) -> Any:

@@ -24,6 +24,7 @@ def export(arguments: Export) -> None:
     prepare()
     from reachlab.cli.console import say
     from reachlab.cli.eval_subjects import other_goals
+    from reachlab.deploy.check import read_facts
     from reachlab.deploy.export import SITUATIONS, TOLERANCES, export
 
     done = export(arguments.run, arguments.out, arguments.agent, **other_goals(arguments))
@@ -41,9 +42,12 @@ def export(arguments: Export) -> None:
         say("The C sources were not tried: no compiler was found, or the policy gets pictures.")
     if "planner.py" in done.files:
         say("The controller starts a planner, which needs mujoco, ompl and toppra on the robot; or --agent trained.")
-    _say_unshaped(done.folder)
+    pictured = read_facts(done.folder)["observation"]["pictured"]
+    if not pictured:
+        _say_unshaped(done.folder)
     _say_evaluated(done.folder)
-    say(f"Next: reachlab deploy check {quote(str(done.folder))}")
+    what = ("eval", arguments.run) if pictured else ("deploy check", done.folder)
+    say(f"Next: reachlab {what[0]} {quote(str(what[1]))}")
 
 
 def deploy(arguments: Deploy) -> None:

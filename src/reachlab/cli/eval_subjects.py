@@ -51,7 +51,7 @@ class Subject:
         from reachlab.learn.load import load_saved
 
         if self.model:
-            self.model.check(env.schema)
+            self.model.check(env)
         if self.run and not self.saved:
             self.saved = load_saved(self.run, env)
         judged = self.model or self.saved
@@ -188,10 +188,11 @@ def _settings(arguments: Subjects, agents: Sequence[str], run: RunDirectory | No
         return run.read_config()
     if known:
         return known
+    config = override(preset(arguments.task or "tutorial"), **arm)
     if not model and (needing := [agent for agent in agents if AGENTS[agent].trained]):
         others = ", ".join(name for name, entry in AGENTS.items() if not entry.trained)
         raise InputError(
             f"agent {needing[0]!r} needs a run: name its directory or a policy of `reachlab list`, or choose --agent"
             f" among {others}."
         )
-    return override(preset(arguments.task or "tutorial"), **arm)
+    return config

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, make_dataclass
+from itertools import chain
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, get_args, get_origin
 
 import tyro
 
@@ -127,7 +128,10 @@ EVALUATED = (
 
 def _goal_flags() -> type:
     """Dataclass with a flag for each setting of `EVALUATED`; None where one is not given."""
-    kinds = {name: kind for task in reversed(TASKS.values()) for name, kind in hints(task.load()).items()}
+    kinds: dict[str, Any] = {}
+    for name, kind in chain.from_iterable(hints(task.load()).items() for task in TASKS.values()):
+        same = kinds.setdefault(name, kind) == kind  # else each task checks it by the limits of its own
+        kinds[name] = kind if same or get_origin(kind) is not Annotated else get_args(kind)[0]
     texts = {name: text for task in reversed(TASKS.values()) for name, text in field_docstrings(task.load()).items()}
 
     def flag(name: str) -> Any:

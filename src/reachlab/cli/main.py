@@ -233,10 +233,11 @@ def _defaults(flags: type, chosen: argparse.Namespace) -> RunConfig:
     if config := _resumed(flags, chosen):
         return config
     if not chosen.config:
-        choices = {name: vars(chosen)[name] for name in CHOICES if vars(chosen)[name]}
-        return preset(chosen.task or "tutorial", **choices)
+        return preset(chosen.task or "tutorial", **{name: vars(chosen)[name] for name in CHOICES if vars(chosen)[name]})
     from reachlab.runs.directory import read_config
 
+    if not Path(chosen.config).is_file():
+        raise InputError(f"'{chosen.config}' is no file: --config takes the config.json of a run.")
     config = read_config(Path(chosen.config))
     if chosen.task not in (None, config.task):
         raise InputError(f"'{chosen.config}' holds settings of task {config.task!r}: leave --task out.")

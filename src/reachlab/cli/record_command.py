@@ -41,7 +41,11 @@ def record(arguments: Record) -> None:
     with EvalDisplay(settings.episodes) as display, closing(Env(config, num_envs)) as env:
         acting, policy, checkpoint = subject.acting(env, agent)
         display.begin(agent, config.sim)
-        made = write(env, acting, policy, arguments.out, settings, checkpoint=checkpoint, watch=display)
+        try:
+            made = write(env, acting, policy, arguments.out, settings, checkpoint=checkpoint, watch=display)
+        except KeyboardInterrupt as interruption:
+            interruption.args = (f"interrupted; the same command goes on in '{arguments.out}'.",)
+            raise
     if arguments.json:
         print(jsonlib.dumps(vars(made)))
     else:

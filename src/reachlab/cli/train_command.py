@@ -52,6 +52,8 @@ def _distillation(arguments: Distil) -> RunConfig:
 
 def _learn(arguments: Train | Distil, config: RunConfig, verb: str) -> None:
     """Train or distil, and show the result."""
+    if config.verb != verb and not arguments.resume:
+        raise InputError("the file holds the settings of a distillation: use `reachlab distil`, with its flags.")
     if config.verb != verb:
         command = f"reachlab {config.verb} --resume {quote(str(arguments.resume))}"
         raise InputError(f"run '{arguments.resume}' is resumed with `{command}`.")

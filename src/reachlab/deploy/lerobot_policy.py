@@ -18,7 +18,6 @@ from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState, Transition
 from reachlab.envs.gymnasium_shared import checked_actions
 from reachlab.settings.validation import InputError
-from reachlab.tasks.schema import Schema
 
 
 class LeRobotPolicy:
@@ -66,8 +65,8 @@ class LeRobotPolicy:
         self.checkpoint: dict[str, Any] = {"steps": None, "sha256": hashlib.sha256(weights).hexdigest()}
         self.act = Driver(config.type, self._act)
 
-    def check(self, schema: Schema) -> None:
-        """Nothing, of a schema: it observes what `LeRobotForm` gives of any environment."""
+    def check(self, env: Env) -> None:
+        """Nothing: it observes what `LeRobotForm` gives of any environment."""
 
     def _act(self, env: Env) -> Act:
         """Its step in an environment, in which all episodes begin together.

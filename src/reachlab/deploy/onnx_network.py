@@ -12,12 +12,13 @@ import numpy as np
 
 from reachlab.deploy.check import read_facts
 from reachlab.emit.behaviour import MEMORY
+from reachlab.envs.core import Env
 from reachlab.envs.earlier_configs import from_json
 from reachlab.envs.presets import configure
 from reachlab.settings.config import RunConfig
 from reachlab.settings.reading import MOST_MODEL, MOST_TEXT, read_regular
 from reachlab.settings.validation import InputError, installing
-from reachlab.tasks.schema import Observed, Schema
+from reachlab.tasks.schema import Observed
 
 FACTS = "policy.json"
 """File beside the graph that says what the policy observes and commands."""
@@ -69,13 +70,13 @@ class OnnxNetwork:
         """Numbers that the only input of a graph with one takes."""
         return int(next(iter(self._inputs.values())).shape[1])
 
-    def check(self, schema: Schema) -> None:
-        """Make sure that it takes the observations of a schema.
+    def check(self, env: Env) -> None:
+        """Make sure that it takes the observations of an environment.
 
         Raises:
             InputError: it does not.
         """
-        given = {name: array.shape for name, array in self._named(schema.bounds[0]).items()}
+        given = {name: array.shape for name, array in self._named(env.schema.bounds[0]).items()}
         for name, shape in given.items():
             taken = self._inputs[name].shape[1:]
             if len(taken) != len(shape) or any(

@@ -31,8 +31,14 @@ class ReachVecEnv(VecEnv):
         """Batch of environments of an id, whose settings are changed by those given; see `ReachEnv`.
 
         Raises:
-            InputError: no id of this package; or see `ReachEnv`.
+            InputError: no id of this package, or arrays of JAX; or see `ReachEnv`.
         """
+        if not isinstance(env_id, str):
+            raise InputError(f"env_id must be the name of an environment, as reachlab/Reach-v0, got {env_id!r}.")
+        if arrays := {"arrays", "autoreset_mode"} & settings.keys():
+            raise InputError(
+                f"Stable-Baselines3 takes arrays of NumPy, reset in the same step: leave {min(arrays)} out."
+            )
         ours = [name for name, spec in gymnasium.registry.items() if spec.namespace == "reachlab"]
         spec = gymnasium.spec(choose("environment id", env_id.removeprefix("reachlab:"), ours))
         make_batch: Any = load_env_creator(spec.vector_entry_point)  # pyright: ignore[reportArgumentType]
@@ -61,7 +67,9 @@ class ReachVecEnv(VecEnv):
             InputError: there are some.
         """
         if options and options != [{}] * self.num_envs:
-            raise InputError("environments of Stable-Baselines3 take no options: `ReachVectorEnv` takes targets.")
+            raise InputError(
+                "environments of Stable-Baselines3 take no options: `ReachEnv`, a single one, takes targets."
+            )
 
     def step_async(self, actions: np.ndarray) -> None:
         """Keep the actions `[B, a]` for `step_wait`."""

@@ -121,8 +121,22 @@ class RunDirectory:
             InputError: there is no such run, its configuration cannot be used, or its robot is not the one that it
                 was trained with.
         """
+        self.check_there()
+        config = read_config(self.config_file)
+        if check_robot:
+            self.check_robot(config)
+        return config
+
+    def check_there(self) -> None:
+        """Refuse what cannot be a run.
+
+        Raises:
+            InputError: there is no such directory, or it is that of a sweep.
+        """
         if self.path.is_file():
             raise InputError(f"'{self.path}' is a file, where the directory of a run is needed.")
+        if (self.path / "sweep.json").is_file():
+            raise InputError(f"'{self.path}' is a sweep: its runs are the folders in '{self.path / 'trials'}'.")
         if not self.path.is_dir():
             beside = [one.parent.name for one in self.path.parent.glob(f"*/{self.config_file.name}")]
             near = difflib.get_close_matches(self.path.name, beside, n=1)
@@ -130,10 +144,6 @@ class RunDirectory:
             raise InputError(
                 f"run directory '{self.path}' does not exist: train one with `reachlab train --out {self.path}`.{hint}"
             )
-        config = read_config(self.config_file)
-        if check_robot:
-            self.check_robot(config)
-        return config
 
     def check_robot(self, config: RunConfig) -> None:
         """Refuse a robot whose files have changed since the run was made; runs of earlier versions have no hash.

@@ -43,7 +43,8 @@ class WeightsAndBiases:
         self._wandb = wandb
         try:
             self._settings = wandb.setup().settings
-            ready = self._settings.mode in LOCAL or wandb.run or wandb.login(prompt=False, verify=True)
+            online = wandb.run and not wandb.run.offline
+            ready = self._settings.mode in LOCAL or online or wandb.login(prompt=False, verify=True)
         except (wandb.Error, OSError, ValueError) as error:  # a ValueError where a variable of W&B's is not valid
             raise _refusal(error, WITHOUT) from None
         if not ready:

@@ -24,6 +24,9 @@ from reachlab.settings.validation import (
     Steps,
 )
 
+PICTURE_SIDES = 16, 512
+"""Least and largest height and width of a recorded picture [pixels]."""
+
 MOST_ENVS = 2**17
 """Environments of a batch."""
 
@@ -216,7 +219,7 @@ class RecordConfig(Checked):
     """Episodes to record; none of them is one of an evaluation, whatever its seed."""
     cameras: tuple[str, ...] = ("front",)
     """Cameras whose pictures are recorded, see `reachlab list cameras`; `--cameras` alone for none."""
-    size: Annotated[int, Range(16, 512)] = 96
+    size: Annotated[int, Range(*PICTURE_SIDES)] = 96
     """Height and width of pictures, an even number [pixels]."""
     seed: Seed = 0
     """Seed of the targets."""

@@ -212,5 +212,5 @@ def _type_name(hint: Any) -> str:
     if kind in UNIONS:
         return " or ".join(_type_name(arg) for arg in parts if arg is not type(None))
     if kind is tuple:
-        return f"a tuple{'' if parts[-1] is Ellipsis else f' of {len(parts)}'}, each entry {_type_name(parts[0])}"
+        return f"a list{'' if parts[-1] is Ellipsis else f' of {len(parts)}'}, each entry {_type_name(parts[0])}"
     return _type_name(parts[0]) if hasattr(hint, "__metadata__") else names.get(hint, str(hint))

@@ -12,7 +12,7 @@ from matplotlib.figure import SubFigure
 from matplotlib.patches import Patch
 from matplotlib.ticker import EngFormatter, MaxNLocator
 
-from reachlab.watch.results import Band, Group, band, pooled, read_rows
+from reachlab.watch.results import POOL, Band, Group, band, pooled, read_rows
 from reachlab.watch.style import FINE, group_style, show_plain_numbers
 
 
@@ -36,7 +36,7 @@ LABELS = {
     "steps": "environment steps",
     "wall_s": "time of training [s]",
     "success_rate": "success [%]",
-    "final_distance": "tool to target [mm]",
+    "final_distance": "distance to the goal [mm]",
 }
 """Labels of axes by metric."""
 
@@ -79,7 +79,8 @@ def _draw_group(places: Sequence[Axes], group: Group, colour: str, style: str) -
 
 
 def _draw_band(axes: Axes, curve: Band, scale: float, colour: str, style: str, label: str) -> None:
-    axes.plot(curve.x, scale * curve.mean, style, color=colour, label=label)
+    alone = "." if len(curve.x) == 1 else None  # no line joins it to another
+    axes.plot(curve.x, scale * curve.mean, style, color=colour, label=label, marker=alone)
     if curve.low is not None and curve.high is not None:
         axes.fill_between(curve.x, scale * curve.low, scale * curve.high, color=colour, alpha=0.2, linewidth=0)
 
@@ -87,6 +88,12 @@ def _draw_band(axes: Axes, curve: Band, scale: float, colour: str, style: str, l
 def _set_axes(axes: Axes, panel: Panel) -> None:
     axes.set(title=panel.title, xlabel=LABELS[panel.x], ylabel=LABELS[panel.y])
     drawn = np.concatenate([np.asarray(line.get_ydata(), float) for line in axes.lines])
+    if not drawn.size:
+        axes.set(xticks=[], yticks=[])
+        axes.text(
+            0.5, 0.5, f"fewer than {POOL} episodes\nhave ended in training", transform=axes.transAxes, ha="center"
+        )
+        return
     if math.isinf(panel.most) and drawn.max(initial=0.0) > STEEP * drawn.min(initial=math.inf):
         axes.set_yscale("log")
         show_plain_numbers(axes.yaxis, FINE)

@@ -71,7 +71,9 @@ def draw_errors(axes: Axes, lines: Sequence[Line], limit: float | None) -> None:
     if limit:
         label = f"success: {1000 * limit:g} mm"
         axes.axvline(1000 * limit, color="gray", linewidth=0.8, linestyle="--", label=label)
-    axes.set(title="Error on held-out targets", xlabel="tool to target at the end [mm]", ylabel="episodes within [%]")
+    axes.set(
+        title="Error on held-out targets", xlabel="distance to the goal at the end [mm]", ylabel="episodes within [%]"
+    )
     axes.set_xscale("log")
     low, high = axes.get_xlim()
     show_plain_numbers(axes.xaxis, FINE if high < WIDE * low else COARSE)

@@ -75,6 +75,8 @@ def _draw_map(axes: Axes, one: Map) -> QuadMesh | None:
     lines = [*wrap(title, MAP_TITLE), *wrap(f"{evaluation.label}: {came}", MAP_TITLE)]
     axes.set_title("\n".join(lines), fontsize=MAP_FONT)
     axes.grid(visible=False)
+    if (across, up) == ABOVE:
+        axes.invert_xaxis()  # what is left of an arm has a positive y
     if not len(failed):
         axes.scatter(*points.T, s=4, color=PALETTE[0], alpha=0.4, linewidths=0)
         return None

@@ -123,6 +123,7 @@ def read_settings(run: Path) -> dict[str, Any]:
     Raises:
         InputError: the configuration cannot be read.
     """
+    RunDirectory(run).check_there()
     flat = flatten(RunDirectory(run).read_settings())
     flat.pop("seed", None)
     return flat
