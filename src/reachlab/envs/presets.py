@@ -124,12 +124,16 @@ def distillation(teacher: str, taught: RunConfig, **settings: Any) -> DistilRunC
     Raises:
         InputError: a name that is no setting or has no effect, or a value that is not allowed.
     """
+    from reachlab.tasks.observations import OBSERVATIONS
+
     for name in settings:
         if name in NOT_TAUGHT:
             raise InputError(f"{name} has no effect on a student, which is taught by its teacher: leave it out.")
     parts = {entry.name: getattr(taught, entry.name) for entry in dataclasses.fields(RunConfig)}
-    settings = {"observation": "image", **DISTILLATION} | settings
+    own = settings
+    settings = {"observation": "image", **DISTILLATION, **TASKS[taught.task].load().preset.student} | own
     settings.setdefault("anneal_steps", settings["total_steps"])
+    choose("observation", settings["observation"], OBSERVATIONS)
     config = DistilRunConfig(
         **parts,
         teacher=teacher,
@@ -139,7 +143,7 @@ def distillation(teacher: str, taught: RunConfig, **settings: Any) -> DistilRunC
     config = override(config, **settings)
     config = override(config, action=settings.get("action", _student_action(config)))
     # Where things are in a picture is what its encoder finds: no layer comes after it.
-    return config if "hidden" in settings or not _points(config) else override(config, hidden=())
+    return config if "hidden" in own or not _points(config) else override(config, hidden=())
 
 
 def _student_action(config: RunConfig) -> str:

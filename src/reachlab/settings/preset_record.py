@@ -26,6 +26,7 @@ class Preset:
         randomise: what varies in training.
         physics, loop, learner, ppo: of the simulation and the training.
         rules: what goes with other choices, in the order in which they are applied.
+        student: settings of who learns from a policy of the task, where they are not the policy's.
     """
 
     sim: str = "kinematic"
@@ -36,3 +37,4 @@ class Preset:
     learner: LearnerConfig = field(default_factory=LearnerConfig)
     ppo: PPOConfig = field(default_factory=PPOConfig)
     rules: tuple[Rule, ...] = ()
+    student: Mapping[str, Any] = field(default_factory=dict)

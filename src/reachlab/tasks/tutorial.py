@@ -19,6 +19,16 @@ AT_GOAL = {
 }
 """What may happen at the goal, by name."""
 
+GUIDED = "target+tool", "dense"
+"""Observation and reward of a policy that is shown the way."""
+
+SMALL = {"hidden": (32, 32)}
+"""Where the way to a place that is seen is told step by step, layers of 64, as the tutorial's, learn no surer: over six
+arms and five seeds each a training took 45 iterations on average, and with them 42, each of twice the time."""
+
+STUDENT = {"hidden": (64, 64)}
+"""A student of pictures has to find the place in them."""
+
 SPARSE = {"action_repeat": 8, "gamma": 0.9, "anneal_steps": 8_000_000}
 """Where success alone is rewarded, its credit has a long way back."""
 
@@ -41,6 +51,7 @@ PICTURED = {
 """A step with a picture costs a hundred times a step without one."""
 
 TOUCHED = (
+    Rule(lambda c: not c.rules.holds and (c.rules.observation, c.rules.reward) == GUIDED, SMALL),
     Rule(lambda c: not c.rules.holds and c.rules.reward == "sparse", SPARSE),
     Rule(lambda c: not c.rules.holds and c.rules.observation in ("image", "image+tool"), PICTURED),
 )
@@ -51,7 +62,7 @@ TOUCHED = (
 class Tutorial(TaskSettings):
     """Settings of reaching a point."""
 
-    preset: ClassVar[Preset] = Preset(rules=TOUCHED)
+    preset: ClassVar[Preset] = Preset(rules=TOUCHED, student=STUDENT)
 
     at_goal: str = "end"
     """What happens at the target: continue, end or hold. `end`: success ends the episode. `continue`: the policy acts
