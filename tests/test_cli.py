@@ -22,10 +22,10 @@ from PIL import Image
 from reachlab.agents import AGENTS
 from reachlab.bench import SUITES
 from reachlab.cli import main as cli
-from reachlab.cli.flags import Train
+from reachlab.cli.flags import EVALUATED, Train, no_goals
 from reachlab.cli.verbs import VERBS
 from reachlab.envs.consistency import NAMES
-from reachlab.envs.presets import configure, preset
+from reachlab.envs.presets import configure, distillation, preset
 from reachlab.envs.setup import make_setup, settled
 from reachlab.envs.uses import unused
 from reachlab.render import CAMERAS
@@ -300,9 +300,20 @@ WRONG = {
     "video of too few pictures": ("video run --agent ik --fps 1e-6", "a picture would stand for 1e.06 s"),
     "plot of nothing": ("plot", "run"),
     "plot of no run": ("plot nothing", "run directory 'nothing' does not exist"),
+    "plot of a sweep": ("plot swept", "'swept' is a sweep: its runs are the folders in 'swept/trials'"),
+    "settings in no file": ("train --config nothing.json", "'nothing.json' is no file: --config takes the config.json"),
+    "settings of a distillation": ("train --config taught.json", "the file holds the settings of a distillation"),
+    "unknown task of an evaluation": ("eval --task plaice", "Did you mean 'place'"),
+    "unknown observation of a student": ("distil panda/precise --observation imge", "Did you mean 'image'"),
     "plot to an unknown ending": ("plot young --out curve.xyz", "cannot be written to 'curve.xyz'"),
     "plot to a folder": ("plot young --out .", "cannot be written to '.': name a file that ends in .png or .svg"),
 }
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_the_flags_of_goals_take_what_a_task_begins_with(task: str) -> None:
+    rules = vars(preset(task).rules)
+    type(no_goals())(**{name: rules[name] for name in EVALUATED if name in rules})
 
 
 @pytest.mark.parametrize(("command", "sentence"), WRONG.values(), ids=WRONG)
@@ -314,6 +325,10 @@ def test_wrong_input_is_answered_by_one_sentence(
     (tmp_path / "young" / "metrics.jsonl").write_text("")
     (tmp_path / "begun").mkdir()
     (tmp_path / "begun" / "config.json").write_text("{}")
+    (tmp_path / "swept").mkdir()
+    (tmp_path / "swept" / "sweep.json").write_text("{}")
+    student = distillation("panda/precise", configure("precise"))
+    (tmp_path / "taught.json").write_text(json.dumps(to_json(student)))
     (tmp_path / "broken.xml").write_text("<mujoco><worldbody>")
     (tmp_path / "mine.urdf.xacro").write_text("<robot/>")
     (tmp_path / "run").symlink_to(run)

@@ -129,6 +129,7 @@ def test_views_vary_of_cameras_though_the_policy_gets_no_picture() -> None:
 
 
 def test_a_configuration_of_lerobot_names_the_task() -> None:
+    make_env(cfg=SimpleNamespace(), randomise=None).close()  # one that names none
     env = make_env(cfg=SimpleNamespace(task="pose"))
     assert env.call("task") == ("pose",)
     assert env.single_observation_space["environment_state"].shape == (7,)  # pyright: ignore[reportIndexIssue]
@@ -142,6 +143,8 @@ def test_wrong_input_is_refused_in_a_sentence(env: LeRobotVectorEnv, tmp_path: P
         ({"cameras": ["back"]}, "camera 'back' is not one of"),
         ({"robott": "panda"}, "'robott' does not exist"),
         ({"n_envs": 0}, "num_envs"),
+        ({"cameras": ["front"], "size": 0}, "size must be a whole number from 16 to 512, got 0"),
+        ({"task": None}, "task must be the name of a task or a folder of an export, got None"),
     )
     for settings, sentence in wrong:
         with pytest.raises(InputError, match=sentence):

@@ -117,6 +117,7 @@ def test_few_episodes_are_pooled_by_their_number(tmp_path: Path, figures: list[F
     rows = [row(1, 0), row(2, 20, success_rate=0.0), row(3, 80, success_rate=1.0), row(4, 20)]
     plot([make_run(tmp_path / "few", rows)], tmp_path / "few.png")
     assert curves(figures[0], 0)["few"] == pytest.approx(np.array([[3 * 8192, 80.0]]))
+    assert figures[0].axes[0].get_lines()[0].get_marker() == ".", "a single point is no line"
 
 
 def test_a_last_line_that_was_cut_off_is_left_out(run: Path, tmp_path: Path, figures: list[Figure]) -> None:
@@ -132,9 +133,11 @@ def test_a_training_that_has_hardly_begun_can_be_drawn(
 ) -> None:
     plot([make_run(tmp_path / "young", rows)], tmp_path / "young.png")
     assert not curves(figures[0], 0)
+    assert [text.get_text() for text in figures[0].axes[0].texts] == ["fewer than 100 episodes\nhave ended in training"]
 
 
 def test_a_run_without_metrics_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "nothing").mkdir()
     with pytest.raises(InputError, match=r"holds no metrics.jsonl: train one with `reachlab train --out"):
         plot([tmp_path / "nothing"], tmp_path / "curve.png")
     assert not (tmp_path / "curve.png").exists()
@@ -310,6 +313,7 @@ def test_every_failure_is_marked_where_its_target_was(evaluated: Path, tmp_path:
     assert sorted(where[:, 0]) == pytest.approx(np.linspace(-0.3, 0.3, SIDE))
     rates = np.ma.compressed(np.ma.asarray(cells.get_array()))
     assert rates.max() == 100
+    assert figures[0].axes[titles(figures[0]).index(name)].xaxis_inverted(), "y grows to the left, as seen from above"
     assert 0 < rates.min() < 90, "the cells of the farthest row"
 
 

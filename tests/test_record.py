@@ -331,6 +331,15 @@ def test_other_settings_do_not_resume_a_dataset(tutorial: Env, tmp_path: Path, m
     assert "was begun with seed 3 and cannot be resumed with 7" in sentence
 
 
+def test_an_interrupted_command_says_how_to_go_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(lerobot_dataset, "finish", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+    words = f"record --task tutorial --agent ik --episodes 1 --cameras --out {tmp_path / 'new'}"
+    assert cli.main(words.split()) == cli.INTERRUPTED
+    assert f"interrupted; the same command goes on in '{tmp_path / 'new'}'." in capsys.readouterr().err
+
+
 def test_a_full_disk_is_one_sentence(tutorial: Env, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(path: Path, data: bytes) -> None:
         del data

@@ -123,6 +123,17 @@ def test_wrong_settings_and_an_id_of_others_are_refused_in_one_sentence() -> Non
         make_vec_env(n_envs=2, max_step=3)
     with pytest.raises(InputError, match=r"environment id 'CartPole-v1' is not one of: .*reachlab/ReachGoal-v0"):
         make_vec_env("CartPole-v1")
+    with pytest.raises(InputError, match="env_id must be the name of an environment"):
+        make_vec_env(gymnasium.spec("reachlab/Reach-v0"))  # pyright: ignore[reportArgumentType]
+    with pytest.raises(InputError, match="is n_envs here"):
+        make_vec_env(num_envs=8)
+    with pytest.raises(InputError, match="env_kwargs must be a dict of settings, got 'dense'"):
+        make_vec_env(env_kwargs="dense")  # pyright: ignore[reportArgumentType]
+    for setting in ({"arrays": "jax"}, {"autoreset_mode": "Disabled"}):
+        with pytest.raises(
+            InputError, match=f"takes arrays of NumPy, reset in the same step: leave {next(iter(setting))}"
+        ):
+            make_vec_env(**setting)
 
 
 @pytest.mark.parametrize("argument", [{"wrapper_class": RescaleAction}, {"monitor_dir": "logs"}, {"start_index": 3}])

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import json
 import pickle
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from stable_baselines3 import PPO
+from gymnasium.wrappers import RescaleAction
+from sb3_contrib import ARS
+from stable_baselines3 import A2C, PPO
+from stable_baselines3.common.env_util import make_vec_env as vector_of_single
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import VecNormalize
 
@@ -140,3 +144,53 @@ def test_a_model_is_not_asked_about_observations_that_it_does_not_know(trained: 
     env = Env(configure(observation="target"), 1)
     with pytest.raises(InputError, match=r"observes arrays of \(6,\), and the environment gives \(3,\)"):
         load_model(trained[0]).check(env)
+
+
+def test_a_model_whose_actions_a_wrapper_scaled_is_not_evaluated_without_it(tmp_path: Path) -> None:
+    scaled = {"min_action": -1.0, "max_action": 1.0}
+    env = vector_of_single("reachlab:reachlab/Reach-v0", 2, wrapper_class=RescaleAction, wrapper_kwargs=scaled)
+    PPO("MlpPolicy", env, n_steps=16, batch_size=16, device="cpu").save(tmp_path / "model")
+    model = load_model(tmp_path / "model.zip")
+    assert model.config is None
+    with pytest.raises(InputError, match=r"behind a wrapper, as RescaleAction, that no model holds"):
+        model.check(Env(configure(), 1))
+
+
+def test_a_model_without_settings_is_not_evaluated_on_another_arm(trained: tuple[Path, Path, np.ndarray]) -> None:
+    model = replace(load_model(trained[0]), config=None)
+    model.check(Env(configure(success_distance=0.45), 1))
+    with pytest.raises(InputError, match="are not those of the environment"):
+        model.check(Env(configure(robot="panda"), 1))
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "policy", "options"),
+    [(PPO, "MlpPolicy", {"use_sde": True}), (A2C, "MlpPolicy", {"use_sde": True}), (ARS, "LinearPolicy", {})],
+)
+def test_models_of_other_algorithms_act_as_in_stable_baselines3(
+    tmp_path: Path, algorithm: Any, policy: str, options: dict[str, Any]
+) -> None:
+    from reachlab.sb3 import make_vec_env
+
+    model = algorithm(policy, make_vec_env(n_envs=2), seed=0, device="cpu", **options)
+    model.save(tmp_path / "model")
+    observation = np.random.default_rng(0).uniform(-0.5, 0.5, model.observation_space.shape)[None].astype(np.float32)
+    acts = load_model(tmp_path / "model.zip").act(observation)
+    assert np.array_equal(acts, model.predict(observation, deterministic=True)[0])
+
+
+def test_a_normaliser_of_other_observations_is_refused(trained: tuple[Path, Path, np.ndarray], tmp_path: Path) -> None:
+    from reachlab.sb3 import make_vec_env
+
+    VecNormalize(make_vec_env("reachlab/ReachGoal-v0", n_envs=1)).save(str(tmp_path / "goal.pkl"))
+    with pytest.raises(
+        InputError, match=r"goal\.pkl' cannot be loaded as a normaliser.*other observations than the model"
+    ):
+        load_model(trained[0], tmp_path / "goal.pkl")
+
+
+def test_a_model_of_a_game_is_refused_by_its_observations(tmp_path: Path) -> None:
+    model = PPO("MlpPolicy", "FrozenLake-v1", n_steps=16, batch_size=16, device="cpu").learn(16)
+    model.save(tmp_path / "lake")
+    with pytest.raises(InputError, match="the model observes arrays of"):
+        load_model(tmp_path / "lake.zip").check(Env(configure(), 1))

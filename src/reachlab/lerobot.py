@@ -54,7 +54,9 @@ def make_env(
     if settings.get("shaping"):
         raise InputError("an exported controller shapes its commands itself: leave shaping out.")
     whole_number("size", size, *PICTURE_SIDES)
-    varied = tuple(settings.get("randomise") or ())
+    if settings.get("randomise", ()) is None:
+        settings.pop("randomise")
+    varied = tuple(settings.get("randomise", ()))
     if cameras and "view" in varied:  # what its pictures show, whatever a policy observes
         settings["randomise"] = tuple(one for one in varied if one != "view")
     name = getattr(cfg, "task", None) or task

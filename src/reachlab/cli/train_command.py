@@ -73,13 +73,14 @@ def _learn(arguments: Train | Distil, config: RunConfig, verb: str) -> None:
         with _collector(arguments, config) as collect:
             more: dict[str, Any] = {"base": base, "sinks": sinks, "collect": collect, "begun": display.begun}
             result = run_training(config, out, display, watch_report=display.report, resume=resume, **more)
+    if not arguments.json:
+        print_training(result, config, display, resumed=resume)
     from reachlab.watch.plots import plot as draw
 
     draw([out], out / "curve.png")
     if arguments.json:
         print(jsonlib.dumps(result.to_json()))
     else:
-        print_training(result, config, display, resumed=resume)
         say(f"Written: {out}: report.json, curve.png, checkpoints. With the report: {result.total_wall_s:.1f} s.")
     if result.validated is False:
         note(

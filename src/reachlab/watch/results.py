@@ -114,7 +114,8 @@ def _usual(settings: Mapping[str, Any]) -> dict[str, Any]:
     if not settings.keys() >= {*CHOICES}:
         return {}
     import_remembered(tuple(settings.get("imports", ())))
-    return flatten(to_json(preset(**{choice: settings[choice] for choice in CHOICES})))
+    usual = to_json(preset(**{choice: settings[choice] for choice in CHOICES}))
+    return flatten(json.loads(json.dumps(usual)))  # with lists, as in a file
 
 
 def read_settings(run: Path) -> dict[str, Any]:
