@@ -10,6 +10,8 @@ import sys
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -40,6 +42,8 @@ explained_variance value_loss entropy kl clip_fraction gradient_norm std
 IN_A_FRESH_PROCESS = """
 import hashlib, sys
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 from reachlab.jax_setup import use_compilation_cache
 use_compilation_cache()
 from reachlab.envs.presets import configure
@@ -157,6 +161,24 @@ def test_validations_begin_where_training_is_as_good_as_is_asked_for(
     loop = loop_of(eight, stop_success=stop_success)
     end_episodes(loop, 50, 30)
     assert loop._due() is due
+
+
+@pytest.mark.parametrize(("failures", "left_out"), [(0, 0), (9, 0), (25, 2), (400, 3)])
+def test_after_a_validation_that_was_far_off_some_are_left_out(
+    eight: Env, monkeypatch: pytest.MonkeyPatch, failures: int, left_out: int
+) -> None:
+    loop = loop_of(eight, validation_episodes=1000)
+    played = SimpleNamespace(success=np.arange(1000) >= failures)
+    monkeypatch.setattr("reachlab.learn.loop.run_episodes", lambda *_, **__: played)
+    end_episodes(loop, ENOUGH_EPISODES, ENOUGH_EPISODES)
+    state: Any = SimpleNamespace(learner=SimpleNamespace(policy=None))
+    assert loop._validate(state, cast("Any", None)) == 1 - failures / 1000
+    begun, interval = loop.now.steps, loop.config.loop.validation_interval * loop.config.loop.iteration_steps
+    due = []
+    for count in range(1, 6):
+        loop.now = replace(loop.now, steps=begun + count * interval)
+        due.append(loop._due())
+    assert due == [False] * left_out + [True] * (5 - left_out)
 
 
 # --- the run directory ----------------------------------------------------------------------------

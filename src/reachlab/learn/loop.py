@@ -35,6 +35,9 @@ from reachlab.traced import kept
 VALIDATE_FROM = 0.9
 """Success rate of training episodes from which validations are worth their time, or `stop_success` if it is lower."""
 
+MOST_SKIPPED = 3
+"""Validations that are left out after one that failed: one for each hundredth that it was short of, and no more."""
+
 ENOUGH_EPISODES = 20
 """Training episodes from which on their success rate says something: a single one may succeed by luck."""
 
@@ -197,7 +200,8 @@ class Loop:
         settings = self.config.loop
         count = self.now.steps // settings.iteration_steps
         near = self.now.training_success >= min(VALIDATE_FROM, settings.stop_success)
-        return settings.stop_early and count % settings.validation_interval == 0 and near
+        due = count % settings.validation_interval == 0 and self.now.steps >= self.now.next_validation
+        return settings.stop_early and due and near
 
     def _validate(self, state: Any, metrics: Metrics) -> float:
         """Success rate of the validation so far; it ends as soon as it can no longer reach `stop_success`."""
@@ -214,7 +218,11 @@ class Loop:
             played, failures = played + count, failures + int((~result.success).sum())
         success = 1 - failures / played
         streak = self.now.streak + 1 if self._can_reach(failures) else 0
-        self.now = replace(self.now, streak=streak, success=success, validated=True)
+        skipped = 0 if streak else min(int(100 * (settings.stop_success - success)), MOST_SKIPPED)
+        following = self.now.steps + (1 + skipped) * settings.validation_interval * settings.iteration_steps
+        self.now = replace(
+            self.now, streak=streak, success=success, validated=True, next_validation=following if skipped else 0
+        )
         return success
 
     def _examine(self, state: Any, episodes: int) -> Report:

@@ -39,6 +39,8 @@ class Counters(Checked):
     """Success rate of this state's validation, or without one of the last training episodes, see `training_success`."""
     validated: bool = False
     """Whether `success` is of a validation."""
+    next_validation: NonNegativeInt = 0
+    """Steps before which none is due, since the last one was far from it."""
     training_success: Fraction = 0.0
     """Success rate of the last training episodes that were enough to tell one."""
     episodes: NonNegativeInt = 0

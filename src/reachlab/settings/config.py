@@ -68,7 +68,8 @@ class LoopConfig(Checked):
     validation_episodes: Annotated[int, Range(1, 10**5)] = 3000
     """Episodes of a validation; their targets are neither those of training nor those of the report."""
     validation_interval: Count = 2
-    """Iterations between validations, once 90 % of the training episodes succeed, or `stop_success` if that is less."""
+    """Iterations between validations, once 90 % of the training episodes succeed, or `stop_success` if that is less.
+    After one that fails by per cents up to three are left out."""
     report_episodes: Count = 1000
     """Held-out episodes of the report at the end of training."""
     num_envs: Annotated[int, Range(1, MOST_ENVS)] = 128
