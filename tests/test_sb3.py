@@ -129,7 +129,8 @@ def test_wrong_settings_and_an_id_of_others_are_refused_in_one_sentence() -> Non
         make_vec_env(num_envs=8)
     with pytest.raises(InputError, match="env_kwargs must be a dict of settings, got 'dense'"):
         make_vec_env(env_kwargs="dense")  # pyright: ignore[reportArgumentType]
-    for setting in ({"arrays": "jax"}, {"autoreset_mode": "Disabled"}):
+    settings: tuple[dict[str, Any], ...] = ({"arrays": "jax"}, {"autoreset_mode": "Disabled"})
+    for setting in settings:
         with pytest.raises(
             InputError, match=f"takes arrays of NumPy, reset in the same step: leave {next(iter(setting))}"
         ):

@@ -148,7 +148,8 @@ def test_a_model_is_not_asked_about_observations_that_it_does_not_know(trained: 
 
 def test_a_model_whose_actions_a_wrapper_scaled_is_not_evaluated_without_it(tmp_path: Path) -> None:
     scaled = {"min_action": np.float32(-1), "max_action": np.float32(1)}
-    env = vector_of_single("reachlab:reachlab/Reach-v0", 2, wrapper_class=RescaleAction, wrapper_kwargs=scaled)
+    wrapper: Any = RescaleAction
+    env = vector_of_single("reachlab:reachlab/Reach-v0", 2, wrapper_class=wrapper, wrapper_kwargs=scaled)
     PPO("MlpPolicy", env, n_steps=16, batch_size=16, device="cpu").save(tmp_path / "model")
     model = load_model(tmp_path / "model.zip")
     assert model.config is None
