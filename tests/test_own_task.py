@@ -155,6 +155,7 @@ def test_extensions_of_installed_packages_are_imported(monkeypatch: pytest.Monke
         return entries
 
     monkeypatch.setattr(extensions, "entry_points", installed)
+    monkeypatch.setattr(extensions, "INSTALLED", [])  # what is imported here is not remembered
     with pytest.raises(InputError, match=r"extension 'gone.missing' cannot be imported: ModuleNotFoundError"):
         extensions.import_installed.__wrapped__()
     assert asked == ["reachlab.extensions"]
