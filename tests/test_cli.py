@@ -255,6 +255,8 @@ WRONG = {
     "number out of range": ("train --num-envs 0", "num_envs must be at least 1 and at most 131072, got 0"),
     "number that is not whole": ("train --num-envs 1.5", "--num-envs: must be a whole number, got '1.5'"),
     "list with commas": ("train --hidden 64,32", "--hidden is a list, which is written with blanks: --hidden 64 32."),
+    "word in a list": ("train --hidden 64 x", "--hidden takes numbers, got '64', 'x'"),
+    "word in a pair": ("train --task clutter --obstacles two 3", "--obstacles takes numbers, got 'two', '3'"),
     "unit beside a number": ("train --success-distance 100mm", "--success-distance takes a number, got '100mm'"),
     "number of a list too few": ("train --target-low 0.4 -0.2", "--target-low takes 3 numbers, got '0.4', '-0.2'"),
     "comma in a number": ("train --learning-rate 1,e-3", "--learning-rate takes a number, got '1,e-3'"),

@@ -50,17 +50,16 @@ MORE: dict[type, str] = {
 NUMBERS = ConstructorRegistry()
 """How flags that are whole numbers are read."""
 
-NO_NUMBERS = (
-    re.compile(r"Error parsing (--\S+): no type matching (.+) could be instantiated from (\[.*\])\."),
-    re.compile(r"Error parsing (--\S+): could not convert string to (float): ('.*')\."),
+NO_NUMBERS = re.compile(
+    r"Error parsing (--\S+): (?:no type matching|could not .* to) (.+?)(?: could .* from|:) (\[.*\]|'.*')\."
 )
 """Flags whose words are no numbers, as tyro says it: the flag, what it takes, and what was given."""
 
 MISSING = re.compile(r"Missing from (reachlab \S+): (\S+) (.+?)\.? \(required\)\.")
 """A command without a word that it needs."""
 
-COMMAS = re.compile(r"(--\S+): Could not find valid parse for arguments: \['([^' ]+,[^' ]*)'\]")
-"""Tyro's message on a list that is written with commas."""
+LISTS = re.compile(r"(--\S+): Could not (?:parse|find valid parse for) arguments:? \[(.*?)\]")
+"""Tyro's message on a list that is none of numbers, or is written with commas."""
 
 
 @NUMBERS.primitive_rule
@@ -283,10 +282,11 @@ def _sentence(box: str) -> str:
     rows = [line.strip("│╭╮╰╯|+ ") for line in box.splitlines()[1:]]
     parts = [list(part) for rule, part in itertools.groupby(rows, lambda row: not row.strip("─-")) if not rule]
     text = " ".join(parts[0]).rstrip(".") + "."
-    if found := COMMAS.search(text):
-        flag, entries = found.groups()
-        return f"{flag} is a list, which is written with blanks: {flag} {entries.replace(',', ' ')}."
-    if found := NO_NUMBERS[0].fullmatch(text) or NO_NUMBERS[1].fullmatch(text):
+    if found := LISTS.search(text):
+        if " " in found[2] or "," not in found[2]:
+            return f"{found[1]} takes numbers, got {found[2]}."
+        return f"{found[1]} is a list, which is written with blanks: {found[1]} {found[2][1:-1].replace(',', ' ')}."
+    if found := NO_NUMBERS.fullmatch(text):
         flag, kinds, given = found.groups()
         count = max(len(re.findall("FLOAT|INT", kinds)), 1)
         return f"{flag} takes {'a number' if count == 1 else f'{count} numbers'}, got {given.strip('[]')}."
