@@ -126,9 +126,14 @@ def test_what_is_no_model_is_refused_in_one_sentence(
 def test_a_model_that_needs_a_normaliser_says_so_without_one(
     trained: tuple[Path, Path, np.ndarray], caplog: pytest.LogCaptureFixture
 ) -> None:
-    load_model(*trained[:2])
+    env = Env(configure(success_distance=0.45), 1)
+    load_model(*trained[:2]).check(env)
     assert not caplog.records
-    load_model(trained[0])
+    model = load_model(trained[0])
+    assert not caplog.records, "it may not be for this environment"
+    model.check(env)
+    model.check(env)
+    assert len(caplog.records) == 1
     assert "was trained on normalised observations, and gets plain ones" in caplog.text
 
 

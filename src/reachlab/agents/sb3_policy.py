@@ -35,6 +35,7 @@ class SavedModel:
         config: settings of the environment that it was trained in; None if it was not one of ours.
         checkpoint: its environment steps, and SHA-256 of its file.
         observations, actions: the spaces of Gymnasium that it was trained with.
+        doubts: what is said once it is known that it acts in an environment.
     """
 
     act: Function
@@ -42,6 +43,7 @@ class SavedModel:
     checkpoint: dict[str, Any]
     observations: Any
     actions: Any
+    doubts: list[str]
 
     def check(self, env: Env) -> None:
         """Make sure that an environment's observations and actions are what the model expects.
@@ -61,6 +63,9 @@ class SavedModel:
                 "the spaces of the model are not those of the environment: it was trained with other settings, or"
                 " behind a wrapper, as RescaleAction, that no model holds: evaluate it from Python behind the same one."
             )
+        for doubt in self.doubts:
+            log.warning("reachlab: %s", doubt)
+        self.doubts.clear()
 
     def _observes(self, bounds: tuple[Any, Any]) -> bool:
         """Whether observations within such bounds are what it was trained on."""
@@ -92,12 +97,11 @@ def load_model(file: Path, normaliser: Path | None = None) -> SavedModel:
         data, parameters, _ = load_from_zip_file(io.BytesIO(content), device="cpu")
         data = data or {}
         policy = _policy(data, parameters)
-    observations, normalise = policy.observation_space, None
+    observations, normalise, doubts = policy.observation_space, None, []
     if normaliser is None and _was_normalised(data):
-        log.warning(
-            "reachlab: '%s' was trained on normalised observations, and gets plain ones: name what VecNormalize.save"
-            " has written, --normaliser FILE.",
-            file,
+        doubts.append(
+            f"'{file}' was trained on normalised observations, and gets plain ones: name what VecNormalize.save has"
+            " written, --normaliser FILE."
         )
     if normaliser:
         with _loading(normaliser, "a normaliser"):
@@ -117,7 +121,7 @@ def load_model(file: Path, normaliser: Path | None = None) -> SavedModel:
     settings = getattr(policy.action_space, SETTINGS, None)
     checkpoint = {"steps": data.get("num_timesteps"), "sha256": digest}
     config = from_json(settings) if settings else None
-    return SavedModel(sb3, config, checkpoint, observations, policy.action_space)
+    return SavedModel(sb3, config, checkpoint, observations, policy.action_space, doubts)
 
 
 def _was_normalised(data: Mapping[str, Any]) -> bool:
