@@ -548,7 +548,7 @@ def test_trials_on_ray_are_those_of_processes(swept: Path, tmp_path: Path, ray: 
         ),
         (["train", "--workers", "2", "--engine", "local"], "use --engine ray here"),
         (["train", "--task", "precise", "--workers", "99"], "at most 16, one for 16 of num_envs 256"),
-        (["train", "--config", "missing.json"], "missing.json' is missing"),
+        (["train", "--config", "missing.json"], "'missing.json' is no file: --config takes the config.json"),
         (["train", "--config", "{config}", "--task", "precise"], "leave --task out"),
     ],
 )

@@ -139,6 +139,7 @@ def distillation(teacher: str, taught: RunConfig, **settings: Any) -> DistilRunC
         teacher=teacher,
         teacher_observation=taught.rules.observation,
         teacher_action=taught.rules.action,
+        teacher_hidden=taught.learner.hidden,
     )
     config = override(config, **settings)
     config = override(config, action=settings.get("action", _student_action(config)))

@@ -94,6 +94,7 @@ def _initial_state(env: Env, config: RunConfig, seed: int | Array, teacher: Poli
     policy = jit(lambda key: make_initial_policy(config, env, key))(for_policy)
     if teacher is None:
         known = {"observation": config.teacher_observation, "action": config.teacher_action, "memory": 0}
+        known |= {} if config.teacher_hidden is None else {"hidden": config.teacher_hidden}
         knowing = Env(override(config, **known), 1)
         teacher = make_initial_policy(knowing.config, knowing, for_policy)
         knowing.close()

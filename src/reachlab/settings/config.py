@@ -246,4 +246,6 @@ class DistilRunConfig(RunConfig):
     """What the teacher observes."""
     teacher_action: str = "tool_delta"
     """What the teacher's actions move."""
+    teacher_hidden: tuple[int, ...] | None = None
+    """Widths of the teacher's hidden layers; None where they are the student's, as in runs of earlier versions."""
     dagger: DaggerConfig = field(default_factory=DaggerConfig)
