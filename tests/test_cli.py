@@ -315,7 +315,9 @@ WRONG = {
 @pytest.mark.parametrize("task", TASKS)
 def test_the_flags_of_goals_take_what_a_task_begins_with(task: str) -> None:
     rules = vars(preset(task).rules)
-    type(no_goals())(**{name: rules[name] for name in EVALUATED if name in rules})
+    given = {name: rules[name] for name in EVALUATED if name in rules}
+    flags = vars(type(no_goals())(**given))
+    assert {name: flags[name] for name in given} == given
 
 
 @pytest.mark.parametrize(("command", "sentence"), WRONG.values(), ids=WRONG)
