@@ -220,9 +220,7 @@ class Loop:
         streak = self.now.streak + 1 if self._can_reach(failures) else 0
         skipped = 0 if streak else min(int(100 * (settings.stop_success - success)), MOST_SKIPPED)
         following = self.now.steps + (1 + skipped) * settings.validation_interval * settings.iteration_steps
-        self.now = replace(
-            self.now, streak=streak, success=success, validated=True, next_validation=following if skipped else 0
-        )
+        self.now = replace(self.now, streak=streak, success=success, validated=True, next_validation=following)
         return success
 
     def _examine(self, state: Any, episodes: int) -> Report:

@@ -122,7 +122,7 @@ def read_settings(run: Path) -> dict[str, Any]:
     """Every setting of a run but its seed, by name; empty without a configuration.
 
     Raises:
-        InputError: the configuration cannot be read.
+        InputError: there is no such folder, it is that of a sweep, or its configuration cannot be read.
     """
     RunDirectory(run).check_there()
     if (run / "sweep.json").is_file():
