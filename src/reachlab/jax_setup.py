@@ -84,8 +84,8 @@ def _folder_refused(folder: Path) -> bool:
 def dispatch_inline() -> None:
     """Run programs on the thread that calls them; without effect once JAX has started.
 
-    Most programs here are short: handing one to a thread that has to wake up first takes longer than the program
-    (one environment in PyBullet: 175 µs a step, and 100 without). `JAX_CPU_ENABLE_ASYNC_DISPATCH` overrides it.
+    Most programs here are short: handing one to a thread that has to wake up first may take longer than the program.
+    `JAX_CPU_ENABLE_ASYNC_DISPATCH` overrides it.
     """
     if "JAX_CPU_ENABLE_ASYNC_DISPATCH" not in os.environ:
         jax.config.update("jax_cpu_enable_async_dispatch", False)

@@ -11,16 +11,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from gymnasium.vector import AutoresetMode
+from jax import Array
 
 from reachlab.control.situation import Goal
 from reachlab.envs.core import Env
-from reachlab.envs.functions import EnvFunctions, EnvState, named_errors
-from reachlab.envs.packing import AsTheyAre, make_packing
-from reachlab.envs.random_streams import env_keys, gymnasium_keys
+from reachlab.envs.functions import EnvFunctions, EnvState, Transition, named_errors
+from reachlab.envs.packing import AsTheyAre, PackedResults, make_packing
+from reachlab.envs.random_streams import env_keys, gymnasium_keys, keys_of_seeded
 from reachlab.jax_setup import jit
 from reachlab.robots.kinematics.scalars import once
 from reachlab.settings.config import RunConfig
-from reachlab.sims.simulator import BatchArray
+from reachlab.sims.simulator import BatchArray, Moved
 from reachlab.tasks.schema import Observed
 
 
@@ -60,13 +61,16 @@ class EpisodeBatch:
 
         Compiled programs are shared with batches that are settled alike.
         """
-        self._steps = _compiled(env.config, env.num_envs, mode) if env.traced else Steps(env, mode)
+        if env.traced:
+            self._steps: Steps = _compiled(env.config, env.num_envs, mode)
+        else:
+            self._steps = Steps(env, mode) if env.pictured else HostSteps(env, mode)
         self._in_numpy, self._held = in_numpy, self._steps.nothing
 
     @property
     def state(self) -> EnvState:
         """State of the environment, after the first reset."""
-        return self._steps.held.in_jax(self._held)[0]
+        return self._steps.state(self._held)
 
     def reset(self, seeds: np.ndarray, seeded: np.ndarray, mask: np.ndarray, goal: Goal | None = None) -> Now:
         """Begin new episodes in the environments of `mask [B]`; the first time these are all.
@@ -86,57 +90,76 @@ class EpisodeBatch:
 FEW, LEAST_FEW = 16, 64
 """Where at most one in 16 environments begin an episode, and that is 64 or more, nothing is computed for the others."""
 
-Held = tuple[EnvState, Any]
-"""Held state: the environment's, and whose episode ended in the last step `[B]`."""
-
 
 class Steps:
     """Resets and steps of a batch, on the host where a simulator or a picture is.
 
     Attributes:
         nothing: what is held before the first reset.
-        held, now, result: how that is handed over which is held, and which `reset` and `step` give.
+        now, result: how that is handed over which `reset` and `step` give.
     """
 
-    held: Any = AsTheyAre()
-    now = result = held
+    now: Any = AsTheyAre()
+    result = now
 
     def __init__(self, env: Env, mode: AutoresetMode) -> None:
         """Steps of an environment whose episodes begin anew as `mode` says."""
         self._env, self._mode = env, mode
         self.nothing: Any = (None, np.zeros(env.num_envs, bool))
 
-    def reset(self, held: Any, seeds: BatchArray, seeded: BatchArray, mask: Any, goal: Goal | None) -> tuple[Held, Now]:
-        """Held state and observation after new episodes began; see `EpisodeBatch.reset`."""
-        (state, ended), keys = held, gymnasium_keys(seeds)
-        if state is None:
-            state = self._env.init(keys, goal)
-        else:
-            keys = jnp.where(seeded & mask, keys, state.key)
-            state = self._env.reset(replace(state, key=keys), mask, goal=goal)
-        return (state, ended & ~mask), self._begun(state)
+    def state(self, held: Any) -> EnvState:
+        """State of the environment, of what is held."""
+        return held[0]
 
-    def step(self, held: Held, actions: BatchArray) -> tuple[Held, Result]:
-        """Held state and result after actions."""
+    def reset(self, held: Any, seeds: BatchArray, seeded: BatchArray, mask: Any, goal: Goal | None) -> tuple[Any, Now]:
+        """What is held and observed after new episodes began; see `EpisodeBatch.reset`."""
+        state, ended = held
+        if state is None:
+            state = self._env.init(gymnasium_keys(seeds), goal)
+        else:
+            state = self._opened(state)
+            keys = keys_of_seeded(seeds, seeded & mask, state.key)
+            state = self._env.reset(replace(state, key=keys), mask, goal=goal)
+        return (self._closed(state), ended & ~mask), self._begun(state)
+
+    def step(self, held: Any, actions: BatchArray) -> tuple[Any, Result]:
+        """What is held, and the result, after actions."""
         before, ended = held
+        state, result = self._stepped(before, actions)
+        if self._mode is AutoresetMode.SAME_STEP:
+            final = result.now
+            state, begun = self._begin(result.terminated | result.truncated, state, final)
+            result = result._replace(now=begun, final=final)
+        elif self._mode is AutoresetMode.NEXT_STEP:
+            state, now = self._begin(ended, state, result.now)
+            goes_on = ~ended
+            reward = self._xp.where(ended, self._xp.float32(0.0), result.reward)
+            result = Result(now, reward, result.terminated & goes_on, result.truncated & goes_on)
+        return (state, result.terminated | result.truncated), result
+
+    @property
+    def _xp(self) -> Any:
+        return jnp if self._env.traced else np
+
+    def _stepped(self, before: Any, actions: BatchArray) -> tuple[Any, Result]:
         # Computed as it is by itself: to the same bits.
         state, done = (
             once(self._env.step(once(before), actions)) if self._env.traced else self._env.step(before, actions)
         )
+        return state, self._result(state, done)
+
+    def _result(self, state: EnvState, done: Transition) -> Result:
         seen = self._env.observe_now(state) if done.observation is None else done.observation
         now = self._now(state, seen, done.terms["success"])
-        result = Result(now, done.reward, done.terminated, done.truncated)
-        if self._mode is AutoresetMode.SAME_STEP:
-            state, begun = self._begin(done.done, state, now)
-            result = result._replace(now=begun, final=now)
-        elif self._mode is AutoresetMode.NEXT_STEP:
-            state, now = self._begin(ended, state, now)
-            goes_on = ~ended
-            reward = jnp.where(ended, 0.0, done.reward)
-            result = Result(now, reward, done.terminated & goes_on, done.truncated & goes_on)
-        return (state, result.terminated | result.truncated), result
+        return Result(now, done.reward, done.terminated, done.truncated)
 
-    def _begin(self, mask: Any, state: EnvState, now: Now) -> tuple[EnvState, Now]:
+    def _opened(self, state: Any) -> EnvState:
+        return state
+
+    def _closed(self, state: EnvState) -> Any:
+        return state
+
+    def _begin(self, mask: Any, state: Any, now: Now) -> tuple[Any, Now]:
         """State and what is observed where those of `mask [B]` begin new episodes: none, a few, or any number."""
         most = len(mask) // FEW
 
@@ -145,9 +168,9 @@ class Steps:
             begun = self._env.reset(jax.tree.map(lambda x: x[index], state), jnp.ones(most, bool))
             return jax.tree.map(lambda old, new: old.at[index].set(new), (state, now), (begun, self._begun(begun)))
 
-        def any_number() -> tuple[EnvState, Now]:
-            begun = self._env.reset(state, mask)
-            return begun, EnvFunctions.merge(mask, self._begun(begun, mask), now, jnp if self._env.traced else np)
+        def any_number() -> tuple[Any, Now]:
+            begun = self._env.reset(self._opened(state), mask)
+            return self._closed(begun), EnvFunctions.merge(mask, self._begun(begun, mask), now, self._xp)
 
         if not self._env.traced:
             mask = np.asarray(mask)
@@ -161,11 +184,59 @@ class Steps:
     def _begun(self, state: EnvState, mask: np.ndarray | None = None) -> Now:
         """Observation of episodes that begin; of pictures those of the environments of `mask [B]`."""
         seen = self._env.observe(state) if self._env.traced else self._env.observe_now(state, mask)
-        return self._now(state, seen, jnp.zeros(len(state.clock), bool))
+        return self._now(state, seen, self._xp.zeros(len(state.clock), bool))
 
     def _now(self, state: EnvState, seen: Observed, success: BatchArray) -> Now:
         wrench = {} if state.arm.wrench is None else {"wrench": state.arm.wrench}
         return Now(seen, success, state.clock, named_errors(self._env.setup, state.errors) | wrench)
+
+
+class HostSteps(Steps):
+    """Steps around a simulator that JAX cannot trace: one program before the simulator's step, and one after it.
+
+    What they give each other is packed: for a few environments it takes longer to hand arrays over than to compute.
+    """
+
+    def __init__(self, env: Env, mode: AutoresetMode) -> None:
+        """Steps of an environment without pictures, whose programs are compiled as they are first called."""
+        super().__init__(env, mode)
+        self._pack, self._before, self._after = (
+            PackedResults(function, env.num_envs) for function in (self._states, self._commands, self._judgements)
+        )
+
+    def state(self, held: Any) -> EnvState:
+        """See `Steps.state`."""
+        return self._opened(held[0])
+
+    def _opened(self, state: Any) -> EnvState:
+        packed, engine = state
+        opened = self._pack.packings[0].in_jax(packed)
+        return replace(opened, arm=replace(opened.arm, engine=engine))
+
+    def _closed(self, state: EnvState) -> Any:
+        return self._pack(replace(state, arm=replace(state.arm, engine=None)))[0], state.arm.engine
+
+    def _stepped(self, before: Any, actions: BatchArray) -> tuple[Any, Result]:
+        packed, engine = before
+        (given,) = self._before(packed, actions)
+        arm, (_, command, _) = self._before.packings[0].taken(given, in_numpy=True)
+        moved = self._env.simulator.step(replace(arm, engine=engine), command)
+        packed, result = self._after(packed, given, moved._replace(engine=None))
+        return (packed, moved.engine), self._after.packings[1].taken(result, in_numpy=True)
+
+    def _states(self, state: EnvState) -> tuple[EnvState]:
+        return (state,)
+
+    def _commands(self, packed: Any, actions: Array) -> Any:
+        state = once(self._pack.packings[0].unpack(packed))
+        return ((state.arm, self._env.functions.command(state, actions, None)),)
+
+    def _judgements(self, packed: Any, given: Any, moved: Moved) -> tuple[EnvState, Result]:
+        state = self._pack.packings[0].unpack(packed)
+        _, (taken, command, motion) = self._before.packings[0].unpack(given)
+        state, moved, command, taken, motion = once((state, moved, command, taken, motion))
+        after, transition = once(self._env.functions.judge(state, moved, command, taken, motion))
+        return after, self._result(after, transition)
 
 
 class Programs(Steps):
@@ -177,11 +248,15 @@ class Programs(Steps):
         actions = np.zeros((env.num_envs, len(env.action_bounds[0])), np.float32)
         held = jax.eval_shape(env.init, env_keys(0, env.num_envs)), self.nothing[1]
         packing = functools.partial(make_packing, num_envs=env.num_envs)
-        self.held, self.now = packing(held), packing(jax.eval_shape(self._begun, held[0]))
+        self._held, self.now = packing(held), packing(jax.eval_shape(self._begun, held[0]))
         self.result = packing(jax.eval_shape(super().step, held, actions)[1])
-        self.nothing = self.held.zeros
+        self.nothing = self._held.zeros
         self.reset = jit(functools.partial(self._packed, super().reset, self.now))
         self.step = jit(functools.partial(self._packed, super().step, self.result))
+
+    def state(self, held: Any) -> EnvState:
+        """See `Steps.state`."""
+        return self._held.in_jax(held)[0]
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
         """Itself: it holds nothing that changes."""
@@ -189,8 +264,8 @@ class Programs(Steps):
         return self
 
     def _packed(self, function: Callable[..., Any], packing: Any, packed: Any, *arguments: Any) -> Any:
-        held, result = function(self.held.unpack(packed), *arguments)
-        return self.held.pack(held), packing.pack(result)
+        held, result = function(self._held.unpack(packed), *arguments)
+        return self._held.pack(held), packing.pack(result)
 
 
 @functools.lru_cache(maxsize=16)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Callable
+from typing import Any, Self
 
 import jax
 import jax.numpy as jnp
@@ -77,6 +78,7 @@ class Packed:
             (slice(start, end) if len(shape) > 1 else start, leaf.shape, leaf.dtype)
             for start, end, shape, leaf in zip([0, *ends], ends, shapes, leaves, strict=False)
         ]
+        self._deep = [i for i, shape in enumerate(shapes) if len(shape) > 2]
         self._types = {leaf.dtype for leaf in leaves if jnp.issubdtype(leaf.dtype, np.number)}
         self.zeros: Any = np.zeros((shapes[0][0], ends[-1]), np.uint32)
         self._in_jax = jit(self.unpack)
@@ -105,7 +107,38 @@ class Packed:
             bits[:, columns] != 0 if (view := views.get(dtype)) is None else view[:, columns]
             for columns, _, dtype in self._leaves
         ]
+        for i in self._deep:
+            leaves[i] = leaves[i].reshape(self._leaves[i][1])
         return jax.tree.unflatten(self._structure, leaves if alone else map(np.copy, leaves))
+
+
+class PackedResults:
+    """A function that gives a tuple of pytrees, compiled so that each of them is handed over packed.
+
+    Attributes:
+        packings: of the results, known from the first call on.
+    """
+
+    packings: tuple[Apart | Packed, ...] = ()
+
+    def __init__(self, function: Callable[..., tuple[Any, ...]], num_envs: int) -> None:
+        """A function for batches of so many environments, which can be traced."""
+        self._function, self._num_envs = function, num_envs
+        self._program = jit(self._packed, brief=True)
+
+    def __call__(self, *arguments: Any) -> tuple[Any, ...]:
+        """Its packed results."""
+        return self._program(*arguments)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        """Itself: nothing changes after the first call."""
+        del memo
+        return self
+
+    def _packed(self, *arguments: Any) -> tuple[Any, ...]:
+        results = self._function(*arguments)
+        self.packings = tuple(make_packing(one, self._num_envs) for one in results)
+        return tuple(packing.pack(one) for packing, one in zip(self.packings, results, strict=True))
 
 
 def _bits(leaf: Array) -> Array:

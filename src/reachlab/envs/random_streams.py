@@ -49,9 +49,16 @@ def env_keys(seed: int, num_envs: int) -> Array:
     return gymnasium_keys(np.arange(num_envs, dtype=np.uint32) + np.uint32(seed))
 
 
+@jax.jit
 def gymnasium_keys(seeds: np.ndarray | Array) -> Array:
     """Keys `[B]` of the first episodes of seeds `[B]` uint32."""
     return jax.vmap(lambda seed: stream_key(seed, GYMNASIUM_STREAM))(seeds)
+
+
+@jax.jit
+def keys_of_seeded(seeds: np.ndarray | Array, seeded: np.ndarray | Array, keys: Array) -> Array:
+    """Keys `[B]` of the next episodes: the first ones of their seeds where `seeded [B]`, or those of `keys [B]`."""
+    return jax.numpy.where(seeded, gymnasium_keys(seeds), keys)
 
 
 def noise_keys(keys: Array, clock: Array) -> Array:

@@ -25,7 +25,7 @@ def once(tree: Tree) -> Tree:
 
     XLA fuses cheap producers into each of their consumers and computes them again there: unhindered,
     28 sines and cosines of an inverse-kinematics step become 465, and the step takes eight times as
-    long. A barrier that survives until fusion (see `compilation.jit`) stops that.
+    long. A barrier that survives until fusion (see `jax_setup.jit`) stops that.
     """
     leaves, structure = jax.tree.flatten(tree)
     traced = [leaf for leaf in leaves if not isinstance(leaf, float)]
