@@ -29,13 +29,16 @@ BRIEF_OPTIONS = CPU_OPTIONS | ({"xla_cpu_use_fusion_emitters": False} if jax.__v
 """Those of programs that take longer to compile than to run: they compile in half the time. A training would be slower
 by up to a third. JAX 0.11 does not know the option any more."""
 
+ONCE_OPTIONS = BRIEF_OPTIONS | {"xla_backend_optimization_level": 0}
+"""Those of programs that run once: they compile in half of that time again, and run for three times as long."""
+
 
 CACHE = "jax_compilation_cache_dir"
 """JAX's setting of where compiled programs are kept."""
 
 
-def jit(function: Callable[..., Any], *, brief: bool = False) -> Wrapped:
-    """`jax.jit` with `CPU_OPTIONS` on the CPU, or `BRIEF_OPTIONS`.
+def jit(function: Callable[..., Any], *, brief: bool = False, once: bool = False) -> Wrapped:
+    """`jax.jit` with `CPU_OPTIONS` on the CPU, or `BRIEF_OPTIONS`, or `ONCE_OPTIONS`.
 
     An option that `XLA_FLAGS` names is what it is there. For the outermost function only: JAX refuses compiler options
     inside another trace.
@@ -43,7 +46,8 @@ def jit(function: Callable[..., Any], *, brief: bool = False) -> Wrapped:
     options = None
     if jax.default_backend() == "cpu":
         flags = os.environ.get("XLA_FLAGS", "")
-        options = {name: own for name, own in (BRIEF_OPTIONS if brief else CPU_OPTIONS).items() if name not in flags}
+        asked = ONCE_OPTIONS if once else BRIEF_OPTIONS if brief else CPU_OPTIONS
+        options = {name: own for name, own in asked.items() if name not in flags}
     return jax.jit(function, compiler_options=options)
 
 

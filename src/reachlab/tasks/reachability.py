@@ -83,13 +83,13 @@ def _drawn_within(setup: TaskSetup) -> np.ndarray:
     """Which of `SAMPLES` targets that the task draws are in its box; those that it gave up to find are not."""
     low, high = setup.task.goal_box(setup)
     keys = jax.random.split(jax.random.key(0), SAMPLES)
-    drawn = np.asarray(jit(jax.vmap(lambda key: setup.task.sample_goal(setup, key).position), brief=True)(keys))
+    drawn = np.asarray(jit(jax.vmap(lambda key: setup.task.sample_goal(setup, key).position), once=True)(keys))
     return np.asarray(((drawn >= low - ROUNDING) & (drawn <= high + ROUNDING)).all(axis=-1))
 
 
 def _tool(robot: Robot, q: np.ndarray) -> np.ndarray:
     """Tool positions `[B, 3]` m at joints `[B, n]`."""
-    return np.asarray(jit(lambda q: forward_kinematics(robot.chain, q).position, brief=True)(q.astype(np.float32)))
+    return np.asarray(jit(lambda q: forward_kinematics(robot.chain, q).position, once=True)(q.astype(np.float32)))
 
 
 def _nearest(robot: Robot, aims: np.ndarray) -> np.ndarray:
@@ -109,4 +109,4 @@ def _nearest(robot: Robot, aims: np.ndarray) -> np.ndarray:
         best = jnp.linalg.norm(aims[:, None] - found, axis=-1).argmin(axis=-1)
         return jnp.take_along_axis(found, best[:, None, None], axis=1)[:, 0]
 
-    return np.asarray(jit(solve, brief=True)(aims.astype(np.float32), sampled))
+    return np.asarray(jit(solve, once=True)(aims.astype(np.float32), sampled))

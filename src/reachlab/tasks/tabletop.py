@@ -78,7 +78,7 @@ def _find(chain: Chain, home: tuple[float, ...], held: tuple[float, ...], worksp
     parts = [(middle - half + by * outward, middle + half + by * outward) for by in MOVES]
     parts = [((*a[:2], table), (*b[:2], table + 2 * half[2])) for a, b in parts]
     grids = [list(itertools.product(*map(np.linspace, a, b, EACH))) for a, b in parts]
-    there = jit(functools.partial(_there, chain, jnp.array(home), jnp.array(held)), brief=True)
+    there = jit(functools.partial(_there, chain, jnp.array(home), jnp.array(held)), once=True)
     with jax.ensure_compile_time_eval():
         shares = [float(np.asarray(there(jnp.array(grid, jnp.float32))).mean()) for grid in grids]
     low, high = parts[int(np.argmax(shares))]
