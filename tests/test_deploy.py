@@ -586,6 +586,11 @@ def test_an_export_is_judged_like_its_run(tmp_path: Path, capsys: pytest.Capture
     assert [report["agent"] for report in reports] == ["trained", "onnx", "onnx"]
     assert len({report["success_rate"] for report in reports}) == 1
     assert reports[1]["return_mean"] == pytest.approx(reports[0]["return_mean"], rel=1e-3)
+    assert cli.main(["eval", str(tmp_path / "policy"), "--agent", "hybrid"]) == cli.WRONG_INPUT
+    assert "agent 'hybrid' needs the policy of a run" in capsys.readouterr().err
+    (tmp_path / "policy" / "planner.py").touch()
+    assert cli.main(["eval", str(tmp_path / "policy"), "--episodes", "1"]) == cli.DONE
+    assert "acts without its planner here" in capsys.readouterr().err
 
 
 @pytest.fixture(scope="module")

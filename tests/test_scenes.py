@@ -155,6 +155,7 @@ def test_bodies_of_a_file(tmp_path: Path) -> None:
             "shape 'cone' is not one of: ball",
         ),
         ('{"bodies": [{"shape": "ball", "position": [0, 0], "size": [1]}]}', "a ball needs a position of 3 numbers"),
+        ('{"bodies": [{"shape": "ball", "position": [0, 0, 0], "size": 0.1}]}', "and one of 1 as its size"),
         ('{"bodies": [{"shape": "ball", "position": [0, 0, 0], "size": [-1]}]}', "a size is not positive"),
         ('{"bodies": [{"shape": "ball", "position": [0, 0, NaN], "size": [1]}]}', "a ball needs"),
         ('{"bodies": [{"shape": "ball", "position": [0, 0, 1], "size": [true]}]}', "is not of numbers"),

@@ -98,6 +98,11 @@ def find_subject(arguments: Subjects, agents: Sequence[str], path: Path | None) 
     from reachlab.runs.shipped import find_run
 
     model = _find_model(arguments, path) if path else None
+    if model and (beside := [agent for agent in agents if AGENTS[agent].trained and AGENTS[agent].remembers]):
+        raise InputError(
+            f"agent {beside[0]!r} needs the policy of a run, and '{path}' is a model: name the run. An export with its"
+            " planner is played by `reachlab deploy check`."
+        )
     run = find_run(path) if path and not model else None
     return Subject(str(path or ""), _settings(arguments, agents, run, model), run, model)
 
@@ -151,8 +156,11 @@ def _find_model(arguments: Subjects, path: Path) -> Model | None:
         InputError: it is not trusted or cannot be loaded.
     """
     if _is_onnx(path):
+        from reachlab.cli.console import note
         from reachlab.deploy.onnx_network import OnnxNetwork
 
+        if (path / "planner.py").is_file():
+            note(f"'{path}' acts without its planner here: `reachlab deploy check` plays both.")
         return OnnxNetwork(path)
     if _is_lerobot(path):
         from reachlab.deploy.lerobot_policy import LeRobotPolicy

@@ -134,7 +134,8 @@ def sweep(
             left, trials = True, settings.trials
             while left:
                 left = under_way.advance(trials, workers)
-                watch(SweepProgress(study.trials, trials, under_way.shares, next(iter(study.ranked), None)))
+                begun, best = study.trials, next(iter(study.ranked), None)
+                watch(SweepProgress(begun, max(trials, len(begun)), under_way.shares, best))
                 if interrupts.received is not None:
                     how = f"`reachlab sweep --resume {quote(str(run.path))}` continues from there"
                     raise Interrupted(interrupts.received, f"interrupted; every trial is saved: {how}.")

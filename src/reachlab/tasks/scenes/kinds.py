@@ -240,11 +240,14 @@ def _of_file(file: Path, robot: Robot) -> Kind:
 
 def _read(one: dict[str, Any]) -> Body:
     shape, count = SHAPES[choose("shape", one["shape"], SHAPES)]
-    if not all(type(part) in (int, float) for part in (*one["size"], *one["position"], one.get("yaw", 0))):
+    size, position = one["size"], one["position"]
+    if not isinstance(size, list) or not isinstance(position, list):
+        raise TypeError(f"a {one['shape']} needs a list of 3 numbers as its position, and one of {count} as its size")
+    if not all(type(part) in (int, float) for part in (*size, *position, one.get("yaw", 0))):
         raise TypeError("a size, position or yaw is not of numbers")
     if unknown := sorted(one.keys() - {"shape", "size", "position", "yaw"}):
         raise ValueError(f"nothing of a body is called {', '.join(unknown)}")
-    size, position, yaw = np.array(one["size"], float), np.array(one["position"], float), float(one.get("yaw", 0.0))
+    size, position, yaw = np.array(size, float), np.array(position, float), float(one.get("yaw", 0.0))
     if size.shape != (count,) or position.shape != (3,) or not np.isfinite([*size, *position, yaw]).all():
         raise ValueError(f"a {one['shape']} needs a position of 3 numbers and a size of {count}")
     if max(np.abs(position).max(), size.max()) > FARTHEST:
