@@ -24,7 +24,8 @@ where it hands others to its threads kernel by kernel. In large batches it is th
 
 def make_packing(example: Any, num_envs: int) -> Apart | Packed:
     """The faster way to hand over pytrees that are like an example: of arrays, or of their shapes and types."""
-    return Packed(example) if num_envs == 1 or MOST_SMALL < num_envs < LEAST_LARGE else Apart(example)
+    fits = all(map(_fits, jax.tree.leaves(example)))
+    return Packed(example) if fits and (num_envs == 1 or MOST_SMALL < num_envs < LEAST_LARGE) else Apart(example)
 
 
 class AsTheyAre:
@@ -46,7 +47,15 @@ class Apart:
         """Pytrees that are like an example: of arrays, or of their shapes and types."""
         leaves, self._structure = jax.tree.flatten(example)
         self._empty = [None if leaf.size else np.zeros(leaf.shape, leaf.dtype) for leaf in leaves]
-        self.zeros: Any = [_numbers(_no_bits(leaf), leaf.shape, leaf.dtype) for leaf in leaves if leaf.size]
+        self._full = [(leaf.shape, leaf.dtype, _bits_shape(leaf)) for leaf in leaves if leaf.size]
+
+    @property
+    def zeros(self) -> Any:
+        """A packed pytree of zeros."""
+        return [
+            jax.random.wrap_key_data(jnp.zeros(bits, jnp.uint32)) if _is_key(dtype) else np.zeros(shape, dtype)
+            for shape, dtype, bits in self._full
+        ]
 
     def pack(self, tree: Any) -> Any:
         """A pytree, packed, in JAX's traces."""
@@ -72,7 +81,7 @@ class Packed:
     def __init__(self, example: Any) -> None:
         """Pytrees that are like an example: of arrays, or of their shapes and types."""
         leaves, self._structure = jax.tree.flatten(example)
-        shapes = [_no_bits(leaf).shape for leaf in leaves]
+        shapes = [_bits_shape(leaf) for leaf in leaves]
         ends = np.cumsum([math.prod(shape[1:]) for shape in shapes]).tolist()
         self._leaves = [
             (slice(start, end) if len(shape) > 1 else start, leaf.shape, leaf.dtype)
@@ -141,21 +150,30 @@ class PackedResults:
         return tuple(packing.pack(one) for packing, one in zip(self.packings, results, strict=True))
 
 
+def _is_key(dtype: Any) -> bool:
+    return jnp.issubdtype(dtype, jax.dtypes.prng_key)
+
+
+def _fits(leaf: Any) -> bool:
+    """Whether `_bits` are as many numbers as the leaf's, or it is of keys."""
+    return _is_key(leaf.dtype) or leaf.dtype.kind == "b" or leaf.dtype.itemsize == 4
+
+
 def _bits(leaf: Array) -> Array:
     """Numbers, truths or keys as uint32."""
-    if jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key):
+    if _is_key(leaf.dtype):
         return jax.random.key_data(leaf)
     return leaf.astype(jnp.uint32) if leaf.dtype.kind == "b" else jax.lax.bitcast_convert_type(leaf, jnp.uint32)
 
 
-def _no_bits(leaf: Any) -> np.ndarray:
-    """Zeros like the bits of a leaf, which may be its shape and type alone."""
-    return np.zeros(jax.eval_shape(_bits, leaf).shape, np.uint32)
+def _bits_shape(leaf: Any) -> tuple[int, ...]:
+    """Shape of the bits of a leaf, which may be its shape and type alone."""
+    return jax.eval_shape(jax.random.key_data, leaf).shape if _is_key(leaf.dtype) else leaf.shape
 
 
 def _numbers(columns: Any, shape: tuple[int, ...], dtype: Any) -> Array:
     """The reverse of `_bits`."""
-    if jnp.issubdtype(dtype, jax.dtypes.prng_key):
+    if _is_key(dtype):
         return jax.random.wrap_key_data(columns)
     columns = columns.reshape(shape)
     return columns != 0 if dtype.kind == "b" else jax.lax.bitcast_convert_type(columns, dtype)

@@ -1,0 +1,58 @@
+"""Tests of how what compiled programs give is handed over."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from reachlab.envs.packing import Apart, Packed, PackedResults
+
+COUNTS = (1, 2, 17)
+"""Environments: packed, each array by itself, and packed again."""
+
+
+def everything(keys: Any) -> tuple[dict[str, Any], tuple[Any, ...]]:
+    """Two pytrees: of numbers of 32 bits, truths, keys and nothing; and of other numbers."""
+    count = len(keys)
+    whole = jnp.arange(count * 6, dtype=jnp.int32)
+    plain = {
+        "keys": keys,
+        "numbers": jnp.sin(whole.astype(jnp.float32)).reshape(count, 3, 2),
+        "counts": whole[:count] - 1,
+        "truths": whole.reshape(count, 6) % 2 == 0,
+        "nothing": jnp.zeros((count, 0, 3)),
+    }
+    return plain, (whole[:count].astype(jnp.int8), plain["numbers"][:, 0].astype(jnp.float16))
+
+
+@pytest.mark.parametrize("count", COUNTS)
+def test_what_is_packed_comes_out_as_it_was(count: int) -> None:
+    keys = jax.random.split(jax.random.key(0), count)
+    with jax.checking_leaks():
+        handed = PackedResults(everything, count)
+        packed = handed(keys)
+    assert [type(one) for one in handed.packings] == [Apart if count == 2 else Packed, Apart]
+    for packing, one, expected in zip(handed.packings, packed, everything(keys), strict=True):
+        for found in (packing.in_jax(one), jax.jit(packing.unpack)(one)):
+            assert jax.tree.all(jax.tree.map(lambda a, b: a.dtype == b.dtype and (a == b).all(), found, expected))
+    plain = dict(everything(keys)[0], keys=jnp.zeros(count))  # keys are not taken by the host
+    without_keys = PackedResults(lambda: (plain,), count)
+    (one,) = without_keys()
+    taken = without_keys.packings[0].taken(one, in_numpy=True)
+    for name, leaf in taken.items():
+        assert isinstance(leaf, np.ndarray)
+        assert leaf.dtype == plain[name].dtype
+        np.testing.assert_array_equal(leaf, plain[name])
+
+
+@pytest.mark.parametrize("count", COUNTS)
+def test_zeros_are_packed_like_what_they_stand_for(count: int) -> None:
+    handed = PackedResults(everything, count)
+    packed = handed(jax.random.split(jax.random.key(0), count))
+    for packing, one in zip(handed.packings, packed, strict=True):
+        alike = jax.tree.map(lambda a, b: (a.shape, a.dtype) == (b.shape, b.dtype), packing.zeros, one)
+        assert jax.tree.all(alike)
