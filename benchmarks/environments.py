@@ -45,6 +45,8 @@ def environments() -> Iterator[Row]:
     for num_envs in BATCHES:
         measure = batch_steps(gymnasium.make_vec(ENVIRONMENT, num_envs=num_envs), EPISODE)
         yield row(f"gym_steps_per_second/{num_envs}", max(measure() for _ in range(ROUNDS)), "1/s")
+    precise = single_steps(task="precise")
+    yield row("gym_steps_per_second/precise 1", max(precise() for _ in range(ROUNDS)), "1/s")
     yield dynamics_steps("precise")
     yield from (dynamics_steps(task, robot="panda") for task in ("push", "lift"))
 
