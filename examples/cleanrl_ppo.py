@@ -101,6 +101,8 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=1_000_000, help="environment steps at most")
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
+    if args.steps < 1 or args.seed < 0:
+        parser.error("steps begin at 1, and seeds at 0")
     torch.set_num_threads(1)  # the networks are small
     torch.manual_seed(args.seed)
     began = time.perf_counter()

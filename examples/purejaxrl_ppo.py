@@ -127,6 +127,8 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=1_000_000, help="environment steps, rounded up to a validation")
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
+    if args.steps < 1 or args.seed < 0:
+        parser.error("steps begin at 1, and seeds at 0")
     began = time.perf_counter()
     config = reachlab.configure("tutorial", **SETTINGS)
     updates = -(-args.steps // (NUM_ENVS * ROLLOUT_STEPS))

@@ -51,6 +51,8 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=1_000_000, help="environment steps")
     parser.add_argument("--seed", type=int, default=0)
     asked = parser.parse_args()
+    if asked.steps < 1 or asked.seed < 0:
+        parser.error("steps begin at 1, and seeds at 0")
 
     started = time.perf_counter()
     env, params = reachlab.gymnax.make("tutorial", **SETTINGS)

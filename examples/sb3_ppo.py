@@ -41,6 +41,8 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--save", help="name of the model and of its normaliser, for `reachlab eval`")
     args = parser.parse_args()
+    if args.steps < 1 or args.seed < 0:
+        parser.error("steps begin at 1, and seeds at 0")
     torch.set_num_threads(1)  # the networks are small
     began = time.perf_counter()
     env = VecNormalize(make_vec_env("reachlab/Reach-v0", 64, args.seed, env_kwargs=SETTINGS), norm_reward=False)

@@ -42,6 +42,8 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=20_000)  # the RL Zoo's of PandaReach
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
+    if args.steps < 1 or args.seed < 0:
+        parser.error("steps begin at 1, and seeds at 0")
     torch.set_num_threads(1)  # the networks are small
     began = time.perf_counter()
     model = learn(args.steps, args.seed)

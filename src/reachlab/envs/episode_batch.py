@@ -117,10 +117,10 @@ class Steps:
         if state is None:
             state = self._env.init(gymnasium_keys(seeds), goal)
         else:
-            state = self._opened(state)
+            state = self._as_state(state)
             keys = keys_of_seeded(seeds, seeded & mask, state.key)
             state = self._env.reset(replace(state, key=keys), mask, goal=goal)
-        return (self._closed(state), ended & ~mask), self._begun(state)
+        return (self._as_held(state), ended & ~mask), self._begun(state)
 
     def step(self, held: Any, actions: BatchArray) -> tuple[Any, Result]:
         """What is held, and the result, after actions."""
@@ -153,10 +153,10 @@ class Steps:
         now = self._now(state, seen, done.terms["success"])
         return Result(now, done.reward, done.terminated, done.truncated)
 
-    def _opened(self, state: Any) -> EnvState:
+    def _as_state(self, state: Any) -> EnvState:
         return state
 
-    def _closed(self, state: EnvState) -> Any:
+    def _as_held(self, state: EnvState) -> Any:
         return state
 
     def _begin(self, mask: Any, state: Any, now: Now) -> tuple[Any, Now]:
@@ -169,8 +169,8 @@ class Steps:
             return jax.tree.map(lambda old, new: old.at[index].set(new), (state, now), (begun, self._begun(begun)))
 
         def any_number() -> tuple[Any, Now]:
-            begun = self._env.reset(self._opened(state), mask)
-            return self._closed(begun), EnvFunctions.merge(mask, self._begun(begun, mask), now, self._xp)
+            begun = self._env.reset(self._as_state(state), mask)
+            return self._as_held(begun), EnvFunctions.merge(mask, self._begun(begun, mask), now, self._xp)
 
         if not self._env.traced:
             mask = np.asarray(mask)
@@ -206,14 +206,14 @@ class HostSteps(Steps):
 
     def state(self, held: Any) -> EnvState:
         """See `Steps.state`."""
-        return self._opened(held[0])
+        return self._as_state(held[0])
 
-    def _opened(self, state: Any) -> EnvState:
+    def _as_state(self, state: Any) -> EnvState:
         packed, engine = state
         opened = self._pack.packings[0].in_jax(packed)
         return replace(opened, arm=replace(opened.arm, engine=engine))
 
-    def _closed(self, state: EnvState) -> Any:
+    def _as_held(self, state: EnvState) -> Any:
         return self._pack(replace(state, arm=replace(state.arm, engine=None)))[0], state.arm.engine
 
     def _stepped(self, before: Any, actions: BatchArray) -> tuple[Any, Result]:
