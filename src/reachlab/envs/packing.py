@@ -31,10 +31,6 @@ def make_packing(example: Any, num_envs: int) -> Apart | Packed:
 class AsTheyAre:
     """Pytrees of the host, which no compiled program takes or gives."""
 
-    def in_jax(self, packed: Any) -> Any:
-        """A packed pytree as JAX's functions take it."""
-        return packed
-
     def taken(self, packed: Any, *, in_numpy: bool) -> Any:
         """A packed pytree of arrays: in NumPy, the caller's own, or in JAX."""
         return jax.tree.map(np.array if in_numpy else jnp.asarray, packed)
@@ -67,7 +63,7 @@ class Apart:
         return jax.tree.unflatten(self._structure, [next(filled) if one is None else one for one in self._empty])
 
     def in_jax(self, packed: Any) -> Any:
-        """See `AsTheyAre`."""
+        """A packed pytree as JAX's functions take it."""
         return self.unpack(packed)
 
     def taken(self, packed: Any, *, in_numpy: bool) -> Any:
@@ -102,7 +98,7 @@ class Packed:
         return jax.tree.unflatten(self._structure, leaves)
 
     def in_jax(self, packed: Any) -> Any:
-        """See `AsTheyAre`."""
+        """See `Apart`."""
         return self._in_jax(packed)
 
     def taken(self, packed: Any, *, in_numpy: bool) -> Any:
