@@ -310,6 +310,8 @@ def test_a_sweep_goes_on_with_more_trials_and_leaves_the_others_as_they_were(
     after = {path: newest_weights(path) for path in (swept / "trials").iterdir() if path.is_dir()}
     assert len(after) == 6
     assert before == {path: weights for path, weights in after.items() if path in before}
+    assert main(["sweep", "--resume", str(swept), "--trials", "1"]) == 0
+    assert "trial 2 of 3" in capsys.readouterr().err
 
 
 def test_the_best_settings_are_trained_with_and_flags_change_them(swept: Path, tmp_path: Path) -> None:
