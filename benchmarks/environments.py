@@ -8,25 +8,19 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from gymnasium import Space
 from gymnasium.vector import VectorEnv
 
-from benchmarks.simulators import Author, bare_engine
+from benchmarks.simulators import ACTIONS, ENVIRONMENT, Author, bare_engine, sampled_actions, single_steps
 from reachlab.bench.table import Row, machine, row
 from reachlab.envs.core import Env
 from reachlab.envs.presets import configure
 from reachlab.robots.loading import load_robot
-
-ENVIRONMENT = "reachlab:reachlab/Reach-v0"
 
 BATCHES = (16, 256, 4096)
 """Environments of a batch."""
 
 EPISODE = 1000
 """Steps after which an episode ends at the latest, and that are timed: as many episodes end as begin."""
-
-ACTIONS = 64
-"""Random actions for each environment, taken in turns; they are sampled beforehand."""
 
 ROUNDS = 3
 """Timings, of which the best counts, since other work on the machine comes and goes."""
@@ -37,7 +31,7 @@ DYNAMIC_ENVS, DYNAMIC_STEPS = 256, 101
 
 def environments() -> Iterator[Row]:
     """The rows of suite `environments`."""
-    author, ours = author_steps(), single_steps()
+    author, ours = author_steps(), single_steps(EPISODE)
     rates = [(author(), ours()) for _ in range(ROUNDS)]
     slow, fast = (max(column) for column in zip(*rates, strict=True))
     yield row("gym_steps_per_second/author's", slow, "1/s", simulator="PyBullet")
@@ -45,28 +39,10 @@ def environments() -> Iterator[Row]:
     for num_envs in BATCHES:
         measure = batch_steps(gymnasium.make_vec(ENVIRONMENT, num_envs=num_envs), EPISODE)
         yield row(f"gym_steps_per_second/{num_envs}", max(measure() for _ in range(ROUNDS)), "1/s")
-    precise = single_steps(task="precise")
+    precise = single_steps(EPISODE, task="precise")
     yield row("gym_steps_per_second/precise 1", max(precise() for _ in range(ROUNDS)), "1/s")
     yield dynamics_steps("precise")
     yield from (dynamics_steps(task, robot="panda") for task in ("push", "lift"))
-
-
-def single_steps(**settings: Any) -> Callable[[], float]:
-    """Measures the steps a second of one environment."""
-    env = gymnasium.make(ENVIRONMENT, **settings)
-    actions = sampled_actions(env.action_space)
-    env.reset(seed=0)
-
-    def measure() -> float:
-        start = time.perf_counter()
-        for number in range(EPISODE):
-            _, _, terminated, truncated, _ = env.step(actions[number % ACTIONS])
-            if terminated or truncated:
-                env.reset()
-        return EPISODE / (time.perf_counter() - start)
-
-    measure()
-    return measure
 
 
 def batch_steps(env: VectorEnv[Any, Any, Any], steps: int) -> Callable[[], float]:
@@ -98,12 +74,6 @@ def dynamics_steps(task: str, **settings: Any) -> Row:
     engine, through = (max(column) for column in zip(*rates, strict=True))
     share = round(through / engine, 3)
     return row(f"gym_steps_per_second/{task} {DYNAMIC_ENVS}", through, "1/s", share_of_bare=share)
-
-
-def sampled_actions(space: Space[Any]) -> list[Any]:
-    """Random actions, the same at every call."""
-    space.seed(0)
-    return [space.sample() for _ in range(ACTIONS)]
 
 
 def author_steps() -> Callable[[], float]:
