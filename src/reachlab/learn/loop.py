@@ -102,7 +102,7 @@ class Loop:
     def prepare(self, *, resume: bool) -> Any:
         """First state, or the saved one; the iteration is compiled the same for both.
 
-        Where everything is traced its programs are compiled at once.
+        Where everything is traced three programs are compiled at once.
         """
         env, config = self.env, self.config
         resume = resume and self.run.has_checkpoints  # damaged ones too: then it is said, and nothing is lost

@@ -1,9 +1,8 @@
-"""PPO as a method: an iteration is a rollout and its update, each compiled."""
+"""PPO as a method: an iteration is a rollout and its update, compiled."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -34,6 +33,7 @@ class TrainState:
 
 
 Metrics = dict[str, Array]
+Learn = Callable[[Learner, Rollout, Array], tuple[Learner, Metrics]]
 Iteration = Callable[[TrainState], tuple[TrainState, Watched]]
 
 
@@ -53,32 +53,24 @@ def initial_state(env: Env, config: RunConfig, seed: int | Array, given: Any = N
 def compile_iteration(env: Env, config: RunConfig, shape: TrainState, elsewhere: Collect | None = None) -> Iteration:
     """See `Method.compile_iteration`.
 
-    Where everything is traced a rollout is one program and the update another, which compile at the same time; else the
-    environment steps on the host, between compiled parts.
+    Where everything is traced it is one program; else the environment steps on the host, between compiled parts.
     """
-
-    def gather(state: TrainState, collect: Collect) -> tuple[EnvState, Rollout, Array, Array]:
-        key, for_rollout, for_update = jax.random.split(state.key, 3)
-        return *collect(env, state.learner.policy, state.env, for_rollout, config.loop), key, for_update
 
     def learn(learner: Learner, rollout: Rollout, key: Array) -> tuple[Learner, Metrics]:
         new, metrics = ppo.update(learner, rollout, key, config)
         return new, {**episode_statistics(rollout), **metrics}
 
-    if env.traced:
-        gathering = jit(kept(partial(gather, collect=collect), "rollout of PPO", env.identity)).lower(shape)
-        _, rollout, _, key = gathering.out_info
-        with ThreadPoolExecutor(1) as pool:
-            gathered = pool.submit(gathering.compile)
-            learning = jit(kept(learn, "update of PPO", env.identity)).lower(shape.learner, rollout, key).compile()
-            gathering = gathered.result()
-    else:
-        gathering, learning = partial(gather, collect=elsewhere or host_collector()), jit(learn)
-
-    def compiled(state: TrainState) -> tuple[TrainState, Metrics, Rollout]:
-        after, rollout, key, for_update = gathering(state)
-        learner, metrics = learning(state.learner, rollout, for_update)
+    def iterate(gather: Collect, learn: Learn, state: TrainState) -> tuple[TrainState, Metrics, Rollout]:
+        key, for_rollout, for_update = jax.random.split(state.key, 3)
+        after, rollout = gather(env, state.learner.policy, state.env, for_rollout, config.loop)
+        learner, metrics = learn(state.learner, rollout, for_update)
         return TrainState(learner, after, key), metrics, rollout
+
+    if env.traced:
+        whole = kept(partial(iterate, collect, learn), "iteration of PPO", env.identity)
+        compiled = jit(whole).lower(shape).compile()
+    else:
+        compiled = partial(iterate, elsewhere or host_collector(), jit(learn))
 
     def judged(state: TrainState) -> tuple[TrainState, Watched]:
         new, metrics, rollout = compiled(state)
