@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reachlab.envs.packing import Apart, Packed, PackedResults
+from reachlab.envs.packing import Apart, Computed, Packed, PackedResults
 
 COUNTS = (1, 2, 17)
 """Environments: packed, each array by itself, and packed again."""
@@ -56,3 +56,26 @@ def test_zeros_are_packed_like_what_they_stand_for(count: int) -> None:
     for packing, one in zip(handed.packings, packed, strict=True):
         alike = jax.tree.map(lambda a, b: (a.shape, a.dtype) == (b.shape, b.dtype), packing.zeros, one)
         assert jax.tree.all(alike)
+
+
+def test_what_a_function_is_given_is_not_handed_over_again_and_any_librarys_arrays_share_a_program() -> None:
+    traced = []
+
+    def function(given: dict[str, Any], more: Any) -> tuple[Any, ...]:
+        traced.append(given)
+        return given, {"sum": given["x"] + more, "nothing": jnp.zeros((3, 0), jnp.int32)}, given["key"]
+
+    computed, device = Computed(function), jax.devices()[0]
+    plain = {"x": np.arange(3.0, dtype=np.float32), "key": jax.random.split(jax.random.key(1), 3)}
+    for change in (np.asarray, jnp.asarray, lambda x: jax.device_put(x, device)):
+        given = dict(plain, x=change(plain["x"]))
+        same, new, key = computed(given, np.float32(2.0))
+        assert same["x"] is given["x"]
+        assert same["key"] is key is given["key"]
+        np.testing.assert_array_equal(new["sum"], [2, 3, 4])
+        assert (new["nothing"].shape, new["nothing"].dtype) == ((3, 0), np.int32)
+    assert len(traced) == 1
+    (_, new, _) = computed({"x": np.arange(3), "key": plain["key"]}, np.int32(1))
+    assert new["sum"].dtype == np.int32
+    np.testing.assert_array_equal(new["sum"], [1, 2, 3])
+    assert len(traced) == 2

@@ -50,7 +50,7 @@ class Counted:
     def __call__(self, x: jax.Array, more: dict[str, jax.Array]) -> tuple[Pair, list[jax.Array], Empty, None]:
         """Some nodes of all kinds."""
         self.traces += 1
-        return Pair(jnp.sin(x) + more["b"], {"a": (x * 2, None)}), [x.sum()], Empty(), None
+        return Pair(jnp.sin(x) + more["b"], {"a": (x * 2, None), "given": more["b"]}), [x.sum(), x], Empty(), None
 
 
 X, MORE = jnp.arange(4.0), {"b": jnp.array(3.0)}

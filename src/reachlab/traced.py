@@ -6,6 +6,7 @@ import contextlib
 import dataclasses
 import functools
 import hashlib
+import itertools
 import json
 import os
 import platform
@@ -65,20 +66,22 @@ def kept(function: Callable[..., Any], name: str, *settings: object, like: Any =
                 return function(*arguments)
             _write(file, *found)
         program, form = found
-        return _built(form, list(program.call(*leaves)), (arguments, like))
+        return _built(form, [*leaves, *program.call(*leaves)], (arguments, like))
 
     read.__name__ = name.replace(" ", "_")
     return read
 
 
 def _trace(function: Callable[..., Any], tree: Any, leaves: list[Any]) -> tuple[export.Exported, Any]:
-    """A function of leaves, exported, and the form of what it gives."""
+    """A function of leaves, exported, and the form of what it gives: of those leaves and of what is computed."""
     forms = []
 
     def flat(*leaves: Any) -> list[Any]:
         given, structure = jax.tree.flatten(function(*jax.tree.unflatten(tree, leaves)))
-        forms.append(_form(jax.tree.unflatten(structure, range(len(given)))))
-        return given
+        places, further = {id(leaf): place for place, leaf in enumerate(leaves)}, itertools.count(len(leaves))
+        numbers = [places[id(leaf)] if id(leaf) in places else next(further) for leaf in given]
+        forms.append(_form(jax.tree.unflatten(structure, numbers)))
+        return [leaf for leaf in given if id(leaf) not in places]
 
     shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in map(jax.typeof, leaves)]
     return export.export(jax.jit(flat))(*shapes), forms[-1]

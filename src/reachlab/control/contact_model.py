@@ -148,9 +148,10 @@ class FixedBodies:
 
     def become(self, bodies: Bodies) -> None:
         """Put the first of bodies `[B, K]`, in NumPy, where they are."""
-        count = len(self.geoms)
+        if not (count := len(self.geoms)):
+            return
         now = geoms_of(jax.tree.map(lambda x: x[:, :count], bodies))
-        if not count or all(map(np.array_equal, now, self._before)):
+        if all(map(np.array_equal, now, self._before)):
             return
         self._before = now
         for array, numbers in zip(self._arrays, now, strict=True):

@@ -18,6 +18,7 @@ from reachlab.control.bodies import Bodies
 from reachlab.control.situation import Goal, Situation, shaped_within
 from reachlab.envs.delays import goal_seen
 from reachlab.envs.functions import EnvFunctions, EnvState, Stepped, Transition
+from reachlab.envs.packing import Computed
 from reachlab.envs.sampling import in_parts
 from reachlab.envs.setup import make_setup, settled
 from reachlab.jax_setup import dispatch_inline, first_process, jit, keep_compiled
@@ -87,13 +88,9 @@ class Env:
         self.pictured = bool(self.schema.pictures)
         simulated = self.simulator.kind == "traced"
         self.traced = simulated and not self.pictured
+        limits = shaped_within(self.setup) if config.physics.shaping else None
         f = self.functions = EnvFunctions(
-            self.setup,
-            config.randomise,
-            max(self.simulator.lag) > 0,
-            self.pictured,
-            shaped_within(self.setup) if config.physics.shaping else None,
-            config.learner.memory,
+            self.setup, config.randomise, max(self.simulator.lag) > 0, self.pictured, limits, config.learner.memory
         )
         # Traced with the simulator's steps or, where an engine takes most of the time, compiled one by one.
         parts = (f.sample_episode, f.chained_start, f.begin, f.command, f.judge, f.merge, f.continued)
@@ -108,10 +105,10 @@ class Env:
             lambda q, here: clearances(robot.capsules, capsules_at(robot.chain, robot.capsules, q), here), brief=True
         )
         self._goal_seen = jit(functools.partial(goal_seen, setup.rules), brief=True)
-        self._observe, self._view_samples = jit(f.observe, brief=True), jit(f.view_samples, brief=True)
+        self._observe, self._view_samples = self._part(f.observe), jit(f.view_samples, brief=True)
 
     def _part(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        return jit(kept(function, function.__name__, self.identity), brief=True)
+        return Computed(kept(function, function.__name__, self.identity))
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
         """Copy of its own, which continues as this one."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable
 from typing import Any, Self
@@ -144,6 +145,53 @@ class PackedResults:
         results = self._function(*arguments)
         self.packings = tuple(make_packing(one, self._num_envs) for one in results)
         return tuple(packing.pack(one) for packing, one in zip(self.packings, results, strict=True))
+
+
+class Computed:
+    """A function compiled so that only what it computes is handed over, neither what it is given nor empty arrays.
+
+    It is compiled once for arrays of the same types, whichever library's they are and whatever they come from.
+    """
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        """A function of pytrees of arrays, which can be traced."""
+        self._function = function
+        self._programs: dict[Any, Callable[..., Any]] = {}
+
+    def __call__(self, *arguments: Any) -> Any:
+        """What the function gives; what it was given is the caller's own."""
+        given, structure = jax.tree.flatten(arguments)
+        if structure in self._programs:
+            with contextlib.suppress(TypeError):  # of other types than before
+                return self._programs[structure](given)
+        program = self._programs[structure] = self._compile(structure, given)
+        return program(given)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        """Itself: what it learns is the same for all."""
+        del memo
+        return self
+
+    def _compile(self, structure: Any, given: list[Any]) -> Callable[[list[Any]], Any]:
+        found: list[Any] = []
+
+        def computed(*leaves: Any) -> list[Array]:
+            results, form = jax.tree.flatten(self._function(*jax.tree.unflatten(structure, leaves)))
+            numbers = {id(leaf): number for number, leaf in enumerate(leaves)}
+            # Of each: which of those given it is, or what it is without numbers, or None of what is computed.
+            places = [numbers.get(id(x)) if x.size else np.zeros(x.shape, x.dtype) for x in results]
+            found[:] = places, form
+            return [leaf for leaf, place in zip(results, places, strict=True) if place is None]
+
+        program = jit(computed, brief=True).lower(*given).compile()
+        places, form = found
+
+        def call(given: list[Any]) -> Any:
+            new = iter(program(*given))
+            parts = [next(new) if at is None else given[at] if isinstance(at, int) else at for at in places]
+            return jax.tree.unflatten(form, parts)
+
+        return call
 
 
 def _is_key(dtype: Any) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from typing import cast
 
 import jax
@@ -166,7 +167,7 @@ class MujocoSimulator(Drawn):
             rows, columns = np.asarray(state.engine).view(np.float64), self._batch.state.shape[1]
             self._batch.state[:] = rows[:, :columns]
             self._become(rows[:, columns:], jax.tree.map(np.asarray, state.bodies))
-        if given is None or given[1] is not state.bodies:
+        if given is None or not all(map(operator.is_, *map(jax.tree.leaves, (given[1], state.bodies)))):
             bodies = jax.tree.map(np.asarray, state.bodies)
             self._fixed.become(bodies)
             self._free.put(bodies)
