@@ -419,6 +419,18 @@ def test_joints_that_are_not_those_of_the_goal_are_refused(clutter: Path) -> Non
     assert play(controller, 1, goal=place, **around) == [""]
     problem = play(controller, 1, first=1, goal=np.add(place, [0.0, 0.1, 0.0]), **around)[0]
     assert problem.startswith("the goal's joints have the tool at ")
+    around["joints"] = controller.home + np.eye(len(controller.home))[-1] * 4 * np.pi
+    assert "are out of the limits" in play(controller, 20, first=2, goal=place, **around)[-1]
+
+
+def test_joints_that_have_the_tool_turned_otherwise_than_the_goal_are_refused(tmp_path: Path) -> None:
+    controller = Controller(written(tmp_path / "pose", "pose"))
+    controller.reset(controller.home)
+    turned = controller.home - np.eye(len(controller.home))[-1]  # about its own axis: the tool stays where it is
+    goal = np.concatenate(controller._tool(controller.home.tolist()))
+    assert play(controller, 1, goal=goal, joints=controller.home) == [""]
+    (problem,) = play(controller, 1, first=1, goal=goal, joints=turned)
+    assert problem.startswith("the goal's joints have the tool turned to ")
 
 
 def test_a_policy_of_obstacles_is_told_of_them(clutter: Path) -> None:
@@ -432,8 +444,8 @@ def test_a_policy_of_obstacles_is_told_of_them(clutter: Path) -> None:
 
 @pytest.mark.parametrize("every", [1, 2, 3, 5])
 def test_a_goal_that_moves_has_its_velocity_however_rarely_it_comes(every: int) -> None:
-    box = {"low": [-1.0] * 3, "high": [1.0] * 3}
-    aim, seen = Aim({"orientation": False, "moves": True, "joints": False, "fastest": 1.0, **box}, 7, {}), []
+    facts = {"orientation": False, "moves": True, "joints": False, "fastest": 1.0}
+    aim, seen = Aim({**facts, "low": [-1.0] * 3, "high": [1.0] * 3}, (-np.ones(7), np.ones(7)), {}), []
     for step in range(40):
         moved = min(step // every * every, 20)
         assert aim.take(np.array([0.004 * moved, 0.0, 0.0]), 0.02 * step, None, None, np.zeros(7)) == ""
@@ -479,8 +491,12 @@ def test_what_moves_is_not_believed_for_long(clutter: Path) -> None:
     for beside in (still, moving):
         assert beside.numbers(read_bodies([one]), [], 10.0 + 0.9 * GONE)["bodies_position"][:3] == one["position"]
     assert still.numbers(read_bodies([one]), [], 3600.0), "what does not move may have been seen long ago"
-    with pytest.raises(ValueError, match=r"obstacle 1 was measured more than 0\.5 s ago, and they move"):
-        moving.numbers(read_bodies([one]), [], 10.0 + 1.1 * GONE)
+    for when, said in (
+        (10.0 + 1.1 * GONE, r"more than 0\.5 s ago, and they move"),
+        (10.0 - 1.1 * OLD, "later than now"),
+    ):
+        with pytest.raises(ValueError, match=f"obstacle 1 was measured {said}"):
+            moving.numbers(read_bodies([one]), [], when)
     for when, said in ((10.0 - 1.1 * OLD, "more than 0.1 s ago"), (10.0 + 1.1 * OLD, "later than now")):
         with pytest.raises(ValueError, match=f"object 1 was measured {said}"):
             placed([], 1, read_bodies([{"position": [0.5, 0.0, 0.3], "time": when}]), [2], [0.03], seconds=10.0)

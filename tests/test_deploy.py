@@ -532,7 +532,9 @@ def test_obstacles_come_through_markers_as_they_are_told() -> None:
     expected = placed(read_bodies(told), 4)
     for name, numbers in expected.items():
         np.testing.assert_allclose(came[name], numbers, atol=1e-12)
-    assert not from_markers(MarkerArray(markers=[Marker(action=Marker.DELETE)]), 3.0), "what is taken away is not there"
+    assert from_markers(MarkerArray(markers=[Marker(action=Marker.DELETEALL)]), 3.0) == []
+    with pytest.raises(ValueError, match="is deleted: each message has to hold all of them"):
+        from_markers(MarkerArray(markers=[*markers.markers, Marker(action=Marker.DELETE)]), 3.0)
     cubes, flat = Marker(type=Marker.CUBE_LIST, id=9, ns="map"), Marker(type=Marker.SPHERE, id=9, ns="map")
     cubes.scale.x = cubes.scale.y = cubes.scale.z = 0.2
     for wrong in (cubes, flat):

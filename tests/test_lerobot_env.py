@@ -96,6 +96,9 @@ def test_an_arm_that_is_sent_to_its_goal_succeeds_and_one_that_stays_does_not() 
     info = [env.step(sent)[-1] for _ in range(env.call("_max_episode_steps")[0])][-1]
     assert info["is_success"].tolist() == [True, False]
     env.close()
+    for call in (env.reset, lambda: env.step(sent)):
+        with pytest.raises(InputError, match="the environment is closed"):
+            call()
 
 
 def test_lerobots_rollouts_are_answered(env: LeRobotVectorEnv) -> None:

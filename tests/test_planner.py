@@ -115,6 +115,13 @@ def test_a_goal_inside_a_body_has_no_motion(env: Env, plans: Plans) -> None:
     assert plans.plan(there, start, goal) is None
 
 
+def test_a_body_about_the_arm_opens_no_way_through_others(env: Env, plans: Plans) -> None:
+    bodies, start, goal = episodes(env)[1]
+    about = replace(bodies, position=np.concatenate([np.zeros((1, 3)), bodies.position[1:]]))
+    assert touched(env, about, start[None]).all()
+    assert plans.plan(about, start, goal) is None
+
+
 def test_joints_are_no_faster_than_they_may_be(env: Env, plans: Plans) -> None:
     robot, period = env.setup.robot, env.setup.period
     for episode in episodes(env)[:3]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from types import SimpleNamespace
@@ -20,11 +21,17 @@ from reachlab.cli import main as cli
 from reachlab.envs.consistency import check
 from reachlab.envs.gymnasium_single import ReachEnv
 from reachlab.envs.random_streams import env_keys
+from reachlab.envs.setup import _task
 from reachlab.scale.training import failure_file, run_training
 from reachlab.settings import extensions
 from reachlab.settings.config import RunConfig
+from reachlab.settings.tables import Lazy
 from reachlab.settings.validation import InputError
+from reachlab.tasks import TASKS
+from reachlab.tasks.actions import ACTIONS
+from reachlab.tasks.observations import OBSERVATIONS
 from reachlab.tasks.rewards import REWARDS, reward_terms
+from reachlab.tasks.schema import Observation, Term
 
 
 @pytest.mark.parametrize(
@@ -151,13 +158,115 @@ def test_lists_are_taken_and_what_is_loaded_is_short() -> None:
 def test_what_is_no_environment_agent_or_setting_is_told_so(tmp_path: Path) -> None:
     env = reachlab.Env(reachlab.configure("tutorial"), 2)
     for given, sentence in (
-        ((ReachEnv("tutorial"), "ik"), "a reachlab.Env is evaluated, got ReachEnv: Gymnasium has it as .unwrapped.env"),
+        ((ReachEnv("tutorial"), "ik"), "a reachlab.Env is evaluated, got ReachEnv: make one by reachlab.Env"),
         ((env, SimpleNamespace()), "agent must be a name or a function of observations, got SimpleNamespace"),
     ):
         with pytest.raises(InputError, match=sentence):
             reachlab.evaluate(*cast("Any", given))
     with pytest.raises(InputError, match=r"settings are needed, as reachlab.configure\('tutorial'\) gives, got 'x'"):
         reachlab.train(cast("Any", "x"), tmp_path / "run")
+
+
+def _mine(value: Any, low: Any = -1.0, high: Any = 1.0) -> Observation:
+    bounds: Any = lambda _: (np.atleast_1d(low), np.atleast_1d(high)) if high is not None else None  # noqa: E731
+    return Observation("mine", (Term("q", "1", value, bounds),))
+
+
+@pytest.mark.parametrize(
+    ("design", "sentence"),
+    [
+        (_mine(lambda _, now: now.tool_position), r"gives numbers in shape \(1, 3\): by its bounds they are \(1, 1\)"),
+        (_mine(lambda *_: 1.0), r"gives numbers in shape \(\): by its bounds"),
+        (_mine(lambda _, now: now.tool), r"fails at test_python_input.py:\d+: .* A situation has q, qd, "),
+        (_mine(lambda _: 1.0), "fails: .*takes 1 positional argument but 2 were given"),
+        (_mine(None, low=1.0, high=-1.0), "the bounds of term 'q' must be as many numbers"),
+        (_mine(None, low=[0.0, np.nan], high=[1.0, 1.0]), "the bounds of term 'q' must be as many numbers"),
+        (_mine(None, high=None), "the bounds of term 'q' must be two arrays of numbers"),
+        (Observation("nothing", ()), "the observation 'nothing' has no terms"),
+        (Observation("odd", (), needs=frozenset({"love"})), "observation 'mine' needs 'love', which nothing gives"),
+    ],
+)
+def test_an_observation_that_cannot_be_is_refused(
+    design: Observation, sentence: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(OBSERVATIONS, "mine", design)
+    with pytest.raises(InputError, match=sentence):
+        ReachEnv("tutorial", observation="mine").reset(seed=0)
+
+
+def test_whole_numbers_of_an_observation_become_real(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(OBSERVATIONS, "mine", _mine(lambda _, now: jax.numpy.ones_like(now.q[:, :1], int)))
+    seen, _ = ReachEnv("tutorial", observation="mine").reset(seed=0)
+    assert (seen.dtype, seen.tolist()) == (np.float32, [1.0])
+
+
+@pytest.mark.parametrize(
+    ("command", "sentence"),
+    [
+        (lambda _, now, __: now.command[:, :3], r"gives a command in shape \(1, 3\): one number an actuator is needed"),
+        (lambda *_: 0.0, r"gives a command in shape \(\)"),
+        (lambda _, now, action: now.command + action, "fails at test_python_input.py"),
+    ],
+)
+def test_an_action_that_gives_no_command_is_refused(
+    command: Any, sentence: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(ACTIONS, "mine", replace(ACTIONS["tool_delta"], command=command))
+    with pytest.raises(InputError, match=f"action 'mine' {sentence}"):
+        ReachEnv("tutorial", action="mine").reset(seed=0)
+
+
+@pytest.mark.parametrize(
+    ("changed", "sentence"),
+    [
+        ({"errors": lambda _, now: now.tool_position}, "must give `Errors` with one distance an environment"),
+        ({"errors": lambda _, now: now.tol}, "fails at test_python_input.py"),
+        ({"sample_goal": None}, "task needs a function as `sample_goal`, got None"),
+    ],
+)
+def test_a_task_that_cannot_be_is_refused(
+    changed: dict[str, Any], sentence: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kind: Any = TASKS["tutorial"].load()
+    task = replace(kind.task(), **changed)
+    monkeypatch.setattr(kind, "task", staticmethod(lambda: task))
+    _task.cache_clear()
+    with pytest.raises(InputError, match=sentence):
+        ReachEnv("tutorial").reset(seed=0)
+    _task.cache_clear()
+
+
+@pytest.mark.parametrize("entry", [Lazy("mine", "reachlab.tasks.task:stay"), int])
+def test_an_entry_that_is_no_task_is_refused(entry: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(TASKS, "mine", entry)
+    with pytest.raises(InputError, match=r"task 'mine' is .*: add it as Lazy"):
+        reachlab.configure("mine")
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [{"episodes": 0}, {"episodes": 1.5}, {"fps": 0.0}, {"fps": -1.0}, {"fps": np.nan}, {"seed": -1}, {"speed": np.inf}],
+)
+def test_a_film_of_odd_numbers_is_refused(changed: dict[str, Any], tmp_path: Path) -> None:
+    env = reachlab.Env(reachlab.configure("tutorial", max_steps=5), 1)
+    with pytest.raises(InputError, match=f"{next(iter(changed))} must be"):
+        reachlab.write_video(env, "ik", None, tmp_path / "a.webp", **changed)
+
+
+def test_what_cannot_be_filmed_drawn_or_made_an_environment_is_told_so(tmp_path: Path) -> None:
+    odd: Any = "tutorial"
+    for call, sentence in (
+        (lambda: reachlab.write_video(odd, "ik", None, tmp_path / "a.webp"), "a reachlab.Env is filmed, got str"),
+        (lambda: reachlab.plot([], tmp_path / "a.png"), "name at least one"),
+        (lambda: reachlab.Env(odd, 2), "settings are needed, as reachlab.configure"),
+        (
+            lambda: reachlab.train(reachlab.configure(), tmp_path / "run", threads=-3),
+            "threads must be a whole number",
+        ),
+    ):
+        with pytest.raises(InputError, match=sentence):
+            call()
+    assert not [*tmp_path.iterdir()]
 
 
 def test_films_of_environments_take_their_time() -> None:

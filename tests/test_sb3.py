@@ -83,6 +83,16 @@ def test_make_vec_env_seeds_the_first_reset() -> None:
     assert np.asarray(batch.reset())[1] == pytest.approx(single.reset(seed=8)[0], abs=1e-6)
 
 
+def test_seeds_are_those_of_the_batch(env: ReachVecEnv) -> None:
+    assert env.seed(2**32 - 1) == [2**32 - 1, *range(NUM_ENVS - 1)]
+    for wrong in (-1, "3", True):
+        with pytest.raises(InputError, match="seed must be a whole number"):
+            env.seed(wrong)  # pyright: ignore[reportArgumentType]
+    drawn = env.seed()
+    assert len(drawn) == NUM_ENVS
+    env.reset()
+
+
 def test_observations_belong_to_the_caller(env: Any) -> None:
     first = env.reset()
     before = first.copy()

@@ -248,6 +248,18 @@ def test_a_study_continues_as_if_its_process_had_not_died(tmp_path: Path) -> Non
     assert [trial.value for trial in whole.ranked] == [0.4, 0.2, 0.1]
 
 
+def test_a_study_of_another_goal_or_space_is_refused(tmp_path: Path) -> None:
+    used, journal = configure(), tmp_path / "journal"
+    make_study(tmp_path)
+    for goal, space, what in (("final_error_mm.median", SPACE, "goal"), ("success_rate", {"epochs": [1, 2]}, "space")):
+        with pytest.raises(InputError, match=f"was begun with another {what}, .*: begin a new sweep"):
+            Study(journal, dimensions(space, used), GOALS[goal], used)
+    with journal.open("ab") as file:
+        file.write(b'{"op_code": 99}\n')
+    with pytest.raises(InputError, match="cannot be used"):
+        make_study(tmp_path)
+
+
 def test_a_goal_that_was_not_reached_is_no_value_and_never_the_best(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -86,7 +86,8 @@ def _placing(place: Program | None, end: str) -> str:
     if place is None:
         return ""
     about = (
-        "/* The goal with joints near those of the arm that have it, exactly as they have it; 0 if there are none. */"
+        "/* The goal with joints near those of the arm that have it, exactly as they have it; 0 if there are none: then"
+        " brake. */"
     )
     given = ", ".join(f"const {one}" for one in c_declarations(place.inputs, "reachlab_real"))
     return f"\n{about}\nint reachlab_place({given}, reachlab_input *input){end}"
@@ -114,11 +115,13 @@ def _example(names: Sequence[str]) -> list[str]:
     """How the example fills in a goal and what is felt."""
     felt = ['brake |= numbers(line, "wrench", input.wrench, 6) != 6;'] * ("wrench" in names)
     if "goal_joints" in names:
-        turned = ", goal + 3" * ("goal_quaternion" in names)
+        place = "goal, goal + 3" if "goal_quaternion" in names else "goal"
         return [
             "static reachlab_real before[7];",
-            "if (memcmp(before, goal, sizeof goal)) reachlab_place(state.position, goal" + turned + ", &input);",
+            "static int placed;",
+            f"if (memcmp(before, goal, sizeof goal)) placed = reachlab_place(state.position, {place}, &input);",
             "memcpy(before, goal, sizeof goal);",
+            "brake |= !placed;",
             *felt,
         ]
     lines = ["memcpy(input.goal_position, goal, sizeof input.goal_position);"]

@@ -17,7 +17,7 @@ q, qd = controller.home, 0 * controller.home  # what is measured: here an arm th
 for step in range({steps}):
     command = controller.step(q, qd, {goal}, step * controller.period{beside})
     q, qd = command, (command - q) / controller.period
-print(dict(zip(controller.joints, command.round(3))), controller.problem or "no problem")
+print(dict(zip(controller.joints, command.round(3).tolist())), controller.problem or "no problem")
 ```"""
 
 

@@ -16,7 +16,7 @@ from reachlab.envs.gymnasium_shared import METADATA, checked_actions, checked_se
 from reachlab.envs.random_streams import gymnasium_keys
 from reachlab.settings.config import RunConfig
 from reachlab.settings.json_form import override
-from reachlab.settings.validation import LAST_SEED
+from reachlab.settings.validation import LAST_SEED, InputError
 
 FILMED = 10
 """Environments of which LeRobot's evaluation makes films."""
@@ -41,7 +41,8 @@ class LeRobotVectorEnv(VectorEnv[Any, Any, Any]):
         Raises:
             InputError: no such camera, or see `Env`.
         """
-        self._env = env = Env(override(config, shaping=False), num_envs)
+        self._env, self._closed = Env(override(config, shaping=False), num_envs), False
+        env = self._env
         self._form = LeRobotForm(env, cameras, size)
         rules, period = env.setup.rules, env.setup.period
         self._init, self._step = map(env.compile_whole, (env.init, env.step))
@@ -67,9 +68,10 @@ class LeRobotVectorEnv(VectorEnv[Any, Any, Any]):
         LeRobot's `options` have no effect.
 
         Raises:
-            InputError: seeds that do not fit the batch.
+            InputError: seeds that do not fit the batch, or it is closed.
         """
         del options
+        self._need_open()
         seeds = checked_seeds(seed, self.num_envs)
         super().reset(seed=None if np.ndim(seed) else seeds[0])  # pyright: ignore[reportArgumentType]
         drawn = [int(self.np_random.integers(LAST_SEED + 1)) if one is None else one for one in seeds]
@@ -82,8 +84,9 @@ class LeRobotVectorEnv(VectorEnv[Any, Any, Any]):
         A command beyond the limits of position, and of speed where joints take time to move, is one at the limit.
 
         Raises:
-            InputError: an action is misshapen or not finite; nothing has moved.
+            InputError: an action is misshapen or not finite, and nothing has moved; or it is closed.
         """
+        self._need_open()
         positions = checked_actions(actions, (self.num_envs, len(self._form.motors.names)))
         command = self._form.command(self._state, positions)
         self._state, done = self._step(self._state, self._idle, instead=command)
@@ -112,6 +115,10 @@ class LeRobotVectorEnv(VectorEnv[Any, Any, Any]):
 
     get_attr = call
 
+    def _need_open(self) -> None:
+        if self._closed:
+            raise InputError("the environment is closed: make another.")
+
     def render(self) -> tuple[np.ndarray, ...]:
         """A picture for people of each of the first `FILMED` environments, `[height, width, 3]` uint8."""
         return tuple(self._env.render(self._state, index) for index in range(min(self.num_envs, FILMED)))
@@ -119,6 +126,7 @@ class LeRobotVectorEnv(VectorEnv[Any, Any, Any]):
     def close_extras(self, **kwargs: Any) -> None:
         """Close simulator and cameras."""
         del kwargs
+        self._closed = True
         self._form.close()
         self._env.close()
 

@@ -38,14 +38,16 @@ def from_markers(message: Any, seen: float) -> list[dict[str, Any]]:
     A cylinder is taken as the capsule around it: its axis, swept by a ball of its radius.
 
     Raises:
-        ValueError: a marker is none of the three, or has no size: where it is is not known.
+        ValueError: a marker is none of the three, or has no size, or is deleted: where which are is not known.
     """
     from visualization_msgs.msg import Marker
 
     found = []
     for marker in sorted(message.markers, key=lambda one: (one.ns, one.id)):
-        if marker.action != Marker.ADD:
+        if marker.action == Marker.DELETEALL:
             continue
+        if marker.action != Marker.ADD:
+            raise ValueError(f"marker {marker.id} of '{marker.ns}' is deleted: each message has to hold all of them")
         place, turn = marker.pose.position, marker.pose.orientation
         half = np.array([marker.scale.x, marker.scale.y, marker.scale.z]) / 2
         if marker.type not in (Marker.CUBE, Marker.CYLINDER, Marker.SPHERE) or not (half > 0).all():

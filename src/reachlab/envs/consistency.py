@@ -65,8 +65,10 @@ def check_env(config: RunConfig) -> None:
     """Make sure that there are environments with these settings.
 
     Raises:
-        InputError: a name that does not exist, or settings that contradict each other.
+        InputError: no settings, a name that does not exist, or settings that contradict each other.
     """
+    if not isinstance(config, RunConfig):
+        raise InputError(f"settings are needed, as reachlab.configure('tutorial') gives, got {config!r}.")
     check_names(config)
     for sentence in _impossible(config):
         raise InputError(sentence)
@@ -91,7 +93,7 @@ def _impossible(config: RunConfig) -> Iterator[str]:
     }
     for who, words in needs.items():
         for word in sorted(words - given):
-            yield f"{who} needs {WORDS[word]}."
+            yield f"{who} needs {WORDS.get(word, f'{word!r}, which nothing gives')}."
     for name in config.randomise:
         choose("randomise", name, RANDOMISED)
     step, period = config.physics.control_period / config.physics.physics_steps, config.physics.control_period
@@ -168,8 +170,6 @@ def check(config: RunConfig, base: RunConfig | None = None) -> None:
     Raises:
         InputError: no settings, a name that does not exist, settings that contradict each other, or one without effect.
     """
-    if not isinstance(config, RunConfig):
-        raise InputError(f"settings are needed, as reachlab.configure('tutorial') gives, got {config!r}.")
     check_env(config)
     settings, usual = (flatten(to_json(one)) for one in (config, base or preset_of(config)))
     changed = {name for name, value in settings.items() if usual.get(name, value) != value}

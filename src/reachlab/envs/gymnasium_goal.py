@@ -47,7 +47,7 @@ class Goals:
         """Whether the task ends the episode `[...]`."""
         del info
         setup = self._episodes.env.setup
-        rules, place = setup.rules, achieved_goal[..., :3]
+        rules, place = setup.rules, np.asarray(achieved_goal)[..., :3]
         low, high = np.array(setup.robot.workspace, np.float32)
         reached = setup.task.near(rules, _errors(achieved_goal, desired_goal))
         outside = ((place < low) | (place > high)).any(axis=-1)
@@ -58,7 +58,7 @@ class Goals:
         if isinstance(info, Mapping):
             steps = info.get("elapsed_steps", 0)
         else:
-            steps = [one.get("elapsed_steps", 0) for one in info]
+            steps = [one.get("elapsed_steps", 0) for one in info or ({},)]
         ended = self.compute_terminated(achieved_goal, desired_goal, info)
         return (np.asarray(steps) >= self._episodes.env.setup.rules.max_steps) & ~ended
 
@@ -111,6 +111,12 @@ def _checked(settings: dict[str, Any]) -> dict[str, Any]:
 
 def _errors(achieved_goal: np.ndarray, desired_goal: np.ndarray) -> Errors:
     """Errors `[...]` of goals; of positions alone the angles are zero."""
-    distance = np.linalg.norm(np.asarray(achieved_goal)[..., :3] - desired_goal[..., :3], axis=-1)
-    one, other = achieved_goal[..., 3:], desired_goal[..., 3:]
+    achieved, desired = np.asarray(achieved_goal), np.asarray(desired_goal)
+    if {achieved.shape[-1:], desired.shape[-1:]} not in ({(3,)}, {(7,)}):
+        raise InputError(
+            f"goals must be positions [..., 3], or those and orientations [..., 7], got {achieved.shape} and"
+            f" {desired.shape}."
+        )
+    distance = np.linalg.norm(achieved[..., :3] - desired[..., :3], axis=-1)
+    one, other = achieved[..., 3:], desired[..., 3:]
     return Errors(distance, angle_between(one, other) if one.shape[-1] else np.zeros_like(distance))

@@ -9,6 +9,8 @@ from reachlab.settings.config import DistilRunConfig, PPOConfig, RunConfig
 from reachlab.settings.extensions import IMPORTED, import_installed
 from reachlab.settings.json_form import flatten, override, to_json
 from reachlab.settings.preset_record import Preset
+from reachlab.settings.rules import TaskSettings
+from reachlab.settings.tables import Lazy
 from reachlab.settings.validation import InputError, choose, hints
 from reachlab.sims import SIMULATORS
 from reachlab.tasks import TASKS
@@ -43,7 +45,13 @@ def preset(task: str = "tutorial", **chosen: Any) -> RunConfig:
         InputError: no such task, or a value that is not allowed.
     """
     import_installed()
-    kind = TASKS[choose("task", task, TASKS)].load()
+    entry: Any = TASKS[choose("task", task, TASKS)]
+    kind = entry.load() if isinstance(entry, Lazy) else None
+    if not isinstance(kind, type) or not issubclass(kind, TaskSettings):
+        raise InputError(
+            f"task {task!r} is {kind or entry!r}: add it as Lazy('what is asked', 'module:Class'), where Class is a"
+            " TaskSettings."
+        )
     base: Preset = kind.preset
     config = RunConfig(
         task=task,

@@ -12,6 +12,7 @@ from gymnasium.envs.registration import load_env_creator
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
+from reachlab.envs.gymnasium_shared import checked_seeds
 from reachlab.settings.validation import InputError, choose
 
 if TYPE_CHECKING:
@@ -50,6 +51,15 @@ class ReachVecEnv(VecEnv):
         self._actions = np.zeros(self.env.action_space.shape or (), np.float32)
         self._returns, self._lengths = np.zeros(num_envs), np.zeros(num_envs, int)
         self._began = time.time()
+
+    def seed(self, seed: int | None = None) -> Sequence[int | None]:
+        """Seeds of the next episodes, from this one on, or random ones.
+
+        Raises:
+            InputError: no whole number within the limits.
+        """
+        self._seeds = checked_seeds(super().seed()[0] if seed is None else seed, self.num_envs)
+        return self._seeds
 
     def reset(self) -> VecEnvObs:
         """Observations of new episodes, with the seeds that `seed` has handed out."""
@@ -138,5 +148,6 @@ class ReachVecEnv(VecEnv):
 
 def _infos(info: dict[str, Any]) -> list[dict[str, Any]]:
     """Infos of each environment, of Gymnasium's infos of a batch."""
-    columns = {name: info[name].tolist() for name in info if not name.startswith(("_", "final_"))}
+    known = {name: rows for name, rows in info.items() if not name.startswith(("_", "final_"))}
+    columns = {name: list(rows) if rows.ndim > 1 else rows.tolist() for name, rows in known.items()}
     return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]

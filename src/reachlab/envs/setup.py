@@ -68,7 +68,16 @@ def make_setup(config: RunConfig) -> TaskSetup:
 
 @functools.cache
 def _task(kind: type[TaskSettings]) -> Task:
-    return kind.task()
+    """The task of settings.
+
+    Raises:
+        InputError: one that was added lacks a function.
+    """
+    task = kind.task()
+    for field in dataclasses.fields(task):
+        if "Callable" in str(field.type) and not callable(given := getattr(task, field.name)):
+            raise InputError(f"{kind.__name__}'s task needs a function as `{field.name}`, got {given!r}.")
+    return task
 
 
 def settled(config: RunConfig, setup: TaskSetup) -> RunConfig:

@@ -147,7 +147,8 @@ def evaluate(
     if not isinstance(env, Env):
         kind = type(env).__name__
         raise InputError(
-            f"a reachlab.Env is evaluated, got {kind}: Gymnasium has it as .unwrapped.env, `load` as .env."
+            f"a reachlab.Env is evaluated, got {kind}: make one by reachlab.Env(reachlab.configure('tutorial'), 100),"
+            " or take .env of what `load` gives."
         )
     if not isinstance(agent, str) and not callable(agent):
         raise InputError(

@@ -30,8 +30,11 @@ from reachlab.runs.metrics import Metrics, cut_metrics
 from reachlab.runs.sinks import Sink, make_sinks
 from reachlab.settings.config import DistilRunConfig, RunConfig
 from reachlab.settings.json_form import override
-from reachlab.settings.validation import InputError
+from reachlab.settings.validation import InputError, whole_number
 from reachlab.tasks.actions import ACTIONS
+
+MOST_THREADS = 4096
+"""Largest number of threads to compute with."""
 
 
 @dataclass(frozen=True)
@@ -186,6 +189,8 @@ def _check_unfinished(run: RunDirectory, config: RunConfig) -> None:
 
 def _choose_threads(run: RunDirectory, config: RunConfig, wanted: int | None) -> None:
     """Compute with as many threads as the run has so far; a new one chooses if told to, or to be deterministic."""
+    if wanted is not None:
+        whole_number("threads", wanted, 0, MOST_THREADS)  # 0 is by default
     if saved := run.newest_manifest():
         set_threads(saved.threads)
     elif wanted or config.loop.deterministic:

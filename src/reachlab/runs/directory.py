@@ -85,18 +85,24 @@ class RunDirectory:
             raise InputError(f"run directory '{self.path}' cannot be made: {why}.") from None
 
     def remove_unbegun(self) -> None:
-        """Remove a directory in which nothing but settings is, so that the same command can be given again."""
-        own = {self.config_file.name, self.robot_file.name, NAME}
-        with contextlib.suppress(OSError):
-            if self.config_file.is_file() and {one.name for one in self.path.iterdir()} <= own:
+        """Remove a directory of a training that never began, so that the same command can be given again.
+
+        Nothing but its settings is there, and no process holds it.
+        """
+        own = {self.config_file.name, NAME}
+        with contextlib.suppress(OSError, InputError):
+            found = {one.name for one in self.path.iterdir() if one != self.metrics_file or one.stat().st_size}
+            if own <= found <= own | {self.robot_file.name}:
+                refuse_if_held(self.path)
                 remove(self.path)
 
     def refuse_existing(self) -> None:
-        """Refuse a path at which something is.
+        """Refuse a path at which something is, but for what a training has left that was interrupted before it began.
 
         Raises:
             InputError: something is there, or that cannot be found out.
         """
+        self.remove_unbegun()
         try:
             taken = self.path.exists() or self.path.is_symlink()
         except OSError as error:

@@ -123,14 +123,24 @@ def read_json(path: Path) -> Any:
         InputError: it is missing, too large, or not JSON.
     """
     try:
-        return json.loads(read_bytes(path, JSON_LIMIT), parse_constant=_refuse)
+        return json.loads(read_bytes(path, JSON_LIMIT), parse_constant=_refuse, object_pairs_hook=_named_once)
     except FileNotFoundError:
         raise InputError(
             f"'{path}' is missing: '{path.parent}' is no complete run; name a folder that `reachlab train` wrote."
         ) from None
-    except (OSError, ValueError, RecursionError) as error:
+    except OSError as error:
+        raise InputError(f"'{path}' cannot be read: {error.strerror or error}.") from None
+    except (ValueError, RecursionError) as error:
         why = f" ({error})" if isinstance(error, InputError) else ""
         raise InputError(f"'{path}' is not JSON that can be read{why}.") from None
+
+
+def _named_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    named = dict(pairs)
+    if len(named) < len(pairs):
+        twice = next(name for name in named if [one for one, _ in pairs].count(name) > 1)
+        raise InputError(f"it holds {twice!r} twice")
+    return named
 
 
 def _refuse(constant: str) -> NoReturn:

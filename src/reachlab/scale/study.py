@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import warnings
 from collections.abc import Mapping
@@ -66,7 +67,7 @@ class Study:
         """Study of a journal, or a new one, whose first trial is `config` itself where the space holds it.
 
         Raises:
-            InputError: Optuna is not installed, or the journal cannot be used.
+            InputError: Optuna is not installed, the journal cannot be used, or it is of another space or goal.
         """
         self._optuna = load_optuna()
         self._space, self._seed = space, config.seed
@@ -82,8 +83,14 @@ class Study:
                 pruner=self._optuna.pruners.MedianPruner(n_startup_trials=UNPRUNED),
                 load_if_exists=True,
             )
-        except (OSError, ValueError, KeyError) as error:
+        except (OSError, ValueError, KeyError, TypeError, AssertionError) as error:
             raise InputError(f"study '{journal}' cannot be used ({error}): begin a new sweep.") from None
+        asked = {"goal": ".".join(goal.path), "space": json.dumps(space)}
+        begun = asked if new else {**asked, **self._study.user_attrs}
+        for name, value in asked.items():
+            if begun[name] != value:
+                raise InputError(f"study '{journal}' was begun with another {name}, {begun[name]}: begin a new sweep.")
+            self._study.set_user_attr(name, value)
         if new and (own := self._within(config)):
             self._study.enqueue_trial(own)
 

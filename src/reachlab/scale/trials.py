@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import statistics
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from shlex import quote
@@ -22,7 +22,7 @@ from reachlab.scale.goals import GOALS
 from reachlab.scale.study import Study
 from reachlab.scale.training import failure_file, read_failure, read_validations
 from reachlab.settings.config import RunConfig
-from reachlab.settings.json_form import override, to_json
+from reachlab.settings.json_form import flatten, override, to_json
 from reachlab.settings.validation import Checked, Count, InputError, NonNegativeInt
 
 DEATHS = 50
@@ -103,6 +103,8 @@ class Trials:
             Pruned: its validations are poor.
         """
         run, settings, newest, deaths, poor = RunDirectory(path), self._settings, -1, 0, False
+        if run.finished:
+            _check_of(run, config, trial.params)
         if (read_failure(path) or {}).get("lost"):  # there may be room now
             failure_file(path).unlink()
         while not run.finished and not failure_file(path).exists():
@@ -132,6 +134,18 @@ class Trials:
         if not run.finished and (failure := read_failure(path)):
             again = f"reachlab sweep --resume {quote(str(self._folder.parent))}"
             raise UnwritableError(failure["lost"], again) if "lost" in failure else InputError(failure["error"])
+
+
+def _check_of(run: RunDirectory, config: RunConfig, names: Iterable[str]) -> None:
+    """Make sure that a finished training had these settings: its folder may be of another study.
+
+    Raises:
+        InputError: it had others.
+    """
+    had, asked = (flatten(to_json(one)) for one in (run.read_config(check_robot=False), config))
+    for name in names:
+        if had[name] != asked[name]:
+            raise InputError(f"'{run.path}' was trained with {name} {had[name]!r}, and not {asked[name]!r}: remove it.")
 
 
 def pessimistic(values: list[float], *, maximise: bool) -> float:

@@ -91,7 +91,7 @@ def _found(name: str) -> ModuleSpec:
             found = importlib.util.find_spec(name)
         except (ImportError, ValueError):
             found = None
-    if found is None or found.origin is None:
+    if found is None or found.origin is None or not found.has_location:
         raise InputError(f"extension '{name}' is not there: name a module, or its file, with --import.")
     return found
 

@@ -17,6 +17,8 @@ from reachlab.control.situation import Goal, Situation, up_to_date
 from reachlab.robots.kinematics.forward import norm
 from reachlab.robots.kinematics.inverse import ik_displace
 from reachlab.settings.tables import Table
+from reachlab.settings.validation import InputError
+from reachlab.tasks.answers import answer
 from reachlab.tasks.camera import in_picture, on_table
 from reachlab.tasks.task import Bounds, TaskSetup
 
@@ -259,5 +261,16 @@ def bounded(setup: TaskSetup, action: Array) -> Array:
 
 
 def command(setup: TaskSetup, now: Situation, action: Array) -> Array:
-    """Next command `[B, m]` in a situation, for a bounded action `[B, a]`."""
-    return ACTIONS[setup.rules.action].command(setup, now, action)
+    """Next command `[B, m]` in a situation, for a bounded action `[B, a]`.
+
+    Raises:
+        InputError: an action that was added fails, or gives something else.
+    """
+    who = f"action {setup.rules.action!r}"
+    given = answer(who, ACTIONS[setup.rules.action].command, setup, now, action)
+    if jnp.shape(given) != now.command.shape:
+        raise InputError(
+            f"{who} gives a command in shape {jnp.shape(given)}: one number an actuator is needed, with the"
+            f" environments in front, {now.command.shape}."
+        )
+    return given

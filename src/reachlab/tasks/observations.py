@@ -5,8 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import jax.numpy as jnp
+
 from reachlab.control.situation import Situation
 from reachlab.settings.tables import Table
+from reachlab.settings.validation import InputError
+from reachlab.tasks.answers import answer
 from reachlab.tasks.body_terms import AROUND, CLUTTER, WAYS
 from reachlab.tasks.object_terms import GRIPPED, OBJECT, STRUCK
 from reachlab.tasks.schema import Observation, Observed
@@ -90,6 +94,21 @@ def design_of(rules: Any) -> Observation:
 
 
 def observe(setup: TaskSetup, now: Situation) -> Observed:
-    """Observation of a situation, in the form that `Schema` describes."""
+    """Observation of a situation, in the form that `Schema` describes.
+
+    Raises:
+        InputError: a term that was added fails, or gives something else than its bounds say.
+    """
     design = design_of(setup.rules)
-    return design.schema(setup).join({term.name: term.value(setup, now) for term in design.terms})
+    schema, values = design.schema(setup), dict[str, Any]()
+    for term, field in zip(design.terms, schema.fields, strict=True):
+        who = f"observation {setup.rules.observation!r}, term {term.name!r}"
+        value, asked = answer(who, term.value, setup, now), (*now.q.shape[:-1], *field.shape)
+        if jnp.shape(value) != asked and not term.row:
+            raise InputError(
+                f"{who} gives numbers in shape {jnp.shape(value)}: by its bounds they are {asked}, with the"
+                " environments in front."
+            )
+        whole = not field.picture and not jnp.issubdtype(jnp.result_type(value), jnp.floating)
+        values[term.name] = jnp.asarray(value, jnp.float32) if whole else value
+    return schema.join(values)

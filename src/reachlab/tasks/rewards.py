@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import traceback
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 from jax import Array
 
 from reachlab.settings.tables import Table
 from reachlab.settings.validation import InputError
+from reachlab.tasks.answers import answer
 from reachlab.tasks.judging import Outcome
 
 OUTSIDE_REWARD = -0.1
@@ -95,27 +93,13 @@ REWARDS: dict[str, Callable[[Any, Outcome], dict[str, Array]]] = Table(
 """Rewards by name; each gives named terms `[B]` whose sum is the reward."""
 
 
-def _hint(error: Exception) -> str:
-    if isinstance(error, AttributeError):
-        return f" An outcome has {', '.join(Outcome._fields)}."
-    traced = (jax.errors.ConcretizationTypeError, jax.errors.TracerArrayConversionError)
-    asks = isinstance(error, traced) or "truth value" in str(error)
-    return " Its numbers are arrays of all environments: use jnp.where in place of if, and jnp in place of np." * asks
-
-
 def reward_terms(rules: Any, outcome: Outcome) -> dict[str, Array]:
     """The terms `[B]` of a step's reward by name.
 
     Raises:
         InputError: a reward that was added fails, or gives something else.
     """
-    try:
-        terms: Any = REWARDS[rules.reward](rules, outcome)
-    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
-        line = traceback.extract_tb(error.__traceback__)[1:2]
-        where = "".join(f" at {Path(one.filename).name}:{one.lineno}" for one in line)
-        said = str(error).strip().partition("\n")[0].rstrip(".")
-        raise InputError(f"reward {rules.reward!r} fails{where}: {said}.{_hint(error)}") from error
+    terms = answer(f"reward {rules.reward!r}", REWARDS[rules.reward], rules, outcome)
     if not isinstance(terms, Mapping):
         raise InputError(
             f"reward {rules.reward!r} gives {type(terms).__name__}: it has to give terms by name, as"

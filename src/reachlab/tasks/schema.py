@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from reachlab.control.situation import Situation
+from reachlab.settings.validation import InputError
 from reachlab.tasks.task import Bounds, TaskSetup
 
 SIZE = 84
@@ -182,12 +183,26 @@ class Observation:
         return frozenset({"picture" if self.pictured else "places"})
 
     def schema(self, setup: TaskSetup) -> Schema:
-        """Its schema on an arm."""
+        """Its schema on an arm.
+
+        Raises:
+            InputError: there are no terms, or a term's bounds are none.
+        """
+        if not self.terms:
+            raise InputError(f"the observation {self.summary!r} has no terms: give it at least one.")
         return Schema(tuple(_field(term, setup) for term in self.terms))
 
 
 def _field(term: Term, setup: TaskSetup) -> Field:
-    low, high = term.bounds(setup)
+    try:
+        low, high = (np.asarray(side, float) for side in term.bounds(setup))
+    except (TypeError, ValueError):
+        raise InputError(f"the bounds of term {term.name!r} must be two arrays of numbers, the lower first.") from None
+    if low.ndim != 1 or low.shape != high.shape or not (low <= high).all():
+        raise InputError(
+            f"the bounds of term {term.name!r} must be as many numbers [k] on both sides, none above the other, got"
+            f" {low.tolist()} and {high.tolist()}."
+        )
     constant = np.zeros(low.shape, bool) if term.constant is None else term.constant(setup)
     return Field(
         name=term.name,

@@ -43,13 +43,16 @@ def plot(runs: str | Path | Sequence[str | Path], out: str | Path) -> list[str]:
         out: picture to write, its ending one of `ENDINGS`.
 
     Raises:
-        InputError: a run without metrics, or an ending that cannot be drawn.
+        InputError: no run, one without metrics, or an ending that cannot be drawn.
     """
     out = Path(out)
     if out.suffix not in ENDINGS:
         endings = " or ".join(ENDINGS)
         raise InputError(f"the picture cannot be written to '{out}': name a file that ends in {endings}.")
-    groups = group_runs([Path(run) for run in ([runs] if isinstance(runs, str | Path) else runs)])
+    named = [runs] if isinstance(runs, str | Path) else list(runs)
+    if not named:
+        raise InputError("runs are drawn, and none is named: name at least one.")
+    groups = group_runs([Path(run) for run in named])
     found = [(group, read_evaluations(group)) for group in groups]
     limits = {read_settings(group.runs[0]).get("success_distance") for group in groups}
     firsts = [(group.label, evaluations[0]) for group, evaluations in found if evaluations]

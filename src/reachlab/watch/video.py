@@ -20,12 +20,15 @@ from reachlab.agents.acting import Function, name_of
 from reachlab.agents.policy import Policy
 from reachlab.envs.core import Env
 from reachlab.runs.files import written
-from reachlab.settings.validation import InputError, choose, installing
+from reachlab.settings.validation import LAST_SEED, InputError, choose, installing, whole_number
 from reachlab.watch.captions import Caption, captioned, inset
 from reachlab.watch.player import Player, played
 
 BEGIN_PAUSE, END_PAUSE = 0.8, 2.0
 """Times for which an episode's first and last picture stand [s]."""
+
+MOST_EPISODES = 10_000
+"""Episodes that a film may show."""
 
 LONGEST_PICTURE = 60.0
 """Time for which a picture may stand [s]; the formats hold no more than some hours."""
@@ -89,8 +92,10 @@ def write_video(
         watch: called after every episode with how many have been filmed.
 
     Raises:
-        InputError: an ending that is none of them, a file that cannot be written, or no OpenGL to draw with.
+        InputError: an ending that is none of them, a file that cannot be written, or no OpenGL to draw with; no
+            environment of reachlab, or a number that makes no sense.
     """
+    _check_numbers(env, seed, episodes, fps, speed)
     out = Path(out)
     encode = ENCODERS[choose("video format", out.suffix.lower(), ENCODERS)]
     if not out.parent.is_dir():
@@ -122,6 +127,17 @@ def write_video(
         encode(part, film(), 1 / interval)
     seconds = tally["milliseconds"] / 1000
     return Clip(str(out), episodes, tally["successes"], tally["frames"], seconds, out.stat().st_size)
+
+
+def _check_numbers(env: Any, seed: int, episodes: int, fps: float, speed: float) -> None:
+    if not isinstance(env, Env):
+        kind = type(env).__name__
+        raise InputError(f"a reachlab.Env is filmed, got {kind}: make one by reachlab.Env(reachlab.configure(), 1).")
+    whole_number("seed", seed, 0, LAST_SEED)
+    whole_number("episodes", episodes, 1, MOST_EPISODES)
+    for name, value in (("fps", fps), ("speed", speed or 1.0)):
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
+            raise InputError(f"{name} must be a number above 0, got {value!r}.")
 
 
 def _slow_enough(player: Player, agent: str | Function, policy: Policy | None, period: float, episodes: int) -> float:

@@ -2,6 +2,9 @@
  *
  *     cc -O2 -o policy main.c reachlab_policy.c -lm && ./policy log.jsonl
  *
+ * They are the controller's own where it had good measurements and knew the joints of its goal at once: it looks for
+ * those of a pose over several steps, in which this example is ahead of it.
+ *
  * A loop of your own fills reachlab_input from what it measures in place of what stands in the log. */
 #include "reachlab_policy.h"
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Generator
-from math import isfinite
+from math import cos, isfinite
 from typing import Any
 
 import numpy as np
@@ -27,6 +27,9 @@ SEEN = 0.25
 THERE = 0.01
 """How far from a goal the tool may be at the joints that are given for it [m]."""
 
+TURNED = 0.05
+"""How far from it the tool may be turned at them [rad]."""
+
 Goal = dict[str, Any]
 """Numbers by name: `position [3]` m and, as needed, `quaternion [4]` wxyz, `velocity [3]` m/s and `joints [n]`."""
 
@@ -44,9 +47,11 @@ class Aim:
         hides: a goal may not be seen at times.
     """
 
-    def __init__(self, facts: dict[str, Any], n: int, step: dict[str, Callable[..., Any]]) -> None:
-        """Of a policy's facts about its goals, for an arm of `n` joints, whose functions are those of its step."""
-        self._facts, self.poses, self._n, self._step = facts, bool(facts["orientation"]), n, step
+    def __init__(
+        self, facts: dict[str, Any], limits: tuple[np.ndarray, np.ndarray], step: dict[str, Callable[..., Any]]
+    ) -> None:
+        """Of a policy's facts about its goals, for joints within limits `[n]`; its functions are those of its step."""
+        self._facts, self.poses, self._limits, self._step = facts, bool(facts["orientation"]), limits, step
         self.box, self.hides = np.array([facts["low"], facts["high"]], float), bool(facts.get("hidden", False))
         self.clear()
 
@@ -90,7 +95,7 @@ class Aim:
         wanted = {
             "goal": (goal, 7 if self.poses else 3),
             "goal's velocity": (velocity, 3),
-            "goal's joints": (joints, self._n),
+            "goal's joints": (joints, len(self._limits[0])),
         }
         for name, (numbers, size) in wanted.items():
             if isinstance(numbers, str):
@@ -112,14 +117,24 @@ class Aim:
             return {"position": goal[:3].tolist(), **turned}
         if joints is not None:
             position, quaternion = self._step["tool"](joints.tolist())
-            if float(np.linalg.norm(goal[:3] - position)) > THERE:
-                self._refused = (
-                    f"the goal's joints have the tool at {in_words(np.array(position))}, and not at the goal"
-                )
+            self._refused = self._elsewhere(goal, joints, np.array(position), np.array(quaternion))
+            if self._refused:
                 return None
             return {"position": position, "quaternion": quaternion, "joints": joints.tolist()}
         self._search = self._step["place"](near=near.tolist(), position=goal[:3].tolist(), **turned)
         return None
+
+    def _elsewhere(self, goal: np.ndarray, joints: np.ndarray, position: np.ndarray, quaternion: np.ndarray) -> str:
+        """Why joints `[n]`, at which the tool is there, are none of the goal."""
+        low, high = self._limits
+        if not ((low <= joints) & (joints <= high)).all():
+            return f"the goal's joints {in_words(joints)} are out of the limits, {in_words(low)} to {in_words(high)}"
+        if float(np.linalg.norm(goal[:3] - position)) > THERE:
+            return f"the goal's joints have the tool at {in_words(position)}, and not at the goal"
+        alike = abs(float(goal[3:] @ quaternion)) if self.poses else 1.0
+        if alike < cos(TURNED / 2):
+            return f"the goal's joints have the tool turned to {in_words(quaternion)}, and not as the goal"
+        return ""
 
     def _seen_velocity(self, place: np.ndarray, time: float) -> np.ndarray:
         """Velocity `[3]` m/s of a goal that is now at `[3]` m; nothing of one that has jumped or stands.

@@ -60,6 +60,8 @@ class Followed:
             place, time = one["position"], float(one.get("time", seconds))
             if seconds - time > GONE:
                 raise ValueError(f"obstacle {number + 1} was measured more than {GONE:g} s ago, and they move")
+            if time - seconds > OLD:
+                raise ValueError(f"obstacle {number + 1} was measured later than now: give times of the same clock")
             before, then, known = last.get(number, (place, time, np.zeros(3)))
             if (place != before).any() or time - then > OLD:
                 known = (place - before) / (time - then) if 0.0 < time - then <= OLD else np.zeros(3)

@@ -80,7 +80,7 @@ class Controller:
         self._beside = Beside(facts)
         step = load_step(folder)
         self._decide, self._tool = step["decide"], step["tool"]
-        self._aim = Aim(facts["goal"], len(self.joints), step)
+        self._aim = Aim(facts["goal"], (self._lower, self._upper), step)
         self.asks_orientation, self.goal_box = self._aim.poses, self._aim.box
         self.home_quaternion = np.array(self._tool(self.home.tolist())[1])
         plans = planner and "planner" in facts

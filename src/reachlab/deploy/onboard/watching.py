@@ -134,7 +134,7 @@ class Watch:
         if isinstance(q, str) or isinstance(qd, str):
             return "the measurement is not made of numbers"
         if q.shape != self.q.shape or qd.shape != self.q.shape:
-            return f"the measurement has {q.size} joints and {qd.size} speeds, the arm {self.q.size}"
+            return f"the measurement is of shapes {q.shape} and {qd.shape}, and the arm's joints of {self.q.shape}"
         far = JUMP + self._fast * (since * self._measured)
         usual = (self._lower <= q) & (q <= self._upper) & (np.abs(qd) <= self._fast)
         if (usual & (np.abs(q - self.q) <= far) & (np.abs(q - command) <= self._away)).all():
