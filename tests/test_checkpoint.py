@@ -30,6 +30,7 @@ from reachlab.learn.ppo_method import TrainState, initial_state
 from reachlab.runs.checkpoint import Counters, seal
 from reachlab.runs.directory import RunDirectory
 from reachlab.runs.files import write_json, written
+from reachlab.runs.lock import locked
 from reachlab.settings.config import RunConfig
 from reachlab.settings.validation import InputError
 
@@ -219,6 +220,7 @@ DAMAGES: dict[str, tuple[Callable[[Path], None], str]] = {
     "a manifest that is no JSON": (write(f"{STEP}/manifest.json", b"{"), "manifest.json' is not JSON"),
     "a manifest without a checksum": (write(f"{STEP}/manifest.json", b"{}"), "is damaged"),
     "no configuration": (remove("config.json"), "config.json' is missing"),
+    "a setting twice": (write("config.json", b'{"seed": 1, "seed": 2}'), "it holds 'seed' twice"),
     "a bottomless configuration": (write("config.json", b"[" * 100_000), "config.json' is not JSON"),
     "a configuration that is a list": (write("config.json", b"[]"), "config.json' is not usable: .*got list"),
     "a setting too few": (edit_config(lambda c: c.pop("seed")), "seed is 3 in the checkpoint and 0 in the run"),
@@ -344,6 +346,19 @@ def test_an_out_that_exists_is_refused_in_one_sentence_and_left_as_it_is(
     assert cli.main(["train", "--out", out, "--num-envs", "8"]) == cli.WRONG_INPUT
     assert re.fullmatch(r"reachlab: run directory '.*' exists and is not overwritten: .*\n", capsys.readouterr().err)
     assert contents(run) == before
+
+
+def test_a_training_that_never_began_is_not_in_the_way(tmp_path: Path, config: RunConfig) -> None:
+    unbegun = RunDirectory(tmp_path / "run")
+    unbegun.create(config)
+    with locked(unbegun.path), pytest.raises(InputError, match="is being trained by"):
+        unbegun.refuse_existing()
+    unbegun.metrics_file.write_text("{}\n")
+    with pytest.raises(InputError, match="exists and is not overwritten"):
+        unbegun.refuse_existing()
+    unbegun.metrics_file.write_text("")
+    unbegun.refuse_existing()
+    assert not unbegun.path.exists()
 
 
 @pytest.mark.parametrize(("name", "why"), [("x" * 5000, "File name too long"), ("file/run", "Not a directory")])

@@ -167,6 +167,14 @@ def test_what_is_no_environment_agent_or_setting_is_told_so(tmp_path: Path) -> N
         reachlab.train(cast("Any", "x"), tmp_path / "run")
 
 
+def test_a_reward_that_was_changed_counts_from_the_next_environment_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    for paid in (1.0, 2.0):
+        monkeypatch.setitem(REWARDS, "mine", lambda _, outcome, paid=paid: {"paid": 0 * outcome.gap + paid})
+        env = ReachEnv("tutorial", reward="mine")
+        env.reset(seed=0)
+        assert env.step(np.zeros(3))[1] == paid
+
+
 def _mine(value: Any, low: Any = -1.0, high: Any = 1.0) -> Observation:
     bounds: Any = lambda _: (np.atleast_1d(low), np.atleast_1d(high)) if high is not None else None  # noqa: E731
     return Observation("mine", (Term("q", "1", value, bounds),))

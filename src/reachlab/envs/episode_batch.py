@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import operator
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple, Self
@@ -22,6 +23,9 @@ from reachlab.jax_setup import jit
 from reachlab.robots.kinematics.scalars import once
 from reachlab.settings.config import RunConfig
 from reachlab.sims.simulator import BatchArray, Moved
+from reachlab.tasks.actions import ACTIONS
+from reachlab.tasks.observations import OBSERVATIONS
+from reachlab.tasks.rewards import REWARDS
 from reachlab.tasks.schema import Observed
 
 
@@ -62,7 +66,7 @@ class EpisodeBatch:
         Compiled programs are shared with batches that are settled alike.
         """
         if env.traced:
-            self._steps: Steps = _compiled(env.config, env.num_envs, mode)
+            self._steps: Steps = _compiled(env.config, env.num_envs, mode, _Named(env))
         else:
             self._steps = Steps(env, mode) if env.pictured else HostSteps(env, mode)
         self._in_numpy, self._held = in_numpy, self._steps.nothing
@@ -268,6 +272,21 @@ class Programs(Steps):
         return self._held.pack(held), packing.pack(result)
 
 
+class _Named:
+    """What settings name, equal where it is the same: who tries another reward may give it the same name."""
+
+    def __init__(self, env: Env) -> None:
+        rules = env.setup.rules
+        self._all = REWARDS[rules.reward], OBSERVATIONS[rules.observation], ACTIONS[rules.action], env.setup.task
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Named) and all(map(operator.is_, self._all, other._all))
+
+    def __hash__(self) -> int:
+        return hash(tuple(map(id, self._all)))
+
+
 @functools.lru_cache(maxsize=16)
-def _compiled(config: RunConfig, num_envs: int, mode: AutoresetMode) -> Programs:
+def _compiled(config: RunConfig, num_envs: int, mode: AutoresetMode, named: _Named) -> Programs:
+    del named
     return Programs(Env(config, num_envs), mode)
