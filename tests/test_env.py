@@ -345,6 +345,23 @@ def test_held_long_enough_an_episode_ends_in_success_if_the_task_says_so() -> No
         assert (np.asarray(state.distance)[ended] < 0.1).all()
 
 
+def test_a_caller_may_change_what_it_gave() -> None:
+    env = Env(configure("clutter", clip_actions=False, randomise=()), 2)
+    state = env.init(env_keys(0, 2))
+    goal, action = jax.tree.map(np.array, state.goal), np.full((2, 7), 0.01, np.float32)
+    begun = env.init(env_keys(0, 2), goal)
+    after, _ = env.step(begun, action)
+    goal.position[:], action[:] = 9.0, 9.0
+    np.testing.assert_array_equal(begun.goal.position, state.goal.position)
+    np.testing.assert_allclose(after.last_action, 0.01, rtol=1e-6)
+    bodies = jax.tree.map(np.array, after.arm.bodies)
+    for height in (0.7, 0.8):
+        bodies.position[..., 2] = height
+        after, _ = env.step(env.rearrange(after, bodies), action)
+        assert env.simulator.model(0).geom("reachlab_body_0").pos[2] == pytest.approx(height)
+    env.close()
+
+
 # --- where episodes begin -------------------------------------------------------------------------
 
 

@@ -156,7 +156,7 @@ class Env:
 
     def rearrange(self, state: EnvState, bodies: Bodies) -> EnvState:
         """State with the bodies `[B, K]` where these are."""
-        return replace(state, arm=replace(state.arm, bodies=bodies))
+        return replace(state, arm=replace(state.arm, bodies=self._own(bodies)))
 
     def _init_all(self, keys: Array, goal: Goal | None, held_out: bool) -> EnvState:
         begin = self._sample(keys, goal, np.ones(len(keys), bool), held_out)
@@ -170,9 +170,12 @@ class Env:
         begun = replace(self._parts.begin(arm, begin), arm=arm)
         return self._parts.merge(jnp.asarray(mask), begun, replace(state, arm=arm))
 
+    def _own(self, given: Any) -> Any:
+        return given if self.simulator.kind == "traced" else jax.tree.map(np.array, given)  # a caller may change it
+
     def _sample(self, keys: Array, goal: Goal | None, mask: BatchArray, held_out: bool = False) -> Begin:
         if self._sample_some is None:
-            return self._parts.sample_episode(keys, goal, held_out)
+            return self._parts.sample_episode(keys, self._own(goal), held_out)
         return self._sample_some(keys, goal, np.asarray(mask), held_out)
 
     def _repeat(self, times: int, state: EnvState, action: BatchArray, instead: Array | None) -> Stepped:
@@ -188,7 +191,7 @@ class Env:
 
     def _step(self, state: EnvState, action: BatchArray, instead: Array | None) -> Stepped:
         before = replace(state, arm=replace(state.arm, engine=None))
-        taken, command, motion = self._parts.command(before, action, instead)
+        taken, command, motion = self._parts.command(before, self._own(action), instead)
         moved = self.simulator.step(state.arm, command)
         after, transition = self._parts.judge(before, moved._replace(engine=None), command, taken, motion)
         return replace(after, arm=replace(after.arm, engine=moved.engine)), transition

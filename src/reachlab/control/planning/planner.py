@@ -33,7 +33,7 @@ COARSE = 0.05
 """Distance between the points of a path that have to be free [rad]: the motion along it is looked at in every step."""
 
 TOUCHING = 1e-3
-"""Distance by which an arm that touches something may be in it at its start [m]; from deeper there is no way."""
+"""Distance by which an arm that touches a body may be in it at its start [m]; from deeper there is no way."""
 
 ROUNDING = 1e-4
 """Distance by which the same point may seem nearer when it is computed again [m]."""
@@ -72,8 +72,9 @@ class Planner:
     def margins(self, start: np.ndarray, goal: np.ndarray) -> None:
         """Ask for the distances that a path keeps from joints `start [n]` to `goal [n]`, if that can be free at all."""
         begun, ended = (np.array(self.checker.distances(q)) - ROUNDING for q in (start, goal))
-        # Less than nothing would be less for all: one body about the arm would open the way through every other.
-        outside, own = np.minimum(np.minimum((self._clear, OWN), np.maximum(begun, -TOUCHING)), np.maximum(ended, 0.0))
+        # From deeper one body about the arm would open the way through every other.
+        begun[0] = max(begun[0], -TOUCHING)
+        outside, own = np.minimum(np.minimum((self._clear, OWN), begun), np.maximum(ended, 0.0))
         self._least = float(outside), float(own)
         self.checker.keep(*self._least)
 
