@@ -150,7 +150,7 @@ def test_settings_cannot_be_changed_behind_the_checks():
         ("gamma", -0.01, "gamma must be"),
         ("learning_rate", 0.0, r"learning_rate must be above 0, got 0\.0"),
         ("learning_rate", math.nan, "learning_rate must be above 0, got nan"),
-        ("learning_rate", math.inf, "learning_rate must be above 0, got inf"),
+        ("learning_rate", math.inf, r"learning_rate must be above 0 and at most 1e\+12, got inf"),
         ("learning_rate", 1e308, r"learning_rate must be above 0 and at most 1e\+12, got 1e\+308"),
         (
             "target_low",

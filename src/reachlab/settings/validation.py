@@ -201,7 +201,7 @@ def _check_type(name: str, value: Any, base: Any) -> None:
 
 def _passed(limit: Range | Length, value: Any) -> Range | Length:
     """The limit, with that of every number where it is this one that a value passes."""
-    if isinstance(limit, Length) or not LARGEST < abs(value) < math.inf:
+    if isinstance(limit, Length) or not abs(value) > LARGEST:
         return limit
     return dataclasses.replace(limit, high=min(limit.high, LARGEST))
 
