@@ -187,6 +187,7 @@ BAD = {
     "short": ({**BALL, "half": [1.0]}, r"a half of 3 finite numbers, got \[1\]"),
     "nan": ({"position": [np.nan] * 3}, "a position of 3 finite numbers"),
     "none": ({**BALL, "radius": None}, "a radius of 1 finite numbers, got None"),
+    "far": ({**BALL, "velocity": [0, 1e300, 0]}, r"a velocity within 1000 m or m/s, got \[0, 1e\+300, 0\]"),
     "huge": ({**BALL, "radius": 10**400}, "a radius of 1 finite numbers, got not made of numbers"),
 }
 

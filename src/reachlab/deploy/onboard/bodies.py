@@ -32,6 +32,9 @@ FAR = (0.0, 0.0, -10.0)
 """Where bodies are that are not there [m]."""
 
 
+FARTHEST = 1000.0
+"""Largest number of a body [m or m/s]: far beyond it squares are none in single precision."""
+
 FASTEST = 1.0
 """Speed from which on an obstacle counts as another than the one that was in its place of the list [m/s]."""
 
@@ -181,6 +184,8 @@ def _wrong_body(body: dict[str, Any], what: str) -> str:
         plain = numbers.ravel().tolist() if isinstance(numbers, np.ndarray) and numbers.shape == SHAPES[name] else [nan]
         if not all(map(isfinite, plain)):
             return f"must have a {name} of {max(sum(SHAPES[name]), 1)} finite numbers, got {in_words(numbers)}"
+        if name != "time" and max(map(abs, plain)) > FARTHEST:
+            return f"must have a {name} within {FARTHEST:g} m or m/s, got {in_words(numbers)}"
         if name in ("half", "radius") and min(plain) < 0.0:
             return f"must have a {name} of at least 0 m, got {in_words(numbers)}"
         if name == "quaternion" and not abs(hypot(*plain) - 1.0) <= UNIT:
