@@ -228,7 +228,7 @@ def test_a_ball_that_rolls_comes_to_rest() -> None:
     bodies = state.arm.bodies
     begun = np.asarray(bodies.position)[0, -1]
     rolling = jnp.array([0.2, 0.0, 0.0, 0.0, 0.2 / float(bodies.extent[0, -1, 2]), 0.0])
-    state = env.rearrange(state, replace(bodies, velocity=bodies.velocity.at[0, -1].set(rolling)))
+    state = env.rearrange(state, replace(bodies, velocity=jnp.asarray(bodies.velocity).at[0, -1].set(rolling)))
     for _ in range(60):
         state, _ = env.step(state, np.zeros((1, len(env.action_bounds[0])), np.float32), instead=state.command)
     moved, last = np.asarray(state.arm.bodies.position)[0, -1] - begun, np.asarray(state.arm.bodies.velocity)[0, -1]

@@ -37,7 +37,7 @@ POSITION_NOISE, SPEED_NOISE = 0.0005, 0.01
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class EnvState:
-    """A batch of episodes under way.
+    """A batch of episodes under way, of arrays of JAX or, beside a simulator on the host, of NumPy.
 
     Attributes:
         arm: the simulator's state.

@@ -97,9 +97,7 @@ def write_video(
     """
     _check_numbers(env, seed, episodes, fps, speed)
     out = Path(out)
-    encode = ENCODERS[choose("video format", out.suffix.lower(), ENCODERS)]
-    if not out.parent.is_dir():
-        raise InputError(f"the video cannot be written to '{out}': there is no folder '{out.parent}'.")
+    encode = _encoder(out)
     name = name_of(agent) if callable(agent) else choose("agent", agent, AGENTS)
     period, player = env.config.physics.control_period, Player(env, seed)
     speed = speed or _slow_enough(player, agent, policy, period, episodes)
@@ -127,6 +125,13 @@ def write_video(
         encode(part, film(), 1 / interval)
     seconds = tally["milliseconds"] / 1000
     return Clip(str(out), episodes, tally["successes"], tally["frames"], seconds, out.stat().st_size)
+
+
+def _encoder(out: Path) -> Callable[..., None]:
+    encode = ENCODERS[choose("video format", out.suffix.lower(), ENCODERS)]
+    if not out.parent.is_dir():
+        raise InputError(f"the video cannot be written to '{out}': there is no folder '{out.parent}'.")
+    return encode
 
 
 def _check_numbers(env: Any, seed: int, episodes: int, fps: float, speed: float) -> None:
