@@ -49,7 +49,7 @@ EPISODES = 200
 SAME = 1e-4
 """Distance within which two ways of a tool are the same [m]."""
 
-FEW_STEPS = 300_000
+FEW_STEPS = 160_000
 """Training after which some episodes of the tutorial's task succeed, and some do not."""
 
 DRAGGED = 80

@@ -117,7 +117,8 @@ def test_a_goal_inside_a_body_has_no_motion(env: Env, plans: Plans) -> None:
 
 def test_a_body_about_the_arm_opens_no_way_through_others(env: Env, plans: Plans) -> None:
     bodies, start, goal = episodes(env)[1]
-    about = replace(bodies, position=np.concatenate([np.zeros((1, 3)), bodies.position[1:]]))
+    tool, _ = env.setup.robot.chain.tool_at(start)
+    about = replace(bodies, position=np.concatenate([tool[None].astype(np.float32), bodies.position[1:]]))
     assert touched(env, about, start[None]).all()
     assert plans.plan(about, start, goal) is None
 
