@@ -6,7 +6,7 @@ import functools
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
@@ -354,11 +354,11 @@ def test_a_caller_may_change_what_it_gave() -> None:
     goal.position[:], action[:] = 9.0, 9.0
     np.testing.assert_array_equal(begun.goal.position, state.goal.position)
     np.testing.assert_allclose(after.last_action, 0.01, rtol=1e-6)
-    bodies = jax.tree.map(np.array, after.arm.bodies)
+    bodies, simulator = jax.tree.map(np.array, after.arm.bodies), cast("Any", env.simulator)
     for height in (0.7, 0.8):
         bodies.position[..., 2] = height
         after, _ = env.step(env.rearrange(after, bodies), action)
-        assert env.simulator.model(0).geom("reachlab_body_0").pos[2] == pytest.approx(height)
+        assert simulator.model(0).geom("reachlab_body_0").pos[2] == pytest.approx(height)
     env.close()
 
 
