@@ -271,6 +271,23 @@ def test_the_example_in_c_prints_the_commands_of_a_log(folder: Path, tmp_path: P
 
 
 @needs_compiler
+def test_the_example_in_c_stays_where_a_goal_is_out_of_reach(tmp_path: Path) -> None:
+    folder = written(tmp_path / "policy", "pose")
+    controller = Controller(folder)
+    for number in range(40):
+        goal = [5.0, 5.0, 5.0, 1.0, 0.0, 0.0, 0.0]
+        controller.step(controller.home, 0 * controller.home, goal, number * controller.period)
+    assert "is out of the workspace" in controller.problem
+    controller.save_log(tmp_path / "log.jsonl")
+    sources = [str(folder / name) for name in ("main.c", "reachlab_policy.c")]
+    subprocess.run([str(compiler()), "-O1", "-o", str(tmp_path / "policy.out"), *sources, "-lm"], check=True)
+    words = [str(tmp_path / "policy.out"), str(tmp_path / "log.jsonl")]
+    printed = subprocess.run(words, capture_output=True, text=True, check=True).stdout
+    commands = np.array([[float(number) for number in line.split()] for line in printed.splitlines()])
+    assert commands == pytest.approx(np.tile(controller.home, (40, 1)), abs=1e-9)
+
+
+@needs_compiler
 @pytest.mark.parametrize(
     ("task", "told"), [("precise", "is no log of Controller.save_log"), ("clutter", "does not read bodies_kind, ")]
 )

@@ -32,7 +32,7 @@ from reachlab.scale.space import dimensions, read_space
 from reachlab.scale.study import Study
 from reachlab.scale.sweep import SweepProgress, sweep
 from reachlab.scale.training import failure_file, read_validations
-from reachlab.scale.trials import DEATHS, SweepConfig, Trials, pessimistic
+from reachlab.scale.trials import DEATHS, SweepConfig, Trials, _check_of, pessimistic
 from reachlab.settings.config import RunConfig
 from reachlab.settings.json_form import to_json
 from reachlab.settings.validation import InputError, installing
@@ -258,6 +258,14 @@ def test_a_study_of_another_goal_or_space_is_refused(tmp_path: Path) -> None:
         file.write(b'{"op_code": 99}\n')
     with pytest.raises(InputError, match="cannot be used"):
         make_study(tmp_path)
+
+
+def test_a_training_with_other_settings_is_not_a_trials(tmp_path: Path) -> None:
+    run = RunDirectory(tmp_path / "0000")
+    run.create(configure())
+    _check_of(run, configure(), ["gamma"])
+    with pytest.raises(InputError, match=r"was trained with gamma 0\.\d+, and not 0\.8: remove it"):
+        _check_of(run, configure(gamma=0.8), ["gamma"])
 
 
 def test_a_goal_that_was_not_reached_is_no_value_and_never_the_best(

@@ -85,12 +85,12 @@ class Study:
             )
         except (OSError, ValueError, KeyError, TypeError, AssertionError) as error:
             raise InputError(f"study '{journal}' cannot be used ({error}): begin a new sweep.") from None
-        asked = {"goal": ".".join(goal.path), "space": json.dumps(space)}
-        begun = asked if new else {**asked, **self._study.user_attrs}
-        for name, value in asked.items():
-            if begun[name] != value:
-                raise InputError(f"study '{journal}' was begun with another {name}, {begun[name]}: begin a new sweep.")
-            self._study.set_user_attr(name, value)
+        known = self._study.user_attrs
+        for name, asked in (("goal", ".".join(goal.path)), ("space", json.dumps(space))):
+            if name not in known:
+                self._study.set_user_attr(name, asked)
+            elif known[name] != asked:
+                raise InputError(f"study '{journal}' was begun with another {name}, {known[name]}: begin a new sweep.")
         if new and (own := self._within(config)):
             self._study.enqueue_trial(own)
 
