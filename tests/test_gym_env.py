@@ -473,6 +473,16 @@ def test_asynchronous_environments_work_or_are_refused_in_one_sentence(tmp_path:
             assert line == f"{sim} (2, 3)"
 
 
+def test_where_jax_computes_with_64_bits_environments_are_made_without_it() -> None:
+    with jax.enable_x64(True):
+        with pytest.raises(InputError, match=r"JAX is set to 64: .* within `with jax.enable_x64\(False\):`"):
+            ReachEnv(**SHORT)
+        with jax.enable_x64(False):
+            env = ReachEnv(**SHORT)
+            observation, _ = env.reset(seed=0)
+    assert env.observation_space.contains(observation)
+
+
 @pytest.mark.parametrize("sim", ["kinematic", "mujoco"])
 def test_a_copy_continues_as_the_original_and_leaves_it_alone(sim: str) -> None:
     original = ReachEnv(sim=sim, **SHORT)

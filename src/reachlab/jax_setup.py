@@ -33,6 +33,9 @@ ONCE_OPTIONS = BRIEF_OPTIONS | {"xla_backend_optimization_level": 0}
 """Those of programs that run once: they compile in half of that time again, and run for three times as long."""
 
 
+SINGLE = 4
+"""Size of a number in single precision [bytes]."""
+
 CACHE = "jax_compilation_cache_dir"
 """JAX's setting of where compiled programs are kept."""
 
@@ -64,6 +67,22 @@ def use_compilation_cache() -> None:
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
     keep_in(Path(folder) / "traced")
+
+
+def prepare() -> None:
+    """Set JAX up for environments in this process.
+
+    Raises:
+        InputError: it computes with numbers of 64 bits.
+    """
+    if jax.dtypes.canonicalize_dtype(float).itemsize != SINGLE:
+        raise InputError(
+            "environments compute with numbers of 32 bits, and JAX is set to 64: leave jax_enable_x64 out, or make and"
+            " use them within `with jax.enable_x64(False):`."
+        )
+    dispatch_inline()
+    keep_compiled()
+    first_process()
 
 
 def keep_compiled() -> None:

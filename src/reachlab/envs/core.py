@@ -21,7 +21,7 @@ from reachlab.envs.functions import EnvFunctions, EnvState, Stepped, Transition
 from reachlab.envs.packing import Computed
 from reachlab.envs.sampling import in_parts
 from reachlab.envs.setup import make_setup, settled
-from reachlab.jax_setup import dispatch_inline, first_process, jit, keep_compiled
+from reachlab.jax_setup import jit, prepare
 from reachlab.render.marks import NO_PATH, TARGET_AXES, TOOL_AXES, Axes, Block, Marks
 from reachlab.render.view_randomisation import develop, make_views
 from reachlab.robots.shapes.clearance import capsules_at
@@ -64,12 +64,11 @@ class Env:
         A simulator outside JAX steps them on so many threads, 0 for one a core.
 
         Raises:
-            InputError: a name in the configuration that does not exist, or a setting that does not fit the arm.
+            InputError: a name in the configuration that does not exist, a setting that does not fit the arm, or JAX
+                computes with 64 bits.
         """
         num_envs = whole_number("num_envs", num_envs, 1, MOST_ENVS)
-        dispatch_inline()
-        keep_compiled()
-        first_process()  # JAX starts in this one
+        prepare()
         setup = make_setup(config)
         self.config, self.num_envs = settled(config, setup), num_envs
         self.simulator = make_simulator(
