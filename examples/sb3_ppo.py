@@ -52,7 +52,8 @@ def main() -> None:
         n_steps=64,
         batch_size=1024,
         n_epochs=4,
-        learning_rate=lambda left: 2e-3 * left,  # `left` falls from 1 to 0
+        # `left` falls from 1 to 0, and below it in a last rollout that takes more steps than are left.
+        learning_rate=lambda left: 2e-3 * max(left, 0.0),
         gamma=0.98,
         gae_lambda=0.9,
         policy_kwargs={"log_std_init": math.log(0.2)},  # half of the action box

@@ -292,6 +292,7 @@ WRONG = {
         "train --out begun",
         "overwritten: name another with --out, or continue it with --resume",
     ),
+    "eval of no run elsewhere": ("eval ../nothing", "'../nothing' does not exist: train one with"),
     "eval of no run": ("eval nothing", "'nothing' does not exist: train one with"),
     "eval of an empty folder": ("eval taken", "config.json' is missing"),
     "eval of an unknown agent": ("eval taken --agent tained", "Did you mean 'trained'"),

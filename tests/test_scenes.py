@@ -78,6 +78,16 @@ def test_scenes_are_where_the_arm_stands_and_what_it_faces(place: str, yaw: floa
     assert np.linalg.norm(np.array(starts) - np.array(goals), axis=1).min() > 0.1
 
 
+def test_scenes_are_where_an_arm_stands_within_its_file(tmp_path: Path) -> None:
+    text = Path(mounted(tmp_path)).read_text()
+    begin, end = text.index("<body "), text.rindex("</body>") + len("</body>")
+    pedestal = f'<body name="pedestal"><body name="mount" pos="0.2 -0.5 0.6">{text[begin:end]}</body></body>'
+    (tmp_path / "pedestal.xml").write_text(text[:begin] + pedestal + text[end:])
+    base = kinds.kind_of("wall", load_robot(str(tmp_path / "pedestal.xml"))).base
+    np.testing.assert_allclose(base[:2], (0.2, -0.5), atol=0.02)
+    np.testing.assert_allclose(base[2], 0.6, atol=0.05)
+
+
 def test_bodies_are_as_large_as_the_arm_is() -> None:
     walls = [scenes(robot, "wall")[1].bodies.size[..., 0].max() for robot in ("iiwa14", "so101")]
     np.testing.assert_allclose(walls[1] / walls[0], load_robot("so101").scale / load_robot("iiwa14").scale, rtol=1e-5)

@@ -25,9 +25,9 @@ def find_run(run: str | Path) -> RunDirectory:
         InputError: nothing is there, and the name is an arm's, or nearly that of a policy.
     """
     path = Path(run)
-    if path.exists() or not 1 <= len(path.parts) <= 2 or not (SHIPPED / path.parts[0]).is_dir():
+    of_arm = {name: policy for name, policy in shipped().items() if path.parts[:1] == Path(name).parts[:1]}
+    if path.exists() or len(path.parts) > 2 or not of_arm:
         return RunDirectory(path)
-    of_arm = {name: policy for name, policy in shipped().items() if Path(name).parts[0] == path.parts[0]}
     return of_arm[choose("policy", path.as_posix(), of_arm)]
 
 

@@ -120,6 +120,8 @@ class RayEngine:
         self._tasks.remove(training)
         try:
             self._ray.get(training)
+        except self._ray.exceptions.TaskCancelledError:
+            pass  # it was stopped where it noted no signals any more; Ray raises this as an error of the task, too
         except self._ray.exceptions.RayTaskError:
             raise
         except self._ray.exceptions.RayError:

@@ -200,9 +200,9 @@ def kind_of(name: str, robot: Robot) -> Kind:
     """
     if name.endswith(".json"):
         return _of_file(Path(name), robot)
-    model = robot.spec(pictures=False).compile()
-    base = model.body_pos[model.body_rootid[model.jnt_bodyid[0]]]
-    kind = replace(KINDS[choose("scene", name, KINDS)], scale=robot.scale, turn=robot.front, base=tuple(base.tolist()))
+    first, floor = robot.chain.frames[0][1], robot.workspace[0][2]
+    base = float(first[0]), float(first[1]), float(floor)
+    kind = replace(KINDS[choose("scene", name, KINDS)], scale=robot.scale, turn=robot.front, base=base)
     forward = kind.turned([1.0, 0.0, 0.0])
     begins = min((np.array(corner) - base) @ forward for corner in robot.workspace)
     return replace(kind, ahead=begins - BEGINS * robot.scale)
