@@ -25,7 +25,7 @@ from reachlab.robots.loading import load_robot
 from reachlab.runs.directory import RunDirectory, read_config
 from reachlab.runs.files import write_json
 from reachlab.scale.cluster import Cluster
-from reachlab.scale.engines import LocalEngine
+from reachlab.scale.engines import LocalEngine, RayEngine
 from reachlab.scale.goals import GOALS, check_goal
 from reachlab.scale.rollouts import RayRollouts, divide
 from reachlab.scale.space import dimensions, read_space
@@ -537,6 +537,28 @@ def test_a_sweep_is_resumed_with_its_own_trials_or_others(
     write_json(tmp_path / "sweep" / "sweep.json", vars(SweepConfig(SPACE, seeds=3, trials=2)))
     assert main(["sweep", "--resume", str(tmp_path / "sweep"), *words]) == 2
     assert [(one.trials, one.seeds) for one in asked] == [(trials, 3)]
+
+
+def test_a_training_that_ray_cancels_where_it_notes_no_signals_has_ended(tmp_path: Path, ray: Any) -> None:
+    begun = tmp_path / "begun"
+
+    def training() -> None:
+        begun.touch()
+        while True:
+            time.sleep(0.05)
+
+    engine = RayEngine(1)
+    engine._run = ray.remote(max_retries=0)(training)
+    order = engine.start()
+    while not begun.exists():
+        time.sleep(0.05)
+    engine.stop(order)
+    until = time.monotonic() + 60
+    while engine.running(order):
+        assert time.monotonic() < until
+        time.sleep(0.05)
+    assert not engine._tasks
+    engine.close()
 
 
 def test_trials_on_ray_are_those_of_processes(swept: Path, tmp_path: Path, ray: Any) -> None:

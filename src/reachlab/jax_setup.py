@@ -82,7 +82,7 @@ def prepare() -> None:
         )
     dispatch_inline()
     keep_compiled()
-    first_process()
+    first_process()  # JAX starts in this one
 
 
 def keep_compiled() -> None:

@@ -17,6 +17,7 @@ from jax import Array
 
 from reachlab.agents.policy import Policy, make_policy
 from reachlab.envs.core import Env
+from reachlab.jax_setup import SINGLE
 from reachlab.settings.config import DistilRunConfig, RunConfig
 from reachlab.settings.validation import InputError
 from reachlab.tasks.actions import ACTIONS
@@ -25,9 +26,6 @@ from reachlab.tasks.task import TaskSetup
 
 ADAM_EPSILON = 1e-5
 """Adam's epsilon, as PPO's reference implementation sets it."""
-
-NUMBER = 4
-"""Size of a number in single precision [bytes]."""
 
 COPIES = 4
 """Of each parameter: itself, its gradient, and Adam's two moments."""
@@ -93,7 +91,7 @@ def check_memory(config: RunConfig, setup: TaskSetup) -> None:
     actions = loop.num_envs * loop.rollout_steps
     weights = 2 * sum(wide * high for wide, high in itertools.pairwise(hidden))
     activations = 2 * sum(hidden) * actions // config.ppo.minibatches
-    needed = (actions + kept) * observed + NUMBER * (COPIES * weights + activations)
+    needed = (actions + kept) * observed + SINGLE * (COPIES * weights + activations)
     if needed > (there := _memory()):
         raise InputError(
             f"num_envs {loop.num_envs:,} with rollout_steps {loop.rollout_steps:,} and hidden"
