@@ -304,8 +304,6 @@ WRONG = {
     "plot of nothing": ("plot", "run"),
     "plot of no run": ("plot nothing", "run directory 'nothing' does not exist"),
     "plot of a sweep": ("plot swept", "'swept' is a sweep: its runs are the folders in 'swept/trials'"),
-    "resume of a sweep": ("train --resume swept", "'swept' is a sweep: its runs are the folders in 'swept/trials'"),
-    "eval of a sweep": ("eval swept", "'swept' is a sweep: its runs are the folders in 'swept/trials'"),
     "settings in no file": ("train --config nothing.json", "'nothing.json' is no file: --config takes the config.json"),
     "settings of a distillation": ("train --config taught.json", "the file holds the settings of a distillation"),
     "unknown task of an evaluation": ("eval --task plaice", "Did you mean 'place'"),

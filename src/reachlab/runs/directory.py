@@ -137,12 +137,10 @@ class RunDirectory:
         """Refuse what cannot be a run.
 
         Raises:
-            InputError: there is no such directory, or it is that of a sweep.
+            InputError: there is no such directory.
         """
         if self.path.is_file():
             raise InputError(f"'{self.path}' is a file, where the directory of a run is needed.")
-        if (self.path / "sweep.json").is_file():
-            raise InputError(f"'{self.path}' is a sweep: its runs are the folders in '{self.path / 'trials'}'.")
         if not self.path.is_dir():
             beside = [one.parent.name for one in self.path.parent.glob(f"*/{self.config_file.name}")]
             near = difflib.get_close_matches(self.path.name, beside, n=1)

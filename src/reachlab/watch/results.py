@@ -125,6 +125,8 @@ def read_settings(run: Path) -> dict[str, Any]:
         InputError: there is no such folder, it is that of a sweep, or its configuration cannot be read.
     """
     RunDirectory(run).check_there()
+    if (run / "sweep.json").is_file():
+        raise InputError(f"'{run}' is a sweep: its runs are the folders in '{run / 'trials'}'.")
     flat = flatten(RunDirectory(run).read_settings())
     flat.pop("seed", None)
     return flat
