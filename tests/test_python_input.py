@@ -18,6 +18,8 @@ import pytest
 import reachlab
 from reachlab.agents.acting import _is_told
 from reachlab.cli import main as cli
+from reachlab.control.bodies import absent
+from reachlab.control.situation import Goal
 from reachlab.envs.consistency import check
 from reachlab.envs.gymnasium_single import ReachEnv
 from reachlab.envs.random_streams import env_keys
@@ -32,6 +34,7 @@ from reachlab.tasks.actions import ACTIONS
 from reachlab.tasks.observations import OBSERVATIONS
 from reachlab.tasks.rewards import REWARDS, reward_terms
 from reachlab.tasks.schema import Observation, Term
+from reachlab.tasks.terms import TOOL
 
 
 @pytest.mark.parametrize(
@@ -100,7 +103,10 @@ def test_a_function_is_told_where_episodes_begin_if_it_asks_for_it() -> None:
     ("terms", "sentence"),
     [
         ({"success": np.zeros(3)}, "has a term 'success', which is the verdict's name: call it another"),
-        ({"near": np.zeros((3, 1))}, r"gives term 'near' in shape \(3, 1\): one number an environment is needed"),
+        ({"near": np.zeros((3, 1))}, r"gives term 'near' as float\[3, 1\]: a name and one number an env"),
+        ({"near": [0.0, 0.0, 0.0]}, r"gives term 'near' as \[float\[\], float\[\], float\[\]\]: a name and"),
+        ({"near": np.zeros(3, complex)}, r"gives term 'near' as .*: a name and one number an env"),
+        ({1: np.zeros(3)}, r"gives term 1 as float\[3\]: a name and one number an environment are needed, float\[3\]"),
         (np.zeros(3), "gives ndarray: it has to give terms by name"),
     ],
 )
@@ -191,6 +197,7 @@ def _mine(value: Any, low: Any = -1.0, high: Any = 1.0) -> Observation:
         (_mine(None, low=[0.0, np.nan], high=[1.0, 1.0]), "the bounds of term 'q' must be as many numbers"),
         (_mine(None, high=None), "the bounds of term 'q' must be two arrays of numbers"),
         (Observation("nothing", ()), "the observation 'nothing' has no terms"),
+        (Observation("both", (TOOL, TOOL)), "the terms of the observation 'both' are tool, tool: name each once"),
         (Observation("odd", (), needs=frozenset({"love"})), "observation 'mine' needs 'love', which nothing gives"),
     ],
 )
@@ -227,9 +234,30 @@ def test_an_action_that_gives_no_command_is_refused(
 @pytest.mark.parametrize(
     ("changed", "sentence"),
     [
-        ({"errors": lambda _, now: now.tool_position}, "must give `Errors` with one distance an environment"),
-        ({"errors": lambda _, now: now.tol}, "fails at test_python_input.py"),
         ({"sample_goal": None}, "task needs a function as `sample_goal`, got None"),
+        ({"errors": lambda _, now: now.tol}, "`errors` fails at test_python_input.py"),
+        ({"sample_goal": lambda setup, _: setup.nothing}, "`sample_goal` fails at test_python_input.py"),
+        ({"near": lambda *_: 1 / 0}, "`near` fails at test_python_input.py:.*: division by zero"),
+        ({"check": lambda _: next(iter([]))}, "`check` fails at"),
+        (
+            {"errors": lambda _, now: now.tool_position},
+            r"`errors` gives float\[1, 3\]: it must give Errors\(distance=float\[1\], angle=float\[1, 0\]\) or",
+        ),
+        ({"goal_box": lambda _: (0.0, 1.0)}, r"`goal_box` gives \(float\[\], float\[\]\): it must give two corners"),
+        (
+            {"sample_goal": lambda *_: Goal.at(jax.numpy.zeros(2))},
+            r"`sample_goal` gives Goal\(position=float\[2\], .*: it must give Goal\(position=float\[3\]",
+        ),
+        ({"sample_goal": lambda *_: jax.numpy.zeros(3)}, r"gives float\[3\]: it must give a Goal"),
+        ({"sample_start": lambda *_: jax.numpy.zeros(3)}, r"gives float\[3\]: it must give float\[7\]"),
+        ({"sample_bodies": lambda *_: absent(2)}, r"gives Bodies\(.*: it must give Bodies\(position=float\[0, 3\]"),
+        ({"scene": lambda _: None}, "gives None: it must give Scene"),
+        ({"near": lambda _, errors: errors.distance}, r"`near` gives float\[1\]: it must give bool\[1\]"),
+        (
+            {"begin": lambda _, errors: errors.distance, "update": lambda *_: ()},
+            r"`update` gives \(\): it must give float\[1\]",
+        ),
+        ({"move": lambda _, goal, *__: goal}, r"`move` gives Goal\(.*: it must give \(Goal\("),
     ],
 )
 def test_a_task_that_cannot_be_is_refused(
@@ -240,8 +268,14 @@ def test_a_task_that_cannot_be_is_refused(
     monkeypatch.setattr(kind, "task", staticmethod(lambda: task))
     _task.cache_clear()
     with pytest.raises(InputError, match=sentence):
-        ReachEnv("tutorial").reset(seed=0)
+        _stepped("tutorial")
     _task.cache_clear()
+
+
+def _stepped(task: str) -> None:
+    env = ReachEnv(task)
+    env.reset(seed=0)
+    env.step(env.action_space.sample())
 
 
 @pytest.mark.parametrize("entry", [Lazy("mine", "reachlab.tasks.task:stay"), int])

@@ -25,7 +25,7 @@ from reachlab.robots.kinematics.forward import forward_kinematics
 from reachlab.robots.kinematics.scalars import once
 from reachlab.sims.simulator import BatchArray, Begin, Moved, SimState
 from reachlab.tasks import actions, observations
-from reachlab.tasks.judging import errors_of, judge, outside_workspace
+from reachlab.tasks.judging import judge, outside_workspace
 from reachlab.tasks.rewards import reward_terms
 from reachlab.tasks.schema import Observed
 from reachlab.tasks.task import Errors, Keys, Progress, TaskSetup
@@ -160,7 +160,7 @@ class EnvFunctions:
         action = jnp.zeros((count, len(actions.ACTIONS[self.setup.rules.action].bounds(self.setup)[0])))
         rest = arm.actuated
         now = Situation(arm.q, arm.qd, *arm.tool, goal, rest, action, arm.bodies, arm.contact, arm.tool, arm.opening)
-        errors = errors_of(self.setup, now)
+        errors = self.setup.task.errors(self.setup, now)
         return EnvState(
             arm=arm,
             goal=goal,

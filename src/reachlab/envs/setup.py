@@ -18,6 +18,7 @@ from reachlab.settings.json_form import override
 from reachlab.settings.rules import TaskSettings
 from reachlab.settings.validation import BY_ARM, InProportion, InputError, choose, hints
 from reachlab.sims import SIMULATORS
+from reachlab.tasks.checked import checked
 from reachlab.tasks.reachability import SAMPLES, survey
 from reachlab.tasks.task import Task, TaskSetup
 
@@ -68,16 +69,8 @@ def make_setup(config: RunConfig) -> TaskSetup:
 
 @functools.cache
 def _task(kind: type[TaskSettings]) -> Task:
-    """The task of settings.
-
-    Raises:
-        InputError: one that was added lacks a function.
-    """
-    task = kind.task()
-    for field in dataclasses.fields(task):
-        if "Callable" in str(field.type) and not callable(given := getattr(task, field.name)):
-            raise InputError(f"{kind.__name__}'s task needs a function as `{field.name}`, got {given!r}.")
-    return task
+    """The task of settings; raises `InputError` where one that was added lacks a function."""
+    return checked(kind.task(), kind.__name__)
 
 
 def settled(config: RunConfig, setup: TaskSetup) -> RunConfig:

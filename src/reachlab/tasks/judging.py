@@ -10,8 +10,6 @@ from jax import Array
 from reachlab.control.situation import Situation
 from reachlab.robots.kinematics.forward import added
 from reachlab.robots.robot import Robot
-from reachlab.settings.validation import InputError
-from reachlab.tasks.answers import answer
 from reachlab.tasks.task import Errors, Progress, TaskSetup
 
 
@@ -55,26 +53,13 @@ def outside_workspace(robot: Robot, tool_position: Array) -> Array:
     return ((tool_position < low) | (tool_position > high)).any(axis=-1)
 
 
-def errors_of(setup: TaskSetup, now: Situation) -> Errors:
-    """How far what is moved is from where it has to be, as the task says.
-
-    Raises:
-        InputError: a task that was added fails, or gives something else.
-    """
-    who = f"{type(setup.rules).__name__}'s `errors`"
-    errors = answer(who, setup.task.errors, setup, now)
-    if not isinstance(errors, Errors) or jnp.shape(errors.distance) != now.q.shape[:-1]:
-        raise InputError(f"{who} must give `Errors` with one distance an environment, {now.q.shape[:-1]}.")
-    return errors
-
-
 def judge(setup: TaskSetup, before: Errors, progress: Progress, now: Situation, clock: Array) -> Outcome:
     """What a step led to: of the errors before it, what was remembered, the situation after it and its number `[B]`.
 
     Leaving the workspace outranks success, and where success ends the episode it outranks a time-out on the same step.
     """
     task, rules = setup.task, setup.rules
-    errors = errors_of(setup, now)
+    errors = task.errors(setup, now)
     after = task.update(setup, progress, errors, now, clock)
     counted = task.counted(errors, after)
     outside = jnp.zeros_like(errors.distance, bool)

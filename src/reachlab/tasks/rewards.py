@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-import jax.numpy as jnp
 from jax import Array
 
 from reachlab.settings.tables import Table
 from reachlab.settings.validation import InputError
-from reachlab.tasks.answers import answer
+from reachlab.tasks.answers import answer, form
 from reachlab.tasks.judging import Outcome
 
 OUTSIDE_REWARD = -0.1
@@ -110,9 +109,10 @@ def reward_terms(rules: Any, outcome: Outcome) -> dict[str, Array]:
             raise InputError(
                 f"reward {rules.reward!r} has a term 'success', which is the verdict's name: call it another."
             )
-        if jnp.shape(term) != jnp.shape(outcome.gap):
+        needed = form(outcome.gap)
+        if not isinstance(name, str) or form(term).replace("bool", "float").replace("int", "float") != needed:
             raise InputError(
-                f"reward {rules.reward!r} gives term {name!r} in shape {jnp.shape(term)}: one number an environment is"
-                f" needed, {jnp.shape(outcome.gap)}."
+                f"reward {rules.reward!r} gives term {name!r} as {form(term)}: a name and one number an environment are"
+                f" needed, {needed}."
             )
     return dict(terms)

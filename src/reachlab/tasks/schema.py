@@ -186,16 +186,21 @@ class Observation:
         """Its schema on an arm.
 
         Raises:
-            InputError: there are no terms, or a term's bounds are none.
+            InputError: there are no terms, two of one name, or a term's bounds are none.
         """
         if not self.terms:
             raise InputError(f"the observation {self.summary!r} has no terms: give it at least one.")
+        names = [term.name for term in self.terms]
+        if len(set(names)) < len(names):
+            raise InputError(f"the terms of the observation {self.summary!r} are {', '.join(names)}: name each once.")
         return Schema(tuple(_field(term, setup) for term in self.terms))
 
 
 def _field(term: Term, setup: TaskSetup) -> Field:
     try:
         low, high = (np.asarray(side, float) for side in term.bounds(setup))
+    except InputError:
+        raise
     except (TypeError, ValueError):
         raise InputError(f"the bounds of term {term.name!r} must be two arrays of numbers, the lower first.") from None
     if low.ndim != 1 or low.shape != high.shape or not (low <= high).all():
