@@ -473,6 +473,33 @@ def test_asynchronous_environments_work_or_are_refused_in_one_sentence(tmp_path:
             assert line == f"{sim} (2, 3)"
 
 
+FORK = """
+import multiprocessing, warnings
+import jax.numpy
+from reachlab.envs.gymnasium_single import ReachEnv
+
+def child():
+    try:
+        ReachEnv("tutorial")
+    except ValueError as error:
+        print(type(error).__name__, error)
+
+warnings.simplefilter("ignore")
+jax.numpy.ones(3).block_until_ready()
+process = multiprocessing.get_context("fork").Process(target=child)
+process.start()
+process.join(60)
+process.kill()
+"""
+
+
+@pytest.mark.slow
+def test_a_fork_of_a_process_that_used_jax_for_something_else_is_refused_too(tmp_path: Path) -> None:
+    (tmp_path / "script.py").write_text(FORK)
+    done = subprocess.run([sys.executable, tmp_path / "script.py"], capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("InputError JAX cannot compute in this process, a fork of one"), done.stderr
+
+
 def test_where_jax_computes_with_64_bits_environments_are_made_without_it() -> None:
     with jax.enable_x64(True):
         with pytest.raises(InputError, match=r"JAX is set to 64: .* within `with jax.enable_x64\(False\):`"):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import os
 import sys
 from collections.abc import Callable
@@ -85,7 +84,6 @@ def prepare() -> None:
         )
     dispatch_inline()
     keep_compiled()
-    first_process()  # JAX starts in this one
 
 
 def keep_compiled() -> None:
@@ -160,21 +158,28 @@ def threads() -> int:
     return names.count(WORKER) or int(os.environ.get(VARIABLE) or os.cpu_count() or 1)
 
 
-@functools.cache
-def first_process() -> int:
-    """Number of the process in which this was first asked for; forks of it are told the same."""
-    return os.getpid()
+FORKED: list[int] = []
+"""Numbers of this process, and of those that it is a fork of, which were forked after JAX had been started."""
+
+
+def _note_fork() -> None:
+    if _started():
+        FORKED.append(os.getpid())
+
+
+if hasattr(os, "register_at_fork"):  # not on Windows
+    os.register_at_fork(after_in_child=_note_fork)
 
 
 def refuse_fork() -> None:
-    """Refuse to compute in a fork of the process in which JAX was started: it would wait for ever.
+    """Refuse to compute in a fork of a process in which JAX was started: it would wait for ever.
 
     A fork takes over JAX's state, but not the threads that do its work.
 
     Raises:
         InputError: this is such a process.
     """
-    if first_process() != os.getpid():
+    if FORKED:
         raise InputError(
             "JAX cannot compute in this process, a fork of one that uses it: start it with the context 'spawn' or"
             " 'forkserver' (in gymnasium.make_vec: vector_kwargs={'context': 'spawn'}), or let one process step all"

@@ -19,7 +19,7 @@ from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvFunctions, EnvState, Transition, named_errors
 from reachlab.envs.packing import AsTheyAre, PackedResults, make_packing
 from reachlab.envs.random_streams import env_keys, gymnasium_keys, keys_of_seeded
-from reachlab.jax_setup import jit
+from reachlab.jax_setup import jit, refuse_fork
 from reachlab.robots.kinematics.scalars import once
 from reachlab.settings.config import RunConfig
 from reachlab.sims.simulator import BatchArray, Moved
@@ -247,7 +247,12 @@ class Programs(Steps):
     """Resets and steps that are one compiled program each; what they take and give is packed, but for arguments."""
 
     def __init__(self, env: Env, mode: AutoresetMode) -> None:
-        """Programs of an environment, compiled as they are first called."""
+        """Programs of an environment, compiled as they are first called.
+
+        Raises:
+            InputError: JAX cannot compute in this process.
+        """
+        refuse_fork()
         super().__init__(env, mode)
         actions = np.zeros((env.num_envs, len(env.action_bounds[0])), np.float32)
         held = jax.eval_shape(env.init, env_keys(0, env.num_envs)), self.nothing[1]
