@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import importlib.util
 import os
 import sys
@@ -13,13 +14,13 @@ import pytest
 
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 
+import jax
+
 from reachlab import jax_setup
 from reachlab.settings.validation import InputError
 
 # Tests change constants and functions that a kept trace does not know of.
 jax_setup.keep_in = lambda _: None
-# JAX has ended processes, once in tens of thousands of programs, as it wrote or read a kept one.
-jax_setup.KEPT_FROM = 0.1
 jax_setup.use_compilation_cache()
 
 pytest_plugins = ["cost"]
@@ -45,6 +46,21 @@ def _skipping() -> Iterator[Any]:
         if PYBULLET or "pybullet" not in str(error):
             raise
         pytest.skip("needs PyBullet")
+
+
+MOST_MAPS = 30_000
+"""Pieces of memory of a process with which its programs are let go: Linux gives it 65,530, and JAX ends a process that
+compiles or reads one more."""
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _programs() -> Iterator[None]:
+    """Programs of thousands of tests do not fill a process."""
+    yield
+    maps = Path("/proc/self/maps")
+    if maps.exists() and maps.read_bytes().count(b"\n") > MOST_MAPS:
+        jax.clear_caches()
+        gc.collect()
 
 
 @pytest.fixture

@@ -38,9 +38,6 @@ SINGLE = 4
 CACHE = "jax_compilation_cache_dir"
 """JAX's setting of where compiled programs are kept."""
 
-KEPT_FROM = 0.0
-"""A program of a command is kept if it took as long to compile [s]."""
-
 
 def jit(function: Callable[..., Any], *, brief: bool = False, once: bool = False) -> Wrapped:
     """`jax.jit` with `CPU_OPTIONS` on the CPU, or `BRIEF_OPTIONS`, or `ONCE_OPTIONS`.
@@ -66,7 +63,7 @@ def use_compilation_cache() -> None:
     """Keep what is compiled and traced in the user's cache folder, unless `JAX_COMPILATION_CACHE_DIR` says where."""
     folder = jax.config.values[CACHE] or str(cache_folder() / "jax")
     jax.config.update(CACHE, folder)
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", KEPT_FROM)
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
     keep_in(Path(folder) / "traced")
 
