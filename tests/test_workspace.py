@@ -21,7 +21,7 @@ from reachlab.robots import loading
 from reachlab.robots.catalogue import ROBOTS
 from reachlab.robots.kinematics.forward import Pose, forward_kinematics
 from reachlab.robots.kinematics.inverse import inverse_kinematics
-from reachlab.robots.loading import _load, load_robot
+from reachlab.robots.loading import NO_BOX, _load, load_robot
 from reachlab.robots.robot import Robot
 from reachlab.tasks.reachability import survey
 
@@ -195,6 +195,8 @@ def test_an_arm_in_a_plane_starts_in_the_middle_of_its_limits_inside_a_box_aroun
     assert ((low < points) & (points < high)).all(axis=1).mean() > 0.3
     assert robot.goal_box == robot.workspace
     assert robot.shares == {}
+    assert NO_BOX in robot.notices
+    assert NO_BOX not in load_robot(str(folder / "five.xml")).notices
 
 
 def test_an_arm_that_cannot_point_its_tool_down_starts_away_from_its_limits(tmp_path: Path) -> None:

@@ -91,6 +91,12 @@ def load_robot(
     return _load(file, name if known else str(Path(name).absolute()), tool, base, gripper, grips)
 
 
+NO_BOX = (
+    "no box above its base was found all of which its tool reaches: its workspace and its goals are around the points"
+    " that it does reach, and many of theirs are out of reach."
+)
+
+
 @functools.cache
 def _load(file: ModelFile, name: str, tool: str | None, base: str | None, gripper: str, grips: bool) -> Robot:
     known, why = ROBOTS.get(name), ""
@@ -132,6 +138,7 @@ def _load(file: ModelFile, name: str, tool: str | None, base: str | None, grippe
         notices.append("the file's home is not used: from there little can be reached on straight ways.")
     for what in ("workspace", "goal_box", "held_quaternion"):
         sources[what] = DERIVED if getattr(listed, what) is None else CATALOGUE
+    notices += [NO_BOX] * (sources["workspace"] == DERIVED and not places.shares)
     robot = Robot(
         name=name if known else file.file.stem,
         model=file,
