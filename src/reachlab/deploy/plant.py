@@ -210,7 +210,10 @@ def _episode(plant: Plant, link: Link, disturbed: Disturbed, outcome: Outcome) -
     for step in range(plant.steps):
         if not disturbed.send(plant.measure(), step * plant.period) and dead is None:
             dead = step
-        _wait(began + (step + 1) * plant.period, disturbed)
+        due = began + (step + 1) * plant.period
+        _wait(due, disturbed)
+        # After a pause of this process the next steps do not come in a burst.
+        began += max(0.0, time.perf_counter() - due - plant.period)
         commands = link.receive()
         outcome.cycles += 1
         outcome.in_time += bool(commands)

@@ -115,12 +115,17 @@ def _seen(setup: TaskSetup, now: Situation) -> Array:
 def _achieved(setup: TaskSetup, now: Situation) -> Array:
     """Where what is moved truly is, so that rewards can be recomputed."""
     place = now.achieved.position
-    return jnp.concatenate([place, now.achieved.quaternion], axis=-1) if setup.rules.asks_orientation else place
+    return _posed(place, now.achieved.quaternion) if setup.rules.asks_orientation else place
 
 
 def _desired(setup: TaskSetup, now: Situation) -> Array:
     del setup
-    return jnp.concatenate([now.goal.position, now.goal.quaternion], axis=-1)
+    return _posed(now.goal.position, now.goal.quaternion)
+
+
+def _posed(position: Array, quaternion: Array) -> Array:
+    """A pose as one row, whose quaternion is within its bounds however it was rounded."""
+    return jnp.concatenate([position, jnp.clip(quaternion, -1.0, 1.0)], axis=-1)
 
 
 def _or_pose(bounds: Callable[[TaskSetup], Bounds]) -> Callable[[TaskSetup], Bounds]:
