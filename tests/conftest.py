@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import importlib.util
+import itertools
 import os
 import sys
 from collections.abc import Iterator
@@ -48,17 +49,15 @@ def _skipping() -> Iterator[Any]:
         pytest.skip("needs PyBullet")
 
 
-MOST_MAPS = 30_000
+MOST_MAPS, TESTS = 30_000, itertools.count(1)
 """Pieces of memory of a process with which its programs are let go: Linux gives it 65,530, and JAX ends a process that
 compiles or reads one more."""
 
 
-@pytest.fixture(autouse=True, scope="module")
-def _programs() -> Iterator[None]:
+def pytest_runtest_teardown() -> None:
     """Programs of thousands of tests do not fill a process."""
-    yield
     maps = Path("/proc/self/maps")
-    if maps.exists() and maps.read_bytes().count(b"\n") > MOST_MAPS:
+    if next(TESTS) % 20 == 0 and maps.exists() and maps.read_bytes().count(b"\n") > MOST_MAPS:
         jax.clear_caches()
         gc.collect()
 
