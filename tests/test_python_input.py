@@ -300,6 +300,9 @@ def test_what_cannot_be_filmed_drawn_or_made_an_environment_is_told_so(tmp_path:
     for call, sentence in (
         (lambda: reachlab.write_video(odd, "ik", None, tmp_path / "a.webp"), "a reachlab.Env is filmed, got str"),
         (lambda: reachlab.plot([], tmp_path / "a.png"), "name at least one"),
+        (lambda: reachlab.load(cast("Any", None)), r"a run is given by its directory .*, got NoneType"),
+        (lambda: reachlab.export(cast("Any", 3), tmp_path / "export"), r"a run is given by its directory .*, got int"),
+        (lambda: reachlab.forward_kinematics(cast("Any", odd), [0.0]), r"a chain is needed, .*, got str"),
         (lambda: reachlab.Env(odd, 2), "settings are needed, as reachlab.configure"),
         (
             lambda: reachlab.train(reachlab.configure(), tmp_path / "run", threads=-3),

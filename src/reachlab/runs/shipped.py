@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from reachlab.runs.directory import RunDirectory
 from reachlab.runs.files import read_json
-from reachlab.settings.validation import choose
+from reachlab.settings.validation import InputError, choose
 
 SHIPPED = Path(__file__).parent / "policies"
 """Their folder: one for each arm, with one for each task."""
@@ -22,8 +23,13 @@ def find_run(run: str | Path) -> RunDirectory:
     """Run directory at a path, or that of a policy which comes with reachlab, by its name.
 
     Raises:
-        InputError: nothing is there, and the name is an arm's, or nearly that of a policy.
+        InputError: nothing is there, and the name is an arm's, or nearly that of a policy; or it is no path.
     """
+    if not isinstance(run, str | os.PathLike):
+        raise InputError(
+            f"a run is given by its directory or by a policy's name, as 'runs/first' or 'panda/lift', got"
+            f" {type(run).__name__}."
+        )
     path = Path(run)
     of_arm = {name: policy for name, policy in shipped().items() if path.parts[:1] == Path(name).parts[:1]}
     if path.exists() or len(path.parts) > 2 or not of_arm:

@@ -77,8 +77,10 @@ def joint_vectors(chain: Chain, q: ArrayLike) -> Array:
     """Joint vectors `[..., n]` as an array of floating-point numbers.
 
     Raises:
-        InputError: they are not as many as the chain's.
+        InputError: they are not as many as the chain's, or it is none.
     """
+    if not isinstance(chain, Chain):
+        raise InputError(f"a chain is needed, as load_robot('panda').chain, got {type(chain).__name__}.")
     given = jnp.asarray(q)
     if given.shape[-1:] != (chain.n,):
         raise InputError(f"joint vectors have {chain.n} numbers in their last axis, and the shape is {given.shape}.")
