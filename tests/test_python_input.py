@@ -18,6 +18,7 @@ import pytest
 import reachlab
 from reachlab.agents.acting import _is_told
 from reachlab.cli import main as cli
+from reachlab.control import CONTROLLERS
 from reachlab.control.bodies import absent
 from reachlab.control.situation import Goal
 from reachlab.envs.consistency import check
@@ -34,6 +35,7 @@ from reachlab.tasks.actions import ACTIONS
 from reachlab.tasks.observations import OBSERVATIONS
 from reachlab.tasks.rewards import REWARDS, reward_terms
 from reachlab.tasks.schema import Observation, Term
+from reachlab.tasks.task import Control
 from reachlab.tasks.terms import TOOL
 
 
@@ -269,6 +271,19 @@ def test_a_task_that_cannot_be_is_refused(
     _task.cache_clear()
     with pytest.raises(InputError, match=sentence):
         _stepped("tutorial")
+    _task.cache_clear()
+
+
+def test_a_controller_that_fails_is_told_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    mine: Any = SimpleNamespace(load=lambda: lambda _, now: now.nothing)
+    monkeypatch.setitem(CONTROLLERS, "mine", mine)
+    kind: Any = TASKS["precise"].load()
+    task = replace(kind.task(), control=Control("mine", residual_gain=1.0))
+    monkeypatch.setattr(kind, "task", staticmethod(lambda: task))
+    _task.cache_clear()
+    env = reachlab.Env(reachlab.configure("precise", sim="kinematic", max_steps=3, hold_steps=1), 2)
+    with pytest.raises(InputError, match=r"controller 'mine' fails at test_python_input.py:\d+"):
+        reachlab.evaluate(env, "ik", episodes=2)
     _task.cache_clear()
 
 

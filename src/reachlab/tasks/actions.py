@@ -127,8 +127,14 @@ def _move_joints(setup: TaskSetup, now: Situation, action: Array, give_way: Give
 def _joints_towards(setup: TaskSetup, now: Situation, believed: Situation) -> Array:
     """What the task's controller would do in the situation as it is believed."""
     del now
-    step = CONTROLLERS[setup.task.control.controller].load()(setup, up_to_date(setup, believed))
+    step = _controlled(setup, setup.task.control.controller, believed)
     return jnp.clip(step / joint_scale(setup), *_joint_box(setup))
+
+
+def _controlled(setup: TaskSetup, name: str, now: Situation) -> Array:
+    """Joint displacement `[B, n]` by a controller of the table, from where the joints have come to."""
+    step: Array = answer(f"controller {name!r}", CONTROLLERS[name].load(), setup, up_to_date(setup, now))
+    return step
 
 
 def _residual_gain(setup: TaskSetup, now: Situation) -> Array:
@@ -189,7 +195,7 @@ def _picture_box(setup: TaskSetup) -> Bounds:
 
 def _at_points(setup: TaskSetup, now: Situation, action: Array) -> Array:
     """Joint command of the task's controller, where goal and object lie on the table as the action says."""
-    step = CONTROLLERS[setup.task.control.seen].load()(setup, up_to_date(setup, _seen(setup, now, action)))
+    step = _controlled(setup, setup.task.control.seen, _seen(setup, now, action))
     return _move_joints(setup, now, jnp.clip(step / joint_scale(setup), *_joint_box(setup)))
 
 
