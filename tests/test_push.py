@@ -251,8 +251,9 @@ def test_the_node_brakes_until_the_object_is_seen_and_where_that_was_long_ago(fo
         policy._on_joints(joints())
         time.sleep(controller.period)
     assert "all is well again" in said
+    before = len(said)
     for _ in range(10):  # on a busy machine one of them comes late, which is told in its place
         policy._on_object(pose(goal, 0.5))
         policy._on_joints(joints())
         time.sleep(controller.period)
-    assert "object 1 was measured more than 0.1 s ago" in said
+    assert "object 1 was measured more than 0.1 s ago" in said[before:]

@@ -552,11 +552,11 @@ def test_a_training_that_ray_cancels_where_it_notes_no_signals_has_ended(tmp_pat
     order = engine.start()
     while not begun.exists():
         time.sleep(0.05)
+    engine.stop(order)
     until = time.monotonic() + 60
     while engine.running(order):
         assert time.monotonic() < until
-        engine.stop(order)  # again and again: Ray may lose the first, as a task has only just begun
-        time.sleep(0.5)
+        time.sleep(0.05)
     assert not engine._tasks
     engine.close()
 
