@@ -59,6 +59,20 @@ def compile_together(*calls: tuple[Callable[..., Any], tuple[Any, ...]]) -> list
         return list(pool.map(lambda call: jit(call[0], brief=True).lower(*call[1]).compile(), calls))
 
 
+COMPILERS = ThreadPoolExecutor(2)
+"""What compiles beside the main thread, in the order of asking: a program takes one core and a half."""
+
+
+def beside(compile_it: Callable[[], Callable[..., Any]]) -> Callable[..., Any]:
+    """What `compile_it` gives, made beside the main thread: who calls it waits until it is there."""
+    compiled = COMPILERS.submit(compile_it)
+
+    def run(*arguments: Any) -> Any:
+        return compiled.result()(*arguments)
+
+    return run
+
+
 def use_compilation_cache() -> None:
     """Keep what is compiled and traced in the user's cache folder, unless `JAX_COMPILATION_CACHE_DIR` says where."""
     folder = jax.config.values[CACHE] or str(cache_folder() / "jax")

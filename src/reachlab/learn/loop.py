@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NoReturn
@@ -18,7 +17,7 @@ from reachlab.envs.core import Env
 from reachlab.envs.random_streams import VALIDATION_STREAM, episode_keys
 from reachlab.evaluation.episodes import Runner, make_runner, run_episodes
 from reachlab.evaluation.report import Report, evaluate
-from reachlab.jax_setup import jit
+from reachlab.jax_setup import beside, jit
 from reachlab.learn.checkpointing import Checkpoints, reason, unwritable
 from reachlab.learn.interrupts import Interrupted, Interrupts
 from reachlab.learn.method import Method
@@ -102,7 +101,7 @@ class Loop:
     def prepare(self, *, resume: bool) -> Any:
         """First state, or the saved one; the iteration is compiled the same for both.
 
-        Where everything is traced three programs are compiled at once.
+        Where everything is traced its programs are compiled meanwhile, and what validates after them, while it trains.
         """
         env, config = self.env, self.config
         resume = resume and self.run.has_checkpoints  # damaged ones too: then it is said, and nothing is lost
@@ -112,18 +111,17 @@ class Loop:
             return self._saved_state(state) if resume else state
         shape = jax.eval_shape(lambda: self.method.initial_state(env, config, config.seed, self.given))
         saved = self._saved_state(shape) if resume else None
-        with ThreadPoolExecutor(2) as pool:
+        self._step = self.method.compile_iteration(env, config, shape, None)
+        if saved is None:
             begin = kept(
                 lambda seed: self.method.initial_state(env, config, seed, self.given),
                 f"first state of {config.method}",
                 env.identity,
                 like=shape,
             )
-            begun = pool.submit(jit(begin, brief=True), np.uint32(config.seed))
-            runner = pool.submit(self._compiled_runner, shape.learner.policy)
-            self._step = self.method.compile_iteration(env, config, shape, None)
-            self.runner = runner.result()
-            return saved or begun.result()
+            saved = jit(begin, brief=True)(np.uint32(config.seed))
+        self.runner = self._compiled_runner(shape.learner.policy)
+        return saved
 
     def _saved_state(self, template: Any) -> Any:
         self.now, state = self.run.read_state(template)
@@ -134,8 +132,9 @@ class Loop:
     def _compiled_runner(self, policy: Policy) -> Runner:
         if not isinstance(self.runner.run, Wrapped):
             return self.runner
-        keys = jax.eval_shape(lambda: episode_keys(0, VALIDATION_STREAM, 0, self.runner.num_envs))
-        return Runner(self.runner.run.lower(policy, keys).compile(), self.runner.num_envs)
+        run, count = self.runner.run, self.runner.num_envs
+        keys = jax.eval_shape(lambda: episode_keys(0, VALIDATION_STREAM, 0, count))
+        return Runner(beside(lambda: run.lower(policy, keys).compile()), count)
 
     # --- iterations -------------------------------------------------------------------------------
 

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 from jax import Array
 
+from reachlab.agents.policy import Policy
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState
 from reachlab.envs.random_streams import LEARNER_STREAM, TRAINING_STREAM, episode_keys, stream_key
-from reachlab.jax_setup import jit
+from reachlab.jax_setup import beside, jit
 from reachlab.learn import ppo
 from reachlab.learn.learner import Learner, make_initial_policy, make_learner, make_optimiser
 from reachlab.learn.method import Finite, Method, Watched, all_finite
@@ -32,7 +32,17 @@ class TrainState:
     key: Array
 
 
+class Played(NamedTuple):
+    """A rollout, the environments' `state` after it, the next iteration's `key`, and that of the update."""
+
+    state: EnvState
+    rollout: Rollout
+    key: Array
+    for_update: Array
+
+
 Metrics = dict[str, Array]
+Play = Callable[[Policy, EnvState, Array], Played]
 Learn = Callable[[Learner, Rollout, Array], tuple[Learner, Metrics]]
 Iteration = Callable[[TrainState], tuple[TrainState, Watched]]
 
@@ -53,31 +63,36 @@ def initial_state(env: Env, config: RunConfig, seed: int | Array, given: Any = N
 def compile_iteration(env: Env, config: RunConfig, shape: TrainState, elsewhere: Collect | None = None) -> Iteration:
     """See `Method.compile_iteration`.
 
-    Where everything is traced it is one program; else the environment steps on the host, between compiled parts.
+    Where everything is traced the rollout is one program and its update another, compiled at the same time; else the
+    environment steps on the host, between compiled parts.
     """
+    gather = collect if env.traced else elsewhere or host_collector()
+
+    def play(policy: Policy, state: EnvState, key: Array) -> Played:
+        key, for_rollout, for_update = jax.random.split(key, 3)
+        return Played(*gather(env, policy, state, for_rollout, config.loop), key, for_update)
 
     def learn(learner: Learner, rollout: Rollout, key: Array) -> tuple[Learner, Metrics]:
         new, metrics = ppo.update(learner, rollout, key, config)
         return new, {**episode_statistics(rollout), **metrics}
 
-    def iterate(gather: Collect, learn: Learn, state: TrainState) -> tuple[TrainState, Metrics, Rollout]:
-        key, for_rollout, for_update = jax.random.split(state.key, 3)
-        after, rollout = gather(env, state.learner.policy, state.env, for_rollout, config.loop)
-        learner, metrics = learn(state.learner, rollout, for_update)
-        return TrainState(learner, after, key), metrics, rollout
+    playing, learning = _compiled(env, play, learn, shape) if env.traced else (play, jit(learn))
 
-    if env.traced:
-        whole = kept(partial(iterate, collect, learn), "iteration of PPO", env.identity)
-        compiled = jit(whole).lower(shape).compile()
-    else:
-        compiled = partial(iterate, elsewhere or host_collector(), jit(learn))
-
-    def judged(state: TrainState) -> tuple[TrainState, Watched]:
-        new, metrics, rollout = compiled(state)
-        watched = Watched(metrics, _finite(rollout, new, metrics), rollout)
+    def iterate(state: TrainState) -> tuple[TrainState, Watched]:
+        played = playing(state.learner.policy, state.env, state.key)
+        learner, metrics = learning(state.learner, played.rollout, played.for_update)
+        new = TrainState(learner, played.state, played.key)
+        watched = Watched(metrics, _finite(played.rollout, new, metrics), played.rollout)
         return new if watched.sound else state, watched
 
-    return judged
+    return iterate
+
+
+def _compiled(env: Env, play: Play, learn: Learn, shape: TrainState) -> tuple[Play, Learn]:
+    playing = jit(kept(play, "rollout", env.identity)).lower(shape.learner.policy, shape.env, shape.key)
+    compiled, played = beside(playing.compile), playing.out_info
+    learning = jit(kept(learn, "update of PPO", env.identity)).lower(shape.learner, played.rollout, played.for_update)
+    return compiled, beside(learning.compile)
 
 
 def _finite(rollout: Rollout, state: TrainState, metrics: Metrics) -> Finite:
