@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import gc
 import os
 from importlib import import_module
 
 from reachlab.settings.validation import InputError
+
+COLLECTED_AFTER = 50_000
+"""New objects after which Python looks for what nobody holds: after 700, as by default, it takes a twentieth of a warm
+training, since JAX makes many that stay."""
 
 
 def prepare() -> None:
@@ -17,6 +22,7 @@ def prepare() -> None:
     Raises:
         InputError: MuJoCo does not load, as with a `MUJOCO_GL` that it does not know or cannot load.
     """
+    gc.set_threshold(COLLECTED_AFTER)
     os.environ.setdefault("JAX_PLATFORMS", "cpu")
     from reachlab.jax_setup import use_compilation_cache
 

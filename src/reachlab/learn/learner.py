@@ -8,11 +8,10 @@ import os
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import jax
 import jax.numpy as jnp
-import optax
 from jax import Array
 
 from reachlab.agents.policy import Policy, make_policy
@@ -23,6 +22,9 @@ from reachlab.settings.validation import InputError
 from reachlab.tasks.actions import ACTIONS
 from reachlab.tasks.observations import design_of
 from reachlab.tasks.task import TaskSetup
+
+if TYPE_CHECKING:
+    import optax
 
 ADAM_EPSILON = 1e-5
 """Adam's epsilon, as PPO's reference implementation sets it."""
@@ -57,6 +59,8 @@ def make_optimiser(config: RunConfig, updates: int, decay: float = 0.0) -> optax
     An iteration takes so many `updates`. With a `decay` of the weights (Loshchilov and Hutter, "Decoupled weight decay
     regularization", ICLR 2019) an update needs to be given them; biases and the noise of actions are left as they are.
     """
+    import optax
+
     settings = config.learner
     iterations = -(-settings.anneal_steps // config.loop.iteration_steps)
     schedule = optax.linear_schedule(settings.learning_rate, settings.final_learning_rate, updates * iterations)

@@ -44,7 +44,7 @@ def load_saved(run: RunDirectory, env: Env) -> Saved:
 
 
 def _template(env: Env) -> Policy:
-    return jax.eval_shape(lambda key: make_initial_policy(env.config, env, key), jax.random.key(0))
+    return jax.eval_shape(lambda: make_initial_policy(env.config, env, jax.random.key(0)))
 
 
 @dataclass(frozen=True)
