@@ -13,6 +13,7 @@ from jax import Array
 
 from reachlab.agents import AGENTS
 from reachlab.agents.policy import Memory, Policy
+from reachlab.envs.ahead import steps_ahead
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState, Transition
 from reachlab.envs.gymnasium_shared import checked_actions
@@ -121,6 +122,7 @@ def make_act(env: Env, agent: str | Function) -> Act:
     if entry.remembers:
         return entry.load()(env)
     chosen: Agent = entry.load()
+    steps_ahead(env)
 
     @env.compile_part
     def decided(policy: Policy | None, state: EnvState, key: Array, picture: Any) -> tuple[Array, Memory, Array]:

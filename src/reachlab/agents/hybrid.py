@@ -39,7 +39,7 @@ def make_ahead(env: Env) -> Ahead:
             state, transition = functions.judge(replace(state, memory=memory), moved, command, action, motion)
             return state, (moved.q, transition.terms["success"])
 
-        begun = replace(state, arm=replace(state.arm, engine=None), sensed=None, sight=None)
+        begun = replace(state.apart, sensed=None, sight=None)
         return jax.lax.scan(step, begun, length=setup.rules.max_steps)[1]
 
     return ahead

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -149,7 +149,7 @@ def _player(env: Env, agent: str | Function, policy: Policy | None, seed: int) -
     steps: list[Step] = []
 
     def keep(step: Step) -> None:
-        steps.append(step._replace(state=replace(step.state, arm=replace(step.state.arm, engine=None))))
+        steps.append(step._replace(state=step.state.apart))
 
     runner = make_runner(env, agent, keep=keep)
 

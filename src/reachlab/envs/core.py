@@ -19,7 +19,7 @@ from reachlab.control.situation import Goal, Situation, shaped_within
 from reachlab.envs.delays import goal_seen
 from reachlab.envs.functions import EnvFunctions, EnvState, Stepped, Transition
 from reachlab.envs.packing import Computed
-from reachlab.envs.sampling import in_parts
+from reachlab.envs.sampling import AllAtOnce, InParts
 from reachlab.envs.setup import make_setup, settled
 from reachlab.jax_setup import jit, prepare
 from reachlab.render.marks import NO_PATH, TARGET_AXES, TOOL_AXES, Axes, Block, Marks
@@ -27,7 +27,7 @@ from reachlab.render.view_randomisation import develop, make_views
 from reachlab.robots.shapes.clearance import capsules_at
 from reachlab.settings.config import MOST_ENVS, RunConfig
 from reachlab.settings.validation import InputError, whole_number
-from reachlab.sims.simulator import BatchArray, Begin, SimState, make_simulator
+from reachlab.sims.simulator import BatchArray, SimState, make_simulator
 from reachlab.tasks.actions import ACTIONS
 from reachlab.tasks.observations import design_of
 from reachlab.tasks.scenes.balls import clearances
@@ -56,6 +56,8 @@ class Env:
         traced: whether JAX can trace everything.
         simulator: who moves the arms.
         functions: what happens before and after a step of it.
+        sample, parts, observed: what episodes begin with, these functions, and what is observed: traced, or compiled
+            one by one.
     """
 
     def __init__(self, config: RunConfig, num_envs: int, threads: int = 0) -> None:
@@ -88,14 +90,13 @@ class Env:
         simulated = self.simulator.kind == "traced"
         self.traced = simulated and not self.pictured
         limits = shaped_within(self.setup) if config.physics.shaping else None
-        f = self.functions = EnvFunctions(
-            self.setup, config.randomise, max(self.simulator.lag) > 0, self.pictured, limits, config.learner.memory
-        )
+        more = max(self.simulator.lag) > 0, self.pictured, limits, config.learner.memory
+        f = self.functions = EnvFunctions(self.setup, config.randomise, *more)
         # Traced with the simulator's steps or, where an engine takes most of the time, compiled one by one.
         parts = (f.sample_episode, f.chained_start, f.begin, f.command, f.judge, f.merge, f.continued)
-        self._parts = SimpleNamespace(**{one.__name__: one if simulated else self._part(one) for one in parts})
-        in_some = solved_for(setup) and not simulated
-        self._sample_some = in_parts(f.sample_episode, self._part) if in_some else None
+        self.parts = SimpleNamespace(**{one.__name__: one if simulated else self._part(one) for one in parts})
+        at_once = simulated or not solved_for(setup)
+        self.sample = AllAtOnce(self.parts.sample_episode) if at_once else InParts(f.sample_episode, self._part)
         # With pictures a simulator that can be traced is compiled here: only the pictures are drawn on the host.
         whole = self._whole = jit if simulated and self.pictured else lambda function: function
         self._init, self._reset = whole(self._init_all), whole(self._reset_some)
@@ -104,9 +105,9 @@ class Env:
             lambda q, here: clearances(robot.capsules, capsules_at(robot.chain, robot.capsules, q), here), brief=True
         )
         self._goal_seen = jit(functools.partial(goal_seen, setup.rules), brief=True)
-        self._observe, self._view_samples = self._part(f.observe), jit(f.view_samples, brief=True)
+        self.observed, self._view_samples = self._part(f.observe), jit(f.view_samples, brief=True)
 
-    def _part(self, function: Callable[..., Any]) -> Callable[..., Any]:
+    def _part(self, function: Callable[..., Any]) -> Computed:
         return Computed(kept(function, function.__name__, self.identity))
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
@@ -158,28 +159,24 @@ class Env:
         return replace(state, arm=replace(state.arm, bodies=self._own(bodies)))
 
     def _init_all(self, keys: Array, goal: Goal | None, held_out: bool) -> EnvState:
-        begin = self._sample(keys, goal, np.ones(len(keys), bool), held_out)
-        return self._parts.begin(self.simulator.reset(None, begin, None), begin)
+        begin = self.sample(keys, self._own(goal), np.ones(len(keys), bool), held_out)
+        arm = self.simulator.reset(None, begin, None)
+        return replace(self.parts.begin(replace(arm, engine=None), begin), arm=arm)
 
     def _reset_some(self, state: EnvState, mask: BatchArray, chained: float | None, goal: Goal | None) -> EnvState:
-        begin = self._sample(state.key, goal, mask)
+        begin = self.sample(state.key, self._own(goal), mask, False)
         if chained is not None:
-            begin = begin._replace(q=self._parts.chained_start(state, begin.q, chained))
+            begin = begin._replace(q=self.parts.chained_start(state, begin.q, chained))
         arm = self.simulator.reset(state.arm, begin, mask)
-        begun = replace(self._parts.begin(arm, begin), arm=arm)
-        return self._parts.merge(jnp.asarray(mask), begun, replace(state, arm=arm))
+        begun = replace(self.parts.begin(replace(arm, engine=None), begin), arm=arm)
+        return self.parts.merge(jnp.asarray(mask), begun, replace(state, arm=arm))
 
     def _own(self, given: Any) -> Any:
         return given if self.simulator.kind == "traced" else jax.tree.map(np.array, given)  # a caller may change it
 
-    def _sample(self, keys: Array, goal: Goal | None, mask: BatchArray, held_out: bool = False) -> Begin:
-        if self._sample_some is None:
-            return self._parts.sample_episode(keys, self._own(goal), held_out)
-        return self._sample_some(keys, goal, np.asarray(mask), held_out)
-
     def _repeat(self, times: int, state: EnvState, action: BatchArray, instead: Array | None) -> Stepped:
         def again(_: Any, before: Stepped) -> Stepped:
-            return self._parts.continued(before, self._step(before[0], action, instead))
+            return self.parts.continued(before, self._step(before[0], action, instead))
 
         stepped = self._step(state, action, instead)
         if self.simulator.kind == "traced" and times > 1:
@@ -189,10 +186,10 @@ class Env:
         return stepped
 
     def _step(self, state: EnvState, action: BatchArray, instead: Array | None) -> Stepped:
-        before = replace(state, arm=replace(state.arm, engine=None))
-        taken, command, motion = self._parts.command(before, self._own(action), instead)
+        before = state.apart
+        taken, command, motion = self.parts.command(before, self._own(action), instead)
         moved = self.simulator.step(state.arm, command)
-        after, transition = self._parts.judge(before, moved._replace(engine=None), command, taken, motion)
+        after, transition = self.parts.judge(before, moved._replace(engine=None), command, taken, motion)
         return replace(after, arm=replace(after.arm, engine=moved.engine)), transition
 
     # --- observations -----------------------------------------------------------------------------
@@ -203,7 +200,7 @@ class Env:
 
     def observe_now(self, state: EnvState, mask: np.ndarray | None = None) -> Observed:
         """Observation of a state, outside any trace; pictures are drawn for the environments of `mask [B]` alone."""
-        return self._observe(state, self.render_observation(state, mask))
+        return self.observed(state.apart, self.render_observation(state, mask))
 
     def situation(self, state: EnvState) -> Situation:
         """Situations that observations and agents may use: as measured, with noise where dynamics vary."""
@@ -223,8 +220,7 @@ class Env:
 
     def goal_seen(self, keys: Array, clock: BatchArray | None) -> np.ndarray:
         """Whether the goal is seen at steps `clock [B]` of the episodes with `keys [B]`, in which it may be hidden."""
-        hides = self.setup.rules.hides_goal
-        return np.asarray(self._goal_seen(keys, clock)) if hides else np.ones(len(keys), bool)
+        return np.asarray(self._goal_seen(keys, clock)) if self.setup.rules.hides_goal else np.ones(len(keys), bool)
 
     def render_situations(self, arm: SimState, goal: Goal, keys: Array, rows: np.ndarray) -> np.ndarray:
         """Pictures `[m, SIZE, SIZE]` uint8 of those `rows [m]` of arms and goals in episodes with `keys [B]`."""
@@ -280,8 +276,7 @@ class Env:
         here: Bodies = jax.tree.map(lambda rows: np.asarray(rows)[index], state.arm.bodies)
         touched = np.zeros(len(here.kind), bool)
         if len(touched) and np.asarray(state.arm.contact)[index].any():
-            q = np.asarray(state.arm.q)[index]
-            touched = np.asarray(self._clearances(q[None], here))[0] < TOUCHING
+            touched = np.asarray(self._clearances(np.asarray(state.arm.q)[index, None], here))[0] < TOUCHING
         kind, size = here.kind.tolist(), np.asarray(here.mujoco_size)
         moves = np.arange(len(kind)) >= len(kind) - self.setup.task.scene(self.setup).objects
         parts = (here.position, here.quaternion, kind, size, here.present.tolist(), touched.tolist(), moves.tolist())

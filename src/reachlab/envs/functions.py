@@ -72,6 +72,11 @@ class EnvState:
         """Distance of what is moved from where it has to be `[B]` [m]."""
         return self.errors.distance
 
+    @property
+    def apart(self) -> EnvState:
+        """The state without the engine's own, as what is compiled takes it."""
+        return replace(self, arm=replace(self.arm, engine=None))
+
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)

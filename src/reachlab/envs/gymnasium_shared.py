@@ -12,7 +12,8 @@ from gymnasium.vector import AutoresetMode
 
 from reachlab.control.situation import Goal
 from reachlab.envs.core import Env
-from reachlab.envs.episode_batch import EpisodeBatch, Now, Result
+from reachlab.envs.episode_batch import EpisodeBatch
+from reachlab.envs.episode_steps import Now, Result
 from reachlab.envs.functions import EnvState
 from reachlab.envs.given_goal import goal_at, make_place
 from reachlab.envs.setup import configure_env

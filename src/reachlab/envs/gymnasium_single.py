@@ -8,7 +8,7 @@ import gymnasium
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
-from reachlab.envs.episode_batch import Now
+from reachlab.envs.episode_steps import Now
 from reachlab.envs.functions import EnvState
 from reachlab.envs.gymnasium_shared import (
     METADATA,

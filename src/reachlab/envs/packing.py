@@ -11,8 +11,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.stages import Lowered
 
-from reachlab.jax_setup import jit
+from reachlab.jax_setup import COMPILERS, beside, jit
 
 MOST_SMALL, LEAST_LARGE = 16, 4096
 """Environments up to which, but for a single one, and from which on arrays are handed over by themselves.
@@ -130,11 +131,24 @@ class PackedResults:
     def __init__(self, function: Callable[..., tuple[Any, ...]], num_envs: int) -> None:
         """A function for batches of so many environments, which can be traced."""
         self._function, self._num_envs = function, num_envs
-        self._program = jit(self._packed, brief=True)
+        self._program = self._run = jit(self._packed, brief=True)
 
     def __call__(self, *arguments: Any) -> tuple[Any, ...]:
         """Its packed results."""
-        return self._program(*arguments)
+        return self._run(*arguments)
+
+    def ahead(self, *arguments: Any) -> tuple[Any, ...]:
+        """Shapes of its results for such arguments, or their shapes; it is compiled beside the main thread."""
+        lowered = self._program.lower(*arguments)
+        compiled = COMPILERS.submit(lowered.compile)
+
+        def first(*arguments: Any) -> tuple[Any, ...]:
+            compiled.result()  # JAX finds it then
+            self._run = self._program
+            return self._run(*arguments)
+
+        self._run = first
+        return jax.tree.map(alike, lowered.out_info)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
         """Itself: nothing changes after the first call."""
@@ -156,23 +170,31 @@ class Computed:
     def __init__(self, function: Callable[..., Any]) -> None:
         """A function of pytrees of arrays, which can be traced."""
         self._function = function
-        self._programs: dict[Any, Callable[..., Any]] = {}
+        self._programs: dict[Any, tuple[Callable[..., Any], Any]] = {}
 
     def __call__(self, *arguments: Any) -> Any:
         """What the function gives; what it was given is the caller's own."""
         given, structure = jax.tree.flatten(arguments)
         if structure in self._programs:
             with contextlib.suppress(TypeError):  # of other types than before
-                return self._programs[structure](given)
-        program = self._programs[structure] = self._compile(structure, given)
-        return program(given)
+                return self._programs[structure][0](given)
+        self._lower(structure, given, lambda lowered: lowered.compile())
+        return self._programs[structure][0](given)
+
+    def ahead(self, *arguments: Any) -> Any:
+        """Shapes of what it gives for such arguments, or their shapes; it is compiled beside the main thread."""
+        given, structure = jax.tree.flatten(arguments)
+        if structure not in self._programs:
+            self._lower(structure, given, lambda lowered: beside(lowered.compile))
+        return self._programs[structure][1]
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
         """Itself: what it learns is the same for all."""
         del memo
         return self
 
-    def _compile(self, structure: Any, given: list[Any]) -> Callable[[list[Any]], Any]:
+    def _lower(self, structure: Any, given: list[Any], compiled: Callable[[Lowered], Callable[..., Any]]) -> None:
+        """Keep the program for such arguments, as `compiled` gives it, and the shapes of what the function gives."""
         found: list[Any] = []
 
         def computed(*leaves: Any) -> list[Array]:
@@ -183,15 +205,23 @@ class Computed:
             found[:] = places, form
             return [leaf for leaf, place in zip(results, places, strict=True) if place is None]
 
-        program = jit(computed, brief=True).lower(*given).compile()
+        lowered = jit(computed, brief=True).lower(*given)
         places, form = found
+        program = compiled(lowered)
 
-        def call(given: list[Any]) -> Any:
-            new = iter(program(*given))
+        def merged(given: list[Any], computed: list[Any]) -> Any:
+            new = iter(computed)
             parts = [next(new) if at is None else given[at] if isinstance(at, int) else at for at in places]
             return jax.tree.unflatten(form, parts)
 
-        return call
+        shapes = jax.tree.map(alike, merged(list(map(jax.typeof, given)), lowered.out_info))
+        self._programs[structure] = (lambda given: merged(given, program(*given))), shapes
+
+
+def alike(example: Any, count: int | None = None) -> Any:
+    """Shape and type of an array or, with a count, of a batch of so many like it."""
+    shape = example.shape if count is None else (count, *example.shape[1:])
+    return jax.ShapeDtypeStruct(shape, example.dtype)
 
 
 def _is_key(dtype: Any) -> bool:
