@@ -25,8 +25,10 @@ from reachlab.cli import main as cli
 from reachlab.envs.core import Env
 from reachlab.envs.presets import configure
 from reachlab.jax_setup import jit
+from reachlab.learn.checkpointing import UnwritableError
 from reachlab.learn.load import load_policy
 from reachlab.learn.ppo_method import TrainState, initial_state
+from reachlab.learn.train import _held
 from reachlab.runs.checkpoint import Counters, seal
 from reachlab.runs.directory import RunDirectory
 from reachlab.runs.files import write_json, written
@@ -359,6 +361,31 @@ def test_a_training_that_never_began_is_not_in_the_way(tmp_path: Path, config: R
     unbegun.metrics_file.write_text("")
     unbegun.refuse_existing()
     assert not unbegun.path.exists()
+
+
+def test_what_is_to_be_resumed_stays_though_nothing_was_saved(tmp_path: Path, config: RunConfig) -> None:
+    run = RunDirectory(tmp_path / "run")
+    for error, stays in ((UnwritableError("last checkpoint: no room", "train"), True), (InputError("refused"), False)):
+        run.refuse_existing()
+        run.create(config)
+        with pytest.raises(InputError), _held(run, new=True):
+            raise error
+        assert run.path.exists() == stays
+
+
+def test_one_of_many_threads_makes_a_directory_and_leaves_it(tmp_path: Path, config: RunConfig) -> None:
+    def make(_: int) -> str | None:
+        try:
+            RunDirectory(tmp_path / "run").create(config)
+        except InputError as error:
+            return str(error)
+        return None
+
+    with ThreadPoolExecutor(8) as pool:
+        refused = list(filter(None, pool.map(make, range(8))))
+    assert len(refused) < 8
+    assert {one.name for one in tmp_path.iterdir()} == {"run"}
+    assert (tmp_path / "run/config.json").is_file()
 
 
 @pytest.mark.parametrize(("name", "why"), [("x" * 5000, "File name too long"), ("file/run", "Not a directory")])

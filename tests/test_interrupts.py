@@ -12,7 +12,7 @@ import pytest
 from reachlab.cli import main as cli
 from reachlab.cli.flags import List
 from reachlab.cli.verbs import VERBS, Verb
-from reachlab.learn.interrupts import ASKING, Interrupted, Interrupts, raise_on_termination
+from reachlab.learn.interrupts import ASKING, Interrupted, Interrupts, hear, raise_on_termination, spared
 
 
 @pytest.fixture(autouse=True)
@@ -41,6 +41,26 @@ def test_where_nothing_would_be_lost_the_first_signal_raises() -> None:
         with pytest.raises(Interrupted) as raised:
             signal.raise_signal(signal.SIGTERM)
     assert (raised.value.status, interrupts.received) == (143, signal.SIGTERM)
+
+
+def test_while_a_library_is_imported_a_signal_waits() -> None:
+    raise_on_termination()
+    imported = []
+
+    def load() -> None:
+        with spared():
+            signal.raise_signal(signal.SIGTERM)
+            imported.append(True)
+
+    with pytest.raises(Interrupted) as raised:
+        load()
+    assert (raised.value.status, imported) == (143, [True])
+    hear()
+    with spared():
+        pass
+    with pytest.raises(Interrupted):
+        signal.raise_signal(signal.SIGTERM)
+    hear()
 
 
 DEAF = """

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reachlab.envs.packing import Apart, Computed, Packed, PackedResults
+from reachlab.envs.packing import Apart, Computed, Packed, PackedResults, alike
 
 COUNTS = (1, 2, 17)
 """Environments: packed, each array by itself, and packed again."""
@@ -47,6 +47,25 @@ def test_what_is_packed_comes_out_as_it_was(count: int) -> None:
         assert isinstance(leaf, np.ndarray)
         assert leaf.dtype == plain[name].dtype
         np.testing.assert_array_equal(leaf, plain[name])
+
+
+@pytest.mark.parametrize("count", COUNTS)
+def test_what_is_compiled_ahead_has_the_shapes_that_it_gives_and_is_compiled_once(count: int) -> None:
+    traces: list[Any] = []
+
+    def traced(keys: Any, held: Any) -> Any:
+        traces.append(keys)
+        return *everything(keys), held
+
+    keys, held = jax.random.split(jax.random.key(0), count), np.arange(count, dtype=np.int32)
+    handed, computed = PackedResults(traced, count), Computed(traced)
+    for function in (handed, computed):
+        shapes = function.ahead(jax.eval_shape(lambda: keys), alike(held))
+        found = function(keys, held)
+        same = jax.tree.map(lambda a, b: (a.shape, a.dtype) == (b.shape, b.dtype), shapes, found)
+        assert jax.tree.all(same)
+    assert len(traces) == 2
+    assert computed(keys, held)[2] is held
 
 
 @pytest.mark.parametrize("count", COUNTS)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import os
 import subprocess
@@ -18,6 +19,7 @@ import pytest
 
 import reachlab
 from reachlab import traced
+from reachlab.jax_setup import CACHE, use_compilation_cache
 from reachlab.settings import extensions
 
 
@@ -108,6 +110,28 @@ def test_what_is_damaged_is_made_anew(folder: Path, damage: Any) -> None:
     assert function.traces == 2
     run(function)
     assert function.traces == 2
+
+
+def test_where_there_is_no_room_nothing_is_left(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(_path: Path, _target: Path) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Path, "replace", full)
+    run(Counted())
+    assert not list(folder.iterdir())
+
+
+def test_programs_that_a_full_disk_left_empty_are_removed(folder: Path) -> None:
+    before = jax.config.values[CACHE]
+    (folder / "jit_left-cache").touch()
+    (folder / "jit_whole-cache").write_text("whole")
+    jax.config.update(CACHE, str(folder))
+    try:
+        use_compilation_cache()
+    finally:
+        jax.config.update(CACHE, before)
+        use_compilation_cache()
+    assert [one.name for one in folder.glob("*-cache")] == ["jit_whole-cache"]
 
 
 def test_what_names_an_object_of_this_process_is_not_kept(folder: Path) -> None:

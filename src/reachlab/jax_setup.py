@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 from collections.abc import Callable
@@ -79,6 +80,7 @@ def use_compilation_cache() -> None:
     jax.config.update(CACHE, folder)
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
+    _remove_empty(Path(folder))
     keep_in(Path(folder) / "traced")
 
 
@@ -106,6 +108,15 @@ def keep_compiled() -> None:
     if jax.config.values[CACHE] is None and not _folder_refused(folder):
         jax.config.update(CACHE, str(folder))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
+        _remove_empty(folder)
+
+
+def _remove_empty(folder: Path) -> None:
+    """Remove entries that a full disk left empty: JAX neither reads them nor writes them again."""
+    with contextlib.suppress(OSError):
+        for entry in os.scandir(folder):
+            if entry.is_file() and not entry.stat().st_size:
+                Path(entry).unlink()
 
 
 def _folder_refused(folder: Path) -> bool:

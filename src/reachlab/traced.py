@@ -160,7 +160,8 @@ def _write(file: Path, program: export.Exported, form: Any) -> None:
     """Keep an entry, if the disk allows it."""
     content = json.dumps(form).encode() + b"\n" + bytes(program.serialize())
     part = file.with_suffix(f".{os.getpid()}.part")
-    with contextlib.suppress(OSError):
+    with contextlib.suppress(OSError), contextlib.ExitStack() as put_away:
+        put_away.callback(part.unlink, missing_ok=True)
         file.parent.mkdir(parents=True, exist_ok=True)
         part.write_bytes(hashlib.sha256(content).digest() + content)
         part.replace(file)

@@ -174,6 +174,15 @@ def test_observe_and_discount_are_those_of_the_state(made: tuple[Any, Any]) -> N
     assert not env.is_truncated(state, params)
 
 
+def test_an_action_has_as_many_numbers_as_the_environment_says(made: tuple[Any, Any]) -> None:
+    env, params = made
+    _, state = env.reset(jax.random.key(0), params)
+    assert env.action_space().shape == (env.num_actions,)
+    for action in (0, np.zeros(env.num_actions + 1), np.zeros((2, env.num_actions))):
+        with pytest.raises(InputError, match=r"action has shape .*, and this environment takes \(3,\)\."):
+            env.step(jax.random.key(0), state, action, params)
+
+
 # --- what is refused ------------------------------------------------------------------------------
 
 

@@ -26,7 +26,7 @@ from reachlab.cli.sweep_flags import Sweep
 from reachlab.cli.verbs import VERBS
 from reachlab.envs.presets import CHOICES, of_other_tasks, preset
 from reachlab.envs.uses import unused
-from reachlab.learn.interrupts import EXIT_BASE, asked, end_if_deaf, raise_on_termination
+from reachlab.learn.interrupts import EXIT_BASE, asked, end_if_deaf, hear, raise_on_termination
 from reachlab.settings.config import DistilRunConfig, RunConfig
 from reachlab.settings.extensions import extended, import_extension, import_installed
 from reachlab.settings.json_form import flatten, to_json
@@ -153,7 +153,7 @@ def _run(words: list[str]) -> int:
         _say(error)
         return NOT_FINITE
     except KeyboardInterrupt as interruption:
-        asked.clear()  # it has come to where it is heard
+        hear()
         _say(str(interruption) or "interrupted.")
         return vars(interruption).get("status", INTERRUPTED)
     return DONE

@@ -6,6 +6,7 @@ import gc
 import os
 from importlib import import_module
 
+from reachlab.learn.interrupts import spared
 from reachlab.settings.validation import InputError
 
 COLLECTED_AFTER = 50_000
@@ -24,11 +25,13 @@ def prepare() -> None:
     """
     gc.set_threshold(COLLECTED_AFTER)
     os.environ.setdefault("JAX_PLATFORMS", "cpu")
-    from reachlab.jax_setup import use_compilation_cache
+    with spared():
+        from reachlab.jax_setup import use_compilation_cache
 
     use_compilation_cache()
     try:
-        import_module("mujoco")
+        with spared():
+            import_module("mujoco")
     except Exception as error:
         if "MUJOCO_GL" not in os.environ:
             raise

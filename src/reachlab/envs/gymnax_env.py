@@ -60,6 +60,11 @@ class GymnaxEnv(environment.Environment[GymnaxState, environment.EnvParams]):
         return f"reachlab/{self._env.config.task}"
 
     @property
+    def num_actions(self) -> int:
+        """Numbers in an action."""
+        return len(self._env.action_bounds[0])
+
+    @property
     def default_params(self) -> environment.EnvParams:
         """Parameters with the task's own time limit."""
         return environment.EnvParams(max_steps_in_episode=self._env.config.rules.max_steps)
@@ -77,6 +82,8 @@ class GymnaxEnv(environment.Environment[GymnaxState, environment.EnvParams]):
     ) -> tuple[Array, GymnaxState, Array, Array, dict[Any, Any]]:
         """Result of an action `[a]`: observation `[k]`, state, reward, terminated, info; nothing in it is random."""
         del key, params
+        if jnp.shape(action) != (wanted := (self.num_actions,)):
+            raise InputError(f"action has shape {jnp.shape(action)}, and this environment takes {wanted}.")
         episode, done = self._env.step(_batch(state.episode), jnp.asarray(action)[None])
         episode, done = _single(episode), _single(done)
         info = {"is_success": done.terms["success"], **named_errors(self._env.setup, done.errors)}

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import socket
 import threading
 import time
+from collections.abc import Iterator
 from types import FrameType, TracebackType
 from typing import Any, Self
 
@@ -41,6 +43,12 @@ asked: list[int] = []
 
 _lost_counts: list[bool] = []
 """Holds something in a process that is one command's own: there what a signal raised, and was lost, is raised again."""
+
+_spared: list[bool] = []
+"""Holds something while a library is imported."""
+
+_said: list[bool] = []
+"""Holds something once a command has said that it was interrupted: then it only has to end."""
 
 _entered: list[Interrupts] = []
 """Those that are entered, and those that had something to save: what follows them, as closing a log, is spared too."""
@@ -106,7 +114,27 @@ def _raise(number: int, frame: FrameType | None) -> None:
     asked.append(number)
     if number == HANGUP:
         signal.signal(number, signal.SIG_IGN)  # the second one must not interrupt what is being put away
-    raise Interrupted(number)
+    if not _spared:
+        raise Interrupted(number)
+
+
+def hear() -> None:
+    """What was raised has come to where it is said."""
+    asked.clear()
+    _said.append(True)
+
+
+@contextlib.contextmanager
+def spared() -> Iterator[None]:
+    """While libraries are imported a signal is only noted, and raises after that: half imported they may crash."""
+    before = len(asked)
+    _spared.append(True)
+    try:
+        yield
+    finally:
+        _spared.clear()
+    if noted := asked[before:]:
+        raise Interrupted(noted[0])
 
 
 def end_if_deaf() -> None:
@@ -131,7 +159,8 @@ def _end_later(hearing: socket.socket, told: socket.socket) -> None:
         if number in ASKING:
             time.sleep(PATIENCE)
             if all(one.at_once for one in _entered):
-                os.write(2, b"reachlab: interrupted.\n")
+                if not _said:
+                    os.write(2, b"reachlab: interrupted.\n")
                 os._exit(EXIT_BASE + number)
 
 

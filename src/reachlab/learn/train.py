@@ -17,7 +17,7 @@ from reachlab.evaluation.episodes import Watch, ignore
 from reachlab.evaluation.report import Report, examine
 from reachlab.jax_setup import set_threads
 from reachlab.learn import METHODS
-from reachlab.learn.checkpointing import unwritable
+from reachlab.learn.checkpointing import UnwritableError, unwritable
 from reachlab.learn.interrupts import Interrupts
 from reachlab.learn.learner import check_memory
 from reachlab.learn.loop import Loop, Progress
@@ -133,8 +133,8 @@ def _held(run: RunDirectory, *, new: bool) -> Iterator[None]:
     try:
         with locked(run.path):
             yield
-    except InputError:
-        if new:
+    except InputError as error:
+        if new and not isinstance(error, UnwritableError):  # what is there then is what it is resumed from
             run.remove_unbegun()
         raise
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import difflib
 import logging
-import os
+import secrets
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from shlex import quote
@@ -71,7 +71,7 @@ class RunDirectory:
 
         self.refuse_existing()
         robot = {"sha256": find_model_file(config.robot, config.package).digest}
-        temporary = self.path.parent / f".{self.path.name}.{os.getpid()}.tmp"
+        temporary = self.path.parent / f".{self.path.name}.{secrets.token_hex(4)}.tmp"
         try:
             temporary.mkdir(parents=True)
             write_json(temporary / self.config_file.name, to_json(config))
