@@ -31,16 +31,16 @@ def steps_ahead(env: Env) -> None:
     """Begin to compile what episodes begin with and what is before and after the engine's steps."""
     if known_ahead(env):
         state = begin_ahead(env)
-        taken, command, motion = env.parts.command.ahead(state, actions(env), None)
-        env.parts.judge.ahead(state, moved(state.arm), command, taken, motion)
+        taken, command, motion = env.parts.command.ahead(state, no_actions(env), None)
+        env.parts.judge.ahead(state, moved_like(state.arm), command, taken, motion)
 
 
-def actions(env: Env) -> np.ndarray:
+def no_actions(env: Env) -> np.ndarray:
     """Actions `[B, a]` of nothing."""
     return np.zeros((env.num_envs, len(env.action_bounds[0])), np.float32)
 
 
-def moved(arm: SimState) -> Moved:
+def moved_like(arm: SimState) -> Moved:
     """What a step gives of such arms, without the engine's own."""
     return Moved(arm.q, arm.qd, arm.bodies, arm.contact, arm.opening, wrench=arm.wrench)
 

@@ -12,7 +12,7 @@ from gymnasium.vector import AutoresetMode
 from jax import Array
 
 from reachlab.control.situation import Goal
-from reachlab.envs.ahead import actions, begin_ahead, known_ahead, moved
+from reachlab.envs.ahead import begin_ahead, known_ahead, moved_like, no_actions
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvFunctions, EnvState, Transition, named_errors
 from reachlab.envs.packing import AsTheyAre, PackedResults
@@ -176,8 +176,8 @@ class HostSteps(Steps):
         if known_ahead(self._env) and not self._pack.packings:
             state = begin_ahead(self._env)
             (packed,) = self._pack.ahead(state)
-            (given,) = self._before.ahead(packed, actions(self._env))
-            self._after.ahead(packed, given, moved(state.arm))
+            (given,) = self._before.ahead(packed, no_actions(self._env))
+            self._after.ahead(packed, given, moved_like(state.arm))
 
     def state(self, held: Any) -> EnvState:
         """See `Steps.state`."""
