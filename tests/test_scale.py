@@ -25,7 +25,7 @@ from reachlab.robots.loading import load_robot
 from reachlab.runs.directory import RunDirectory, read_config
 from reachlab.runs.files import write_json
 from reachlab.scale.cluster import Cluster
-from reachlab.scale.engines import LocalEngine, RayEngine
+from reachlab.scale.engines import LocalEngine, RayEngine, heard
 from reachlab.scale.goals import GOALS, check_goal
 from reachlab.scale.rollouts import RayRollouts, divide
 from reachlab.scale.space import dimensions, read_space
@@ -547,8 +547,12 @@ def test_a_training_that_ray_cancels_where_it_notes_no_signals_has_ended(tmp_pat
         while True:
             time.sleep(0.05)
 
+    def in_the_background() -> None:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # as a shell's script begins it
+        heard(training)()
+
     engine = RayEngine(1)
-    engine._run = ray.remote(max_retries=0)(training)
+    engine._run = ray.remote(max_retries=0)(in_the_background)
     order = engine.start()
     while not begun.exists():
         time.sleep(0.05)

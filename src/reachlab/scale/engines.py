@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -89,6 +91,16 @@ class LocalEngine:
         self._processes.clear()
 
 
+def heard(training: Callable[..., None]) -> Callable[..., None]:
+    """A training as a task of Ray, which cancels by SIGINT: what a script began in the background ignores that."""
+
+    def task(*order: Any) -> None:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        training(*order)
+
+    return task
+
+
 class RayEngine:
     """Trainings as Ray tasks; see `Engine`. All nodes have to see the sweep's folder at the same path."""
 
@@ -101,7 +113,7 @@ class RayEngine:
         self._cluster = Cluster(address, workers)
         self._ray = self._cluster.ray
         # A new process for each: the last one's memory is gone, and a death concerns it alone.
-        self._run = self._ray.remote(num_cpus=1, max_retries=0, max_calls=1)(run_training)
+        self._run = self._ray.remote(num_cpus=1, max_retries=0, max_calls=1)(heard(run_training))
         self._tasks = list[Any]()
 
     def start(self, *order: Any) -> Any:
