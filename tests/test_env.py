@@ -15,6 +15,7 @@ import pytest
 
 from params import tried
 from reachlab.agents.acting import make_act
+from reachlab.envs.ahead import steps_ahead
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState, Transition
 from reachlab.envs.presets import configure
@@ -378,4 +379,19 @@ def test_a_share_of_episodes_begins_where_the_last_one_ended_if_that_is_inside(s
     assert not np.allclose(np.asarray(begun.goal.position), np.asarray(state.goal.position), atol=1e-3)
     outside = replace(inside, arm=replace(inside.arm, tool_position=inside.arm.tool_position + 1.0))
     np.testing.assert_allclose(np.asarray(reset(outside, np.ones(200, bool), 1.0).arm.q), home, atol=1e-6)
+    env.close()
+
+
+@pytest.mark.parametrize(("task", "sim"), [("precise", "mujoco"), ("clutter", "mujoco"), ("push", "pybullet")])
+def test_what_is_compiled_ahead_is_what_episodes_and_their_steps_need(task: str, sim: str) -> None:
+    env = Env(configure(task, sim=sim), 2)
+    steps_ahead(env)
+    parts = [env.parts.begin, env.parts.command, env.parts.judge, env.observed]
+    parts.append(env.sample._sample)
+    ahead = [dict(part._programs) for part in parts]
+    state = env.init(env_keys(0, 2))
+    env.observe_now(state)
+    env.step(state, np.zeros((2, len(env.action_bounds[0])), np.float32))
+    assert [part._programs for part in parts] == ahead
+    assert list(map(len, ahead)) == [1] * len(parts)
     env.close()
