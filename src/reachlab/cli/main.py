@@ -26,7 +26,7 @@ from reachlab.cli.sweep_flags import Sweep
 from reachlab.cli.verbs import VERBS
 from reachlab.envs.presets import CHOICES, of_other_tasks, preset
 from reachlab.envs.uses import unused
-from reachlab.learn.interrupts import EXIT_BASE, asked, end_if_deaf, hear, raise_on_termination
+from reachlab.learn.interrupts import EXIT_BASE, asked, end_at_once, end_if_deaf, hear, raise_on_termination
 from reachlab.settings.config import DistilRunConfig, RunConfig
 from reachlab.settings.extensions import extended, import_extension, import_installed
 from reachlab.settings.json_form import flatten, to_json
@@ -38,14 +38,12 @@ DONE, WRONG_INPUT, NOT_FINITE, INTERRUPTED = 0, 2, 3, 130
 UNREAD = 141
 """Exit status where the reader of the results has gone, as in `reachlab list | head -1`: the one of SIGPIPE."""
 
-
 MORE: dict[type, str] = {
     Train: "\n\nNo flag is needed. The first group is enough for most runs, with --reward and --total-steps; the other"
     " groups change the rules of the task, the physics and the training. In brackets: defaults. Flags without effect on"
     " the task, simulator, action and reward that are chosen are not shown.",
 }
 """Added to the docstring in the help of some commands."""
-
 
 NUMBERS = ConstructorRegistry()
 """How flags that are whole numbers are read."""
@@ -88,10 +86,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return _run(list(sys.argv[1:] if arguments is None else arguments))
         finally:
             sys.stdout.flush()
-            # Else what is left is looked through as Python ends, for half a second after a training. OMPL lists what
-            # is left then as lost.
-            if arguments is None and "ompl" not in sys.modules:
-                gc.freeze()
+            if arguments is None:
+                end_at_once()
+                # Else what is left is looked through as Python ends, for half a second after a training. OMPL lists
+                # what is left then as lost.
+                if "ompl" not in sys.modules:
+                    gc.freeze()
     except ImportError:
         if not asked:
             raise

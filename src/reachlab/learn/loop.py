@@ -183,7 +183,11 @@ class Loop:
         row |= {"steps": self.now.steps, "wall_s": self.now.loop_s, "steps_per_second": self.steps_per_second}
         metrics.write(row)
         elapsed = time.perf_counter() - self.start
-        self.watch(Progress(self.now.steps, settings.total_steps, row, elapsed, partial(self._examine, state)))
+        try:
+            self.watch(Progress(self.now.steps, settings.total_steps, row, elapsed, partial(self._examine, state)))
+        except BaseException:  # who watches may end a training so
+            self._try_to_save(state, metrics)
+            raise
         return state
 
     def _count(self, row: dict[str, float]) -> None:

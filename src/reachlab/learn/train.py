@@ -27,6 +27,7 @@ from reachlab.runs.directory import RunDirectory
 from reachlab.runs.files import write_json
 from reachlab.runs.lock import locked
 from reachlab.runs.metrics import Metrics, cut_metrics
+from reachlab.runs.shipped import refuse_sweep
 from reachlab.runs.sinks import Sink, make_sinks
 from reachlab.settings.config import DistilRunConfig, RunConfig
 from reachlab.settings.json_form import override
@@ -85,7 +86,7 @@ def train(
     Args:
         config: every setting.
         out: run directory, made here; with `resume` one that is there.
-        watch: called after every iteration.
+        watch: called after every iteration; what it raises ends the training, which is saved.
         watch_report: called with the number of episodes of the report that have ended, now and then.
         begun: called once nothing is refused any more, before the programs of a new run are compiled.
         resume: continue from the newest checkpoint of `out`, bit for bit (but for objects in PyBullet) as if unstopped.
@@ -182,6 +183,7 @@ def _check_shared(env: Env, method: Method) -> None:
 
 
 def _check_unfinished(run: RunDirectory, config: RunConfig) -> None:
+    refuse_sweep(run)
     run.read_unfinished(config)
     if run.finished:
         raise InputError(f"run '{run.path}' is finished: its report is '{run.report_file}'.")
@@ -210,9 +212,12 @@ def _train(
             begun()
         with Interrupts() as interrupts:
             state = loop.iterate(state, metrics, interrupts)
-        result = _result(loop, state.learner.policy, watch_report)
         try:
+            result = _result(loop, state.learner.policy, watch_report)
             write_json(run.report_file, result.to_json())
+        except KeyboardInterrupt as interruption:
+            interruption.args = (f"interrupted in its report; {loop.checkpoints.how_to_resume()}",)
+            raise
         except OSError as error:
             raise unwritable("report", run, error, config.verb) from None
         metrics.finish(result.to_json())

@@ -60,6 +60,7 @@ class RunDirectory:
         self.offending_file = path / "not_finite.safetensors"
         self.checkpoints = path / "checkpoints"
         self.reports = path / "reports"
+        self.sweep_file = path / "sweep.json"
 
     def create(self, config: RunConfig) -> None:
         """Make the directory with the configuration and the hash of the robot's files in it, the first of all files.

@@ -23,7 +23,8 @@ def find_run(run: str | Path) -> RunDirectory:
     """Run directory at a path, or that of a policy which comes with reachlab, by its name.
 
     Raises:
-        InputError: nothing is there, and the name is an arm's, or nearly that of a policy; or it is no path.
+        InputError: nothing is there, and the name is an arm's, or nearly that of a policy; or it is no path, or that
+            of a sweep.
     """
     if not isinstance(run, str | os.PathLike):
         raise InputError(
@@ -33,8 +34,20 @@ def find_run(run: str | Path) -> RunDirectory:
     path = Path(run)
     of_arm = {name: policy for name, policy in shipped().items() if path.parts[:1] == Path(name).parts[:1]}
     if path.exists() or len(path.parts) > 2 or not of_arm:
-        return RunDirectory(path)
+        directory = RunDirectory(path)
+        refuse_sweep(directory)
+        return directory
     return of_arm[choose("policy", path.as_posix(), of_arm)]
+
+
+def refuse_sweep(run: RunDirectory) -> None:
+    """Refuse the folder of a sweep, which has settings as that of a run has.
+
+    Raises:
+        InputError: it is one.
+    """
+    if run.sweep_file.is_file():
+        raise InputError(f"'{run.path}' is a sweep: its runs are the folders in '{run.path / 'trials'}'.")
 
 
 def is_shipped(run: RunDirectory) -> bool:

@@ -29,9 +29,6 @@ from reachlab.settings.validation import InputError, choose
 LOOK = 0.25
 """Time between two looks at the trainings [s]."""
 
-SETTINGS = "sweep.json"
-"""File that holds what decides a sweep; the settings of its trainings are in `config.json`, as those of a run."""
-
 
 @dataclass(frozen=True)
 class SweepProgress:
@@ -74,7 +71,7 @@ def read_sweep(path: Path) -> SweepConfig:
     Raises:
         InputError: there is none here.
     """
-    file = path / SETTINGS
+    file = RunDirectory(path).sweep_file
     if not file.is_file():
         raise InputError(f"'{path}' is no sweep: begin one with `reachlab sweep SPACE --out {path}`.")
     try:
@@ -128,7 +125,7 @@ def sweep(
         folder = run.path / "trials"
         folder.mkdir(exist_ok=True)
         with locked(run.path):
-            write_json(run.path / SETTINGS, vars(settings))
+            write_json(run.sweep_file, vars(settings))
             study = Study(run.path / "study.journal", space, goal, config)
             under_way = Trials(settings, config, folder, study, carrier)
             left, trials = True, settings.trials

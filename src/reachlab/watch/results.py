@@ -15,6 +15,7 @@ from reachlab.envs import presets
 from reachlab.envs.presets import preset
 from reachlab.evaluation.intervals import student_half_width
 from reachlab.runs.directory import RunDirectory
+from reachlab.runs.shipped import refuse_sweep
 from reachlab.settings.extensions import import_remembered
 from reachlab.settings.json_form import flatten, to_json
 from reachlab.settings.validation import InputError
@@ -124,10 +125,10 @@ def read_settings(run: Path) -> dict[str, Any]:
     Raises:
         InputError: there is no such folder, it is that of a sweep, or its configuration cannot be read.
     """
-    RunDirectory(run).check_there()
-    if (run / "sweep.json").is_file():
-        raise InputError(f"'{run}' is a sweep: its runs are the folders in '{run / 'trials'}'.")
-    flat = flatten(RunDirectory(run).read_settings())
+    directory = RunDirectory(run)
+    directory.check_there()
+    refuse_sweep(directory)
+    flat = flatten(directory.read_settings())
     flat.pop("seed", None)
     return flat
 
