@@ -263,7 +263,9 @@ class Sensor:
         return self.numbers.astype(dtype)
 
 
-ODD = [10**400, [10**400] * 7, [1j] * 7, Raising(), [Raising()] * 7, object(), {}, "seven"]
+MASKED = np.ma.array([0.1] * 7, mask=[True] + [False] * 6)
+NO_NUMBERS = [np.full(7, 1j), ["0.1"] * 7, [True] * 7, MASKED]
+ODD = [10**400, [10**400] * 7, [1j] * 7, Raising(), [Raising()] * 7, object(), {}, "seven", *NO_NUMBERS]
 
 
 @pytest.mark.parametrize("odd", ODD, ids=lambda odd: str(odd)[:20])

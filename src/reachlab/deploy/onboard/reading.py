@@ -12,11 +12,15 @@ UNREADABLE = "not made of numbers"
 
 
 def read_numbers(value: Any) -> Any:
-    """An array of floats that nobody else holds; None of None, and `UNREADABLE` of what is not made of numbers."""
+    """An array of floats that nobody else holds; None of None, and `UNREADABLE` of what is not made of real numbers.
+
+    As are words, truth values and numbers with an imaginary part; and where a mask says that a number is none.
+    """
     if value is None:
         return None
     try:
-        return np.array(value, float)
+        found = np.asarray(value)
+        return UNREADABLE if found.dtype.kind not in "fiu" or np.ma.is_masked(value) else np.array(found, float)
     except Exception:  # a caller's object may raise anything, and an arm that moves has to be stopped in order
         return UNREADABLE
 
