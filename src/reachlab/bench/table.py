@@ -27,7 +27,7 @@ def to_markdown(rows: Sequence[Row]) -> str:
     cells: dict[tuple[str, str], dict[str, str]] = {}
     for one in rows:
         line, _, column = one["name"].partition("/")
-        cells.setdefault((line, one["unit"]), {})[column] = _cell(one)
+        cells.setdefault((line, one["unit"]), {})[column] = cell(one)
     columns = list(dict.fromkeys(column for line in cells.values() for column in line))
     lines = [["", *columns], ["---", *["---:"] * len(columns)]]
     for (line, unit), values in cells.items():
@@ -39,11 +39,17 @@ def to_markdown(rows: Sequence[Row]) -> str:
     return f"{table}\n\nOn {machine()}; {made}.{brackets}\n"
 
 
-def _cell(one: Row) -> str:
+def cell(one: Row) -> str:
+    """A measurement's value, as people read it."""
     if one["unit"] != "rate":
         return f"{one['value']:.3g}" if abs(one["value"]) < THOUSAND else f"{one['value']:,.0f}"
     lowest = one["config"].get("lowest_seed")
     return f"{100 * one['value']:.2f} %" + (f" ({100 * lowest:.2f})" if lowest is not None else "")
+
+
+def settings(one: Row) -> str:
+    """What a measurement was taken with, as people read it."""
+    return ", ".join(f"{name} {value}" for name, value in one["config"].items())
 
 
 def machine() -> str:

@@ -29,7 +29,7 @@ from reachlab.settings.validation import choose
 def bench(arguments: Bench) -> None:
     """Run `reachlab bench`."""
     prepare()
-    from reachlab.bench.table import to_markdown
+    from reachlab.bench.table import cell, settings, to_markdown
     from reachlab.cli.console import print_table
 
     rows = run_suite(arguments.suite)
@@ -38,7 +38,7 @@ def bench(arguments: Bench) -> None:
     elif arguments.markdown:
         print(to_markdown(rows), end="")
     else:
-        cells = [(row["name"], f"{row['value']:.4g}", row["unit"], str(row["config"])) for row in rows]
+        cells = [(row["name"], cell(row), row["unit"], settings(row)) for row in rows]
         print_table(f"suite {arguments.suite}", ("measurement", "value", "unit", "configuration"), cells)
 
 
