@@ -22,6 +22,7 @@ from PIL import Image
 from reachlab.agents import AGENTS
 from reachlab.bench import SUITES
 from reachlab.cli import main as cli
+from reachlab.cli import train_command
 from reachlab.cli.flags import EVALUATED, Train, no_goals
 from reachlab.cli.verbs import VERBS
 from reachlab.envs.consistency import NAMES
@@ -431,6 +432,13 @@ def test_without_flags_the_tutorials_task_is_trained() -> None:
 
 def test_of_a_flag_given_twice_the_last_one_counts() -> None:
     assert cli._parse("train", Train, ["--reward", "dense", "--reward=sparse"]).run == configure(reward="sparse")
+
+
+def test_a_curve_for_which_there_is_no_place_is_told_of_and_nothing_else_is_lost(
+    run: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert train_command._draw(run, run / "report.json" / "curve.png") == ()
+    assert f"Once that is mended: reachlab plot {run}" in capsys.readouterr().err
 
 
 def test_a_trained_run_has_its_curve_and_is_evaluated_and_drawn(trained: tuple[Path, Said], reachlab: Shell) -> None:

@@ -92,6 +92,28 @@ def test_a_signal_ends_a_process_that_does_not_hear_it_unless_it_saves(kind: str
         assert ("Interrupted: interrupted." in process.stderr.read()) == (kind == "begins")
 
 
+QUIET = """
+import time
+from reachlab.learn.interrupts import end_at_once, end_if_deaf, raise_on_termination
+raise_on_termination()
+end_if_deaf()
+end_at_once()
+print("up", flush=True)
+time.sleep(3)
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+def test_a_process_that_has_done_its_work_ends_without_a_word(number: int) -> None:
+    pipe = subprocess.PIPE
+    with subprocess.Popen([sys.executable, "-c", QUIET], stdout=pipe, stderr=pipe, text=True) as process:
+        assert process.stdout
+        assert process.stderr
+        assert process.stdout.readline() == "up\n"
+        process.send_signal(number)
+        assert (process.wait(20), process.stderr.read()) == (-number, "")
+
+
 def test_a_closed_terminal_that_says_so_twice_ends_nothing_at_once() -> None:
     with Interrupts() as interrupts:
         signal.raise_signal(signal.SIGHUP)

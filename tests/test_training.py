@@ -233,6 +233,25 @@ def test_a_watch_is_told_every_row(tutorial: Trained) -> None:
 
 
 @pytest.mark.slow
+def test_who_watches_may_end_a_training_or_its_report_and_nothing_is_lost(tmp_path: Path) -> None:
+    config, out = configure(**TINY), tmp_path / "run"
+
+    def end(progress: Progress) -> None:
+        if progress.steps == 512:
+            raise StopAsyncIteration
+
+    def interrupt(_: int) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(StopAsyncIteration):
+        train(config, out, end)
+    assert RunDirectory(out).checkpoint_steps() == [512]
+    told = r"interrupted in its report; step 1,024 is saved: `reachlab train --resume \S+` continues from there"
+    with pytest.raises(KeyboardInterrupt, match=told):
+        train(config, out, watch_report=interrupt, resume=True)
+    assert train(config, out, resume=True).report.episodes == 10
+
+
 def test_the_same_seed_gives_the_same_bytes_in_another_process(tmp_path: Path) -> None:
     script = IN_A_FRESH_PROCESS.format(tiny=TINY)
     command = [sys.executable, "-c", script, str(tmp_path / "there")]

@@ -75,19 +75,31 @@ def _learn(arguments: Train | Distil, config: RunConfig, verb: str) -> None:
             result = run_training(config, out, display, watch_report=display.report, resume=resume, **more)
     if not arguments.json:
         print_training(result, config, display, resumed=resume)
-    from reachlab.watch.plots import plot as draw
-
-    draw([out], out / "curve.png")
+    drawn = _draw(out, out / "curve.png")
     if arguments.json:
         print(jsonlib.dumps(result.to_json()))
     else:
-        say(f"Written: {out}: report.json, curve.png, checkpoints. With the report: {result.total_wall_s:.1f} s.")
+        files = ", ".join(("report.json", *drawn, "checkpoints"))
+        say(f"Written: {out}: {files}. With the report: {result.total_wall_s:.1f} s.")
     if result.validated is False:
         note(
             f"Warning: no {config.loop.stop_streak} validations in a row reached {100 * config.loop.stop_success:g} %"
             f" success within {config.loop.total_steps:,} steps."
         )
     note(f"Next: reachlab eval {quote(str(out))} --agent trained random zero ik")
+
+
+def _draw(run: Path, file: Path) -> tuple[str, ...]:
+    """Name of the curve's file; none where it cannot be written, which is no reason to lose the result."""
+    from reachlab.cli.console import note
+    from reachlab.watch.plots import plot
+
+    try:
+        plot([run], file)
+    except InputError as error:
+        note(f"Warning: {error} Once that is mended: reachlab plot {quote(str(run))}")
+        return ()
+    return (file.name,)
 
 
 def _collector(arguments: Train | Distil, config: RunConfig) -> AbstractContextManager[Any]:
