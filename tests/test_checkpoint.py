@@ -230,7 +230,10 @@ DAMAGES: dict[str, tuple[Callable[[Path], None], str]] = {
     "a setting of another type": (edit_config(lambda c: c["loop"].update(num_envs="x")), "num_envs must be a whole"),
     "a setting out of range": (edit_config(lambda c: c["ppo"].update(gamma=2.0)), "gamma must be at least 0 and"),
     "a name that does not exist": (edit_config(lambda c: c["rules"].update(reward="gold")), "reward 'gold' is not one"),
-    "a robot that is gone": (edit_config(lambda c: c.update(robot="gone.xml")), "gone.xml' does not exist"),
+    "a robot that is gone": (
+        edit_config(lambda c: c.update(robot="gone.xml")),
+        "gone.xml', of .*, does not exist",
+    ),
     "no checkpoint": (remove("checkpoints"), "holds no checkpoint"),
     "no run": (remove("."), "does not exist: train one with"),
 }

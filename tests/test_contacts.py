@@ -14,7 +14,7 @@ import pytest
 
 from params import tried
 from reachlab.control.bodies import FAR, Bodies, absent
-from reachlab.control.contact_model import CAPSULE
+from reachlab.control.contact_model import CAPSULE, shapes_of
 from reachlab.control.situation import Situation
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvFunctions
@@ -352,9 +352,32 @@ def test_other_simulators_refuse_obstacles(name: str) -> None:
         make_simulator(name, load_robot("iiwa14"), PHYSICS, 1, scene=Scene(1, contacts=True))
 
 
+def told_of(caplog: pytest.LogCaptureFixture, text: str, file: Path) -> str:
+    """What is said of the contacts of an arm by a file."""
+    file.write_text(text)
+    robot = load_robot(str(file))
+    caplog.clear()
+    shapes_of(robot)
+    return caplog.text
+
+
+def test_what_is_not_known_of_an_arms_shapes_is_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    text = load_robot("so101").model.file.read_text()
+    assert told_of(caplog, text, tmp_path / "arm.xml") == ""
+    first = text.index('<body name="upper_arm"')
+    end = text.index("<body", first + 5)
+    bare = text[:first] + re.sub(r"<geom [^>]*/>", "", text[first:end]) + text[end:]
+    assert "the link that joint 'shoulder_lift' moves has no shapes" in told_of(caplog, bare, tmp_path / "bare.xml")
+    stood = text.replace('<body name="base"', '<geom type="box" size="0.4 0.4 0.4"/><body name="base"', 1)
+    assert "m thick, and that the arm touches its base is not noticed" in told_of(caplog, stood, tmp_path / "stood.xml")
+    huge = re.sub(r'(<geom [^>]*size=")', r"\g<1>9", bare)
+    with pytest.raises(InputError, match=r"has a link that is \S+ m thick by its shapes.*in millimetres"):
+        told_of(caplog, huge, tmp_path / "huge.xml")
+
+
 def test_an_arm_without_shapes_is_refused(tmp_path: Path) -> None:
     robot = load_robot("so101")
     file = tmp_path / "bare.xml"
     file.write_text(re.sub(r"<geom [^>]*/>", "", robot.model.file.read_text()))
-    with pytest.raises(InputError, match="has no shapes in its file"):
+    with pytest.raises(InputError, match=r"has no shapes that could be read, .*: give its links shapes"):
         physics_model(replace(robot, model=read_model_file(file)), PHYSICS, Scene(1, contacts=True))

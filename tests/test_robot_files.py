@@ -161,6 +161,46 @@ def test_mesh_is_found(name, place, write, tmp_path, monkeypatch):
     assert model_file.spec().compile().nmesh == 1
 
 
+@pytest.mark.parametrize("named", [True, False])
+def test_links_lead_out_of_packages_that_the_user_names_alone(named, write, tmp_path, monkeypatch):
+    kept = tmp_path / "source" / "a.stl"
+    kept.parent.mkdir()
+    kept.write_bytes(stl())
+    for package in ("installed", "robot/beside"):
+        folder = tmp_path / package / ("share/given" if package == "installed" else "")
+        folder.mkdir(parents=True)
+        (folder / "a.stl").symlink_to(kept)
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path / "installed"))
+    name = "package://given/a.stl" if named else "package://beside/a.stl"
+    drawn = read_model_file(write(urdf(child=mesh_of(name)))).spec().compile()
+    assert drawn.nmesh == named
+    for outside in (f"package://given/{kept}", "package://given/../../../source/a.stl"):
+        file = write(urdf(child=mesh_of(outside)), "outside.urdf")
+        assert "1 were not found in the folders of their packages" in read_model_file(file).notices[0]
+
+
+def test_collision_shapes_are_drawn_of_links_alone_that_have_no_others(write):
+    solid = '<collision><geometry><box size="1 1 1"/></geometry></collision>'
+    seen = '<visual><geometry><sphere radius="1"/></geometry></visual>'
+    for child, groups in ((solid + seen, [1, 3]), (solid, [0]), (solid + mesh_of("gone.stl"), [0])):
+        assert sorted(read_model_file(write(urdf(child=child))).spec().compile().geom_group) == groups
+
+
+def test_a_mesh_in_millimetres_and_why_one_is_not_read_are_told(write, caplog):
+    files = {"m__a_dot_stl": stl(5000.0), "m__b_dot_stl": stl(faces=9)}
+    read_model_file(write(urdf(child=mesh_of("../m/a.stl")), **files)).spec()
+    assert "a mesh of arm is 5e+03 m long: are its vertices in millimetres?" in caplog.text
+    read_model_file(write(urdf(child=mesh_of("../m/b.stl")), "b.urdf")).spec()
+    assert "MuJoCo does not read b.stl (stl_decoder: STL file 'b.stl' has wrong size" in caplog.text
+
+
+def test_what_stands_beside_the_arm_is_told(write):
+    box = '<link name="table"><collision><geometry><box size="1 1 1"/></geometry></collision></link>'
+    fixed = '<joint name="t" type="fixed"><parent link="base"/><child link="table"/></joint>'
+    arm = find_arm(read_model_file(write(urdf(box, fixed))), "arm", None)
+    assert arm.notices[0].startswith("Solid things stand beside the arm: table.")
+
+
 def test_meshes_that_are_not_drawn_are_told_in_one_line(write):
     child = "".join(mesh_of(name) for name in ("a.dae", "b.dae", "c.stl"))
     child += '<collision><geometry><box size="1 1 1"/></geometry></collision>'

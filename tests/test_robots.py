@@ -9,6 +9,7 @@ import pytest
 from reachlab.envs.presets import configure
 from reachlab.envs.setup import make_setup
 from reachlab.robots.catalogue import ROBOTS
+from reachlab.robots.derive.frame import frame_of
 from reachlab.robots.kinematics.forward import forward_kinematics
 from reachlab.robots.loading import load_robot
 from reachlab.settings.validation import InputError
@@ -202,6 +203,30 @@ def test_urdf_loads(write):
     assert (robot.speed, robot.torque) == ((3.0,), (5.0,))
     np.testing.assert_allclose((robot.chain.lower[0], robot.chain.upper[0]), (-1, 2))
     np.testing.assert_allclose(forward_kinematics(robot.chain, jnp.zeros(1)).position, [0.6, 0.2, 0.3], atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("place", "words"),
+    [
+        ("0 0 0", "the frame of 'base', the arm's base"),
+        (
+            "0.1 0.2 0",
+            "the frame of 'world' in the robot's file, where the arm's base 'base' stands at (0.1, 0.2, 0) m",
+        ),
+    ],
+)
+def test_the_frame_of_places_is_named_and_where_the_base_stands_in_it(write, place, words):
+    fixed = f"""<link name="world"/><joint name="foot" type="fixed"><parent link="world"/><child link="base"/>
+        <origin xyz="{place}"/></joint></robot>"""
+    robot = load_robot(write(text=ONE_JOINT.replace("</robot>", fixed), name="stood.urdf"), "tip")
+    assert frame_of(robot).in_words().startswith(words)
+    there = np.array(place.split(), float) + np.array([0.6, 0.2, 0.3])
+    np.testing.assert_allclose(forward_kinematics(robot.chain, jnp.zeros(1)).position, there, atol=1e-7)
+
+
+def test_a_base_that_is_turned_about_is_told():
+    assert frame_of(load_robot("ur5e"))[:3] == ("world", "base", (0.0, 0.0, 0.0))
+    assert frame_of(load_robot("panda")).in_words() == "the frame of 'base', the arm's base"
 
 
 # --- refusals ----------------------------------------------------------------------------------------

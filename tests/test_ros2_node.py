@@ -132,7 +132,7 @@ def test_places_in_another_frame_than_the_bases_are_not_used(
     driver.run(20)
     np.testing.assert_allclose(driver.q, there, atol=1e-3)
     (said,) = (said for said in driver.said if "frame" in said)
-    assert said == "places in frame 'base_link' are not used, but those in 'base', the base's: see --frame"
+    assert said == "places in frame 'base_link' are not used, but those in 'base': see --frame"
     driver.ask(mirrored)
     driver.run(20)
     assert np.abs(driver.q - there).max() > 0.1

@@ -52,7 +52,8 @@ class Deploy(Checked):
     joint_names: tuple[str, ...] = ()
     """Node: names of the joints in messages, in the order of `policy.json`, where they are not those."""
     frame: str = ""
-    """Node: frame of the arm's base in messages of places; by default the first that one names. Others are not used."""
+    """Node: frame of places in messages, `goal.frame` of policy.json; by default the first that one names. Others are
+    not used."""
     topics: Topics = field(default_factory=Topics)
     json: bool = False
     """Check: print the result as one JSON object on standard output."""

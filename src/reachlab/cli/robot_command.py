@@ -83,6 +83,7 @@ def _arm(arguments: ShowRobot) -> RunConfig:
 def _facts(arguments: ShowRobot, arm: RunConfig, robot: Robot) -> dict[str, Any]:
     """Everything that is known, as plain data; figures that are infinite are None."""
     from reachlab.robots.catalogue import ROBOTS
+    from reachlab.robots.derive.frame import frame_of
     from reachlab.robots.derive.tool import like_a_tool
 
     known = ROBOTS.get(arguments.robot or "")
@@ -102,6 +103,7 @@ def _facts(arguments: ShowRobot, arm: RunConfig, robot: Robot) -> dict[str, Any]
         "payload": robot.payload,
         "scale": robot.scale,
         "notices": robot.notices,
+        "frame": frame_of(robot)._asdict(),
         **{
             name: {"low": low, "high": high, "source": robot.sources[name], "share": robot.shares.get(name)}
             for name, (low, high) in boxes.items()
@@ -215,9 +217,6 @@ def _next(arguments: ShowRobot) -> str:
     return shlex.join([*words, *(["--package", *arguments.package] if arguments.package else [])])
 
 
-# --- the picture ----------------------------------------------------------------------------------
-
-
 def _check_picture(out: Path) -> None:
     if out.suffix.lower() != ".png":
         raise InputError(f"the picture cannot be written to '{out}': name a file that ends in .png.")
@@ -225,11 +224,9 @@ def _check_picture(out: Path) -> None:
         raise InputError(f"the picture cannot be written to '{out}': there is no folder '{out.parent}'.")
 
 
-# --- for a person ---------------------------------------------------------------------------------
-
-
 def _print(facts: dict[str, Any]) -> None:
     from reachlab.cli.console import note, print_table, say
+    from reachlab.robots.derive.frame import Frame
     from reachlab.robots.files.picture_files import some
 
     say(f"{facts['name']}: {facts['kind']}, {facts['file']}")
@@ -247,6 +244,7 @@ def _print(facts: dict[str, Any]) -> None:
     )
     _print_gripper(facts["gripper"])
     say(f"Moved mass {facts['mass']:.3g} kg; payload up to {facts['payload']:.2g} kg, which is derived.")
+    say(f"Places are in {Frame(**facts['frame']).in_words()}.")
     for name, box in (("Workspace", facts["workspace"]), ("Box of goals", facts["goal_box"])):
         share = "" if box["share"] is None else f"; {100 * box['share']:.4g} % of it can be reached"
         say(f"{name}: {_point(box['low'])} to {_point(box['high'])} m, {box['source']}{share}.")

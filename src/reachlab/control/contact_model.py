@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import logging
 from collections.abc import Iterator, Sequence
 
 import jax
@@ -25,18 +27,45 @@ FOLLOWED = 0.45
 """Largest acceleration of a planned motion, in full speeds in a time of the servos' lag: more would take too fast
 commands."""
 
+log = logging.getLogger(__name__)
+
+HUGE = 5.0
+"""Radius of a capsule that no link has, for each metre of the workspace's size."""
+
 _Bit, _Geom = mujoco.mjtDisableBit, mujoco.mjtGeom
 
 
 def shapes_of(robot: Robot) -> Capsules:
-    """The capsules that contain a robot's links.
+    """The capsules that contain a robot's links; of links without any it is said, once.
 
     Raises:
         InputError: it has no shapes.
     """
-    if not any(robot.capsules.links):
-        raise InputError(f"robot {robot.name!r} has no shapes in its file: what it touches cannot be told.")
-    return robot.capsules
+    shapes = robot.capsules
+    if not any(shapes.links):
+        raise InputError(
+            f"robot {robot.name!r} has no shapes that could be read, and what it touches cannot be told: give its links"
+            f" shapes, or choose a task without obstacles; `reachlab robot {robot.model.file}` names files that were"
+            " not found."
+        )
+    if max(shapes.radii) > HUGE * robot.scale:
+        raise InputError(
+            f"robot {robot.name!r} has a link that is {2 * max(shapes.radii):.3g} m thick by its shapes, and what it"
+            ' touches cannot be told: are they in millimetres? A URDF\'s <mesh> has scale="0.001 0.001 0.001" for them.'
+        )
+    for link in {*range(1, robot.chain.n + 1)} - {*shapes.links}:
+        moved = f"the link that joint {robot.joint_names[link - 1]!r} moves has no shapes that could be read"
+        _warn(f"reachlab: robot {robot.name!r}: {moved}, and what it touches is not noticed.")
+    of_base = {number for number, link in enumerate(shapes.links) if not link}
+    if of_base and not of_base & {number for pair in shapes.pairs for number in pair}:
+        thick = f"one capsule around its base is {2 * max(shapes.radii[number] for number in of_base):.2g} m thick"
+        _warn(f"reachlab: robot {robot.name!r}: {thick}, and that the arm touches its base is not noticed.")
+    return shapes
+
+
+@functools.cache
+def _warn(sentence: str) -> None:
+    log.warning(sentence)
 
 
 def add_contacts(spec: mujoco.MjSpec, robot: Robot, count: int) -> None:

@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from reachlab.robots.derive.frame import Frame
+
 EXAMPLE = """```python
 from controller import Controller
 
@@ -67,8 +69,8 @@ def _sections(facts: dict[str, Any]) -> list[str]:
     held = facts["arm"]["held_quaternion"] if goal["orientation"] else []
     lines = [
         (
-            f"What is asked: {goal['asks']}. The goal is the {numbers} of `{goal['tool']}` in the frame of the arm's"
-            f" base, between ({low}) and ({high}) m."
+            f"What is asked: {goal['asks']}. The goal is the {numbers} of `{goal['tool']}` in"
+            f" {Frame(**goal['base']).in_words()}, between ({low}) and ({high}) m."
         ),
         "",
         "| file | what it is |",

@@ -10,7 +10,8 @@ from reachlab.agents.policy import Policy
 from reachlab.deploy.onboard.folder import FORMAT, LIMITS
 from reachlab.emit.behaviour import BODIES, Behaviour
 from reachlab.envs.core import Env
-from reachlab.robots.robot import CATALOGUE, GRIPPER, Robot
+from reachlab.robots.derive.frame import frame_of
+from reachlab.robots.robot import CATALOGUE, DERIVED, GRIPPER, Robot
 from reachlab.settings.json_form import to_json
 from reachlab.tasks import actions, observations, terms
 from reachlab.tasks.schema import SIZE, Field
@@ -77,7 +78,7 @@ def joints(robot: Robot) -> list[dict[str, Any]]:
         )
     if robot.gripper:
         widest = dict(zip(LIMITS, (part[-1] for part in robot.commands), strict=True))
-        sources = dict.fromkeys(kinds, CATALOGUE)
+        sources = dict.fromkeys(kinds, DERIVED if robot.model.own else CATALOGUE)
         hand = {"name": GRIPPER, "type": "opening", "unit": "m", "widest": widest, "torque": robot.gripper.force}
         rows.append(hand | {"sources": sources})
     return rows
@@ -95,10 +96,12 @@ def _wrench(robot: Robot) -> dict[str, Any]:
 def _goal(setup: TaskSetup) -> dict[str, Any]:
     rules = setup.rules
     low, high = setup.task.goal_box(setup)
+    frame = frame_of(setup.robot)
     return {
         "low": low.tolist(),
         "high": high.tolist(),
-        "frame": "base",
+        "frame": frame.name,
+        "base": frame._asdict(),
         "unit": "m; quaternion wxyz",
         "tool": setup.robot.tool,
         "orientation": rules.asks_orientation,

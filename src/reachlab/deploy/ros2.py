@@ -111,7 +111,7 @@ class PolicyNode:
             topics: names of topics.
             trajectory: commands are trajectories.
             names: of the joints in messages, in the policy's order; by default the policy's.
-            frame: of the arm's base in messages of places; by default the first that one of them names.
+            frame: of places in messages, see `goal.frame` in policy.json; by default the first that one of them names.
             sees: the policy has to be told of obstacles.
             feels: it has to be told of the wrench.
             fastest: its goals move, and so fast at most [m/s]; one that was faster has jumped.
@@ -163,11 +163,11 @@ class PolicyNode:
         return max(self.node.get_clock().now().nanoseconds / 1e9 - seconds, 0.0) if seconds else 0.0
 
     def _foreign(self, header: Any) -> bool:
-        """Whether a place is one in another frame than the base's, and so of no use."""
+        """Whether a place is one in another frame than the first, and so of no use."""
         named = header.frame_id
         self._frame = self._frame or named
         if foreign := named not in {"", self._frame}:
-            said = f"places in frame '{named}' are not used, but those in '{self._frame}', the base's: see --frame"
+            said = f"places in frame '{named}' are not used, but those in '{self._frame}': see --frame"
             self._warn_once(named, said)
         return foreign
 

@@ -12,7 +12,7 @@ class Topics:
     joint_states: str = "joint_states"
     """Measured joints, `sensor_msgs/JointState`, in any order."""
     goals: str = "reachlab/goal"
-    """Goals, `geometry_msgs/PoseStamped`, in the frame of the arm's base."""
+    """Goals, `geometry_msgs/PoseStamped`, in the frame of `goal.frame` in policy.json."""
     objects: str = "reachlab/object"
     """Where the object is, `geometry_msgs/PoseStamped`, in the same frame; its header says when it was seen there."""
     obstacles: str = "reachlab/obstacles"

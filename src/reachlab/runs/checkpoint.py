@@ -10,7 +10,7 @@ import hashlib
 import json
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -200,6 +200,8 @@ def verify(folder: Path, config: RunConfig) -> Manifest:
     manifest = read_manifest(folder)
     with _damage_told(folder):
         saved = from_json(manifest.config)
+    if Path(saved.robot).suffix and Path(config.robot).suffix:  # a file, which may lie elsewhere now
+        saved = replace(saved, robot=config.robot, package=config.package)
     if other := difference(config, saved):
         raise InputError(
             f"checkpoint '{folder}' does not fit the run's configuration: {other[0]} is {other[2]!r} in the checkpoint"

@@ -160,6 +160,9 @@ class RunDirectory:
             return
         from reachlab.robots.catalogue import ROBOTS, find_model_file
 
+        if config.robot not in ROBOTS and not Path(config.robot).exists():
+            where = f"put it there, or write where it is now into '{self.config_file}'"
+            raise InputError(f"robot file '{config.robot}', of run '{self.path}', does not exist: {where}.")
         file, trained = find_model_file(config.robot, config.package), read_json(self.robot_file)
         if trained == {"sha256": file.digest}:
             return
@@ -293,5 +296,5 @@ class RunDirectory:
 
     def _none(self, failures: list[InputError]) -> InputError:
         """Why no checkpoint can be used."""
-        missing = InputError(f"run directory '{self.path}' holds no checkpoint: its training did not get so far.")
-        return next(iter(failures), missing)
+        missing = f"run directory '{self.path}' holds no checkpoint: its training did not get so far."
+        return failures[0] if failures else InputError(missing)

@@ -59,10 +59,12 @@ def physics_model(robot: Robot, config: SimConfig, scene: Scene = EMPTY, *, payl
     Raises:
         InputError: the robot file does not compile with these options.
     """
+    spec = physics_spec(robot, config, scene, payload=payload)
     try:
-        return physics_spec(robot, config, scene, payload=payload).compile()
+        return spec.compile()
     except ValueError as error:
-        raise InputError(f"robot {robot.name!r} does not compile in MuJoCo: {' '.join(str(error).split())}.") from None
+        why = " ".join(str(error).split()).rstrip(".")
+        raise InputError(f"robot {robot.name!r} does not compile in MuJoCo: {why}.") from None
 
 
 def physics_spec(robot: Robot, config: SimConfig, scene: Scene = EMPTY, *, payload: bool = False) -> mujoco.MjSpec:

@@ -155,8 +155,8 @@ class Controller:
             q: measured joints `[n]` [rad or m]; None where no measurement has come.
             qd: their speeds `[n]` [rad/s or m/s].
             goal: position of the tool `[3]` m or, for a policy that was trained on poses, position and quaternion
-                wxyz `[7]`, in the frame of the arm's base; None holds the arm, but where the policy was trained with
-                targets that are not seen at times: then it is one, once a target was given.
+                wxyz `[7]`, in the frame that policy.json names; None holds the arm, but where the policy was trained
+                with targets that are not seen at times: then it is one, once a target was given.
             time: of this step [s], by any clock that does not run back.
             velocity: of the goal `[3]` [m/s]; by default from its last positions.
             obstacles: for a policy that was trained among them, a list of dicts with `position`, and for boxes and

@@ -75,6 +75,11 @@ def find_arm(file: ModelFile, tool: str | None, base: str | None) -> Arm:
     shorter = path_joints(whole, found[0], below) if found else []
     fingers = file.own.joints if file.own else [whole.joint(slide).id for slide in SLIDES] if file.mounted else ()
     notices += _notices(whole, numbers, shorter, fingers)
+    if standing := _standing(whole, numbers[0]):
+        notices.append(
+            f"Solid things stand beside the arm: {some(standing)}. It may run into them, and tasks with obstacles take"
+            " them for its base, within capsules: thicker than what is flat."
+        )
     if any((one ^ other).intersection(numbers) for one, other in _held_together(whole)):
         notices.append("Constraints that connect or weld the arm to something that stands are left out.")
     key = mujoco.mj_name2id(whole, mujoco.mjtObj.mjOBJ_KEY, "home")
@@ -96,6 +101,18 @@ def find_arm(file: ModelFile, tool: str | None, base: str | None) -> Arm:
         home=tuple(float(rest[whole.jnt_qposadr[number]]) for number in numbers) if key >= 0 else None,
         notices=tuple(notices),
     )
+
+
+def _standing(model: mujoco.MjModel, first: int) -> list[str]:
+    """Bodies with solid shapes that stand still and hold nothing of the arm with that first joint."""
+    holding, body = set(), int(model.body_parentid[model.jnt_bodyid[first]])
+    while body:
+        holding.add(body)
+        body = int(model.body_parentid[body])
+    solid = (model.geom_contype | model.geom_conaffinity) > 0
+    solid &= model.geom_type != int(mujoco.mjtGeom.mjGEOM_PLANE)
+    still = [int(body) for body in np.unique(model.geom_bodyid[solid]) if not model.body_weldid[body]]
+    return [str(model.body(body).name) for body in still if body not in holding]
 
 
 def _check_joints(file: ModelFile, whole: mujoco.MjModel, numbers: list[int]) -> None:

@@ -38,18 +38,22 @@ class Folders:
         for path, owners in self._candidates(name.strip().replace("\\", "/"), below.replace("\\", "/")):
             with contextlib.suppress(OSError, ValueError, RuntimeError):  # links in a circle, or the name is no path
                 real = path.resolve(strict=True)
-                if real.is_file() and any(real.is_relative_to(owner.resolve()) for owner in owners):
+                if real.is_file() and (owners is None or any(real.is_relative_to(one.resolve()) for one in owners)):
                     return real
         return None
 
-    def _candidates(self, name: str, below: str) -> Iterator[tuple[Path, list[Path]]]:
-        """Paths that may be meant, with the folders that each must lie in."""
+    def _candidates(self, name: str, below: str) -> Iterator[tuple[Path, list[Path] | None]]:
+        """Paths that may be meant, with the folders that each must lie in; None where links lead on.
+
+        Those of packages that the user has named or installed do: `colcon build --symlink-install` makes such.
+        """
         scheme, found, rest = name.partition("://")
         own = self._own()
         if found and scheme in ("package", "model"):
             package, _, inside = rest.partition("/")
-            for folder in self._package_folders(package):
-                yield folder / inside, [folder]
+            for folder, trusted in self._package_folders(package):
+                within = Path(os.path.normpath(folder / inside)).is_relative_to(os.path.normpath(folder))
+                yield folder / inside, None if trusted and within else [folder]
             return
         path = PurePosixPath(unquote(rest) if found and scheme == "file" else name)
         if path.is_absolute():
@@ -68,20 +72,21 @@ class Folders:
         starts = self._starts()
         return [*starts, *(start.parent for start in starts if not _shared(start.parent))]
 
-    def _package_folders(self, package: str) -> Iterator[Path]:
+    def _package_folders(self, package: str) -> Iterator[tuple[Path, bool]]:
+        """Folders that may be a package's, and whether the user has named or installed them."""
         if not re.fullmatch(r"[\w.+-]*[\w+-][\w.+-]*", package):
             return
         if package in self.packages:
-            yield self.packages[package]
+            yield self.packages[package], True
         above = [folder for start in self._starts() for folder in (start, *start.parents)]
         for folder in (*above, *_listed("ROS_PACKAGE_PATH")):
             if _shared(folder):
                 continue
             if folder.name == package or _package_name(folder / "package.xml") == package:
-                yield folder
-            yield folder / package
+                yield folder, False
+            yield folder / package, False
         for folder in _listed("AMENT_PREFIX_PATH"):
-            yield folder / "share" / package
+            yield folder / "share" / package, True
 
 
 def _listed(variable: str) -> list[Path]:

@@ -17,7 +17,7 @@ from reachlab.robots.files.gripper import GRIPPERS, OwnGripper, fit, mount
 from reachlab.robots.files.mesh_search import Folders
 from reachlab.robots.files.mjcf import rewrite_mjcf
 from reachlab.robots.files.picture_files import MESHES, MISSING, MOST_MESH, PictureFiles, some
-from reachlab.robots.files.pictures import leave_out, weighs, without_pictures
+from reachlab.robots.files.pictures import as_shells, hide_doubles, leave_out, without_pictures
 from reachlab.robots.files.repair import repair
 from reachlab.robots.files.safe_xml import MOST_NESTING, XmlFiles
 from reachlab.robots.files.urdf import JointFacts, rewrite_urdf
@@ -34,6 +34,9 @@ MOST_TRIED = 100
 
 MOST_BODIES, LARGEST_MASS, FARTHEST = 2000, 1e6, 1000.0
 """Largest number of bodies, and largest mass of one [kg]."""
+
+LONGEST = 30.0
+"""Length of a mesh from which on it is said, since it seems to be in millimetres [m]."""
 
 Stamp = dict[Path, tuple[int, int, int]]
 """Size [bytes] and times of change of files [ns]."""
@@ -88,12 +91,10 @@ class ModelFile:
             raise InputError(_why(error)) from None
         if len(spec.bodies) > MOST_BODIES:
             raise InputError(f"has {len(spec.bodies):,} bodies; at most {MOST_BODIES:,} are read.")
-        if self.kind == "URDF":
-            weighed = {geom.meshname for geom in spec.geoms if weighs(spec, geom)}
-            for mesh in spec.meshes:  # of others no mass comes, and those that are not closed have no volume
-                if mesh.name not in weighed:
-                    mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
         leave_out(spec, without | {MISSING})
+        if self.kind == "URDF":
+            as_shells(spec)
+            hide_doubles(spec)
         if not pictures:
             without_pictures(spec)
         if self.repaired:
@@ -114,18 +115,25 @@ class ModelFile:
             return frozenset()
         every = frozenset(self.pictures)
         one_by_one = every if len(every) <= MOST_TRIED else frozenset()
-        broken = frozenset(name for name in one_by_one if self._error(every - {name})) or every
+        refused = {name: error for name in sorted(one_by_one) if (error := self._error(every - {name}))}
+        broken = frozenset(refused) or every
         if error := self._error(broken):
             raise InputError(f"robot file {str(self.file)!r} {_why(error)}")
-        logger.warning("Robot file %s: MuJoCo does not read %s, not drawn.", self.file, some(sorted(broken)))
+        why = [f"{name} ({_said(error).removeprefix('Error: ')})" for name, error in refused.items()]
+        _warn(f"Robot file {self.file}: MuJoCo does not read {some(why or sorted(broken))}: not drawn.")
         return broken
 
     def _error(self, without: frozenset[str]) -> BaseException | None:
         """What MuJoCo says of the robot without some of its meshes and textures."""
         try:
-            _compile(self._parsed(without, pictures=True))
+            model = _compile(self._parsed(without, pictures=True))
         except REFUSALS as error:
             return error
+        meshes = np.flatnonzero(model.geom_type == int(mujoco.mjtGeom.mjGEOM_MESH))
+        lengths = 2 * model.geom_aabb[meshes, 3:].max(axis=1, initial=0.0)
+        if huge := {model.body(model.geom_bodyid[meshes[i]]).name: None for i in np.flatnonzero(lengths > LONGEST)}:
+            how = 'are its vertices in millimetres? A URDF\'s <mesh> has scale="0.001 0.001 0.001" for them'
+            _warn(f"Robot file {self.file}: a mesh of {some(huge)} is {lengths.max():.3g} m long: {how}.")
         return None
 
 
@@ -170,6 +178,11 @@ def with_own_gripper(file: ModelFile, own: OwnGripper) -> ModelFile:
 
 _READ: dict[tuple[Path, tuple[tuple[str, Path], ...]], ModelFile] = {}
 """Model files that this process has read, by path and packages."""
+
+
+@functools.cache
+def _warn(sentence: str) -> None:
+    logger.warning(sentence)
 
 
 def _stamp(files: Iterable[Path]) -> Stamp | None:
@@ -248,4 +261,8 @@ def _compile(spec: mujoco.MjSpec) -> mujoco.MjModel:
 
 
 def _why(error: BaseException) -> str:
-    return f"does not compile: {' '.join(str(error).split()).rstrip('.')}."
+    return f"does not compile: {_said(error)}."
+
+
+def _said(error: BaseException) -> str:
+    return " ".join(str(error).split()).rstrip(".")

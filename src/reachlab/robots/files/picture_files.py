@@ -67,7 +67,10 @@ class PictureFiles:
         path = self.folders.find(name, below)
         if path is None or path.suffix.lower() not in kinds:
             shown = name[:LONGEST_NAME] if name.startswith("package:") else short.name  # what --package has to name
-            return self._refuse("were not found in the folders of the robot file or of its packages", shown)
+            where = "the folder of the robot file and the one above it, and others are not read"
+            if shown != short.name:
+                where = "the folders of their packages, which --package NAME=FOLDER says"
+            return self._refuse(f"were not found in {where}", shown)
         try:
             head, size = read_regular(path, MOST_MESH, HEAD)
         except OSError as error:

@@ -8,12 +8,32 @@ import mujoco
 
 INFERRED = mujoco.mjtInertiaFromGeom
 
+HIDDEN_GROUP = 3
+"""Group of geoms that is not drawn, as is usual in MJCF of collision shapes."""
+
 
 def leave_out(spec: mujoco.MjSpec, files: frozenset[str]) -> None:
     """Remove the meshes, height fields and textures of these files, and what they draw."""
     _remove_textures(spec, {texture.name for texture in spec.textures if files & {texture.file, *texture.cubefiles}})
     shapes = {shape.name for shape in (*spec.meshes, *spec.hfields) if shape.file in files}
     _remove_shapes(spec, [geom for geom in spec.geoms if {geom.meshname, geom.hfieldname} & shapes], shapes)
+
+
+def as_shells(spec: mujoco.MjSpec) -> None:
+    """Let those meshes be shells from which no mass comes: of one that is not closed there is no volume."""
+    weighed = {geom.meshname for geom in spec.geoms if weighs(spec, geom)}
+    for mesh in spec.meshes:
+        if mesh.name not in weighed:
+            mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+
+
+def hide_doubles(spec: mujoco.MjSpec) -> None:
+    """Draw no collision shapes of links that have shapes to be drawn: a URDF has both, and both would be seen."""
+    for body in spec.bodies:
+        solid = [geom for geom in body.geoms if geom.contype or geom.conaffinity]
+        if len(solid) < len(body.geoms):
+            for geom in solid:
+                geom.group = HIDDEN_GROUP
 
 
 def without_pictures(spec: mujoco.MjSpec) -> None:
