@@ -68,9 +68,8 @@ def jacobian(chain: Chain, q: ArrayLike) -> Array:
         InputError: there are not as many joints as the chain's.
     """
     q = joint_vectors(chain, q)
-    columns = jacobian_columns(chain, frames_at(chain, components(q)))
-    rows = [stack(row, q) for row in zip(*columns, strict=True)]
-    return jnp.stack(rows, axis=-2)
+    rows = jacobian_rows(chain, frames_at(chain, components(q)), q)
+    return jnp.moveaxis(jnp.stack(rows), (0, 1), (-2, -1))
 
 
 def joint_vectors(chain: Chain, q: ArrayLike) -> Array:
@@ -134,7 +133,13 @@ def _moved(chain: Chain, q: Sequence[Scalar]) -> list[tuple[Vec, Vec, Rotation, 
     """Of each joint its axis and origin, and the rotation and position of the link that it moves."""
     rotation, position = IDENTITY, ZERO
     moved = []
-    turns = once([(0.0, 0.0) if slide else (jnp.cos(a), jnp.sin(a)) for a, slide in zip(q, chain.slides, strict=True)])
+    hinges = [joint for joint, slide in enumerate(chain.slides) if not slide]
+    turns: list[tuple[Scalar, Scalar]] = [(0.0, 0.0)] * len(q)
+    if hinges:  # at once: a program for each of them took a fifth of the time that all of a training's take to compile
+        angles = jnp.stack([q[joint] for joint in hinges])
+        cosines, sines = once((jnp.cos(angles), jnp.sin(angles)))
+        for row, joint in enumerate(hinges):
+            turns[joint] = cosines[row], sines[row]
     for (turn, offset), slide, value, (cos, sin) in zip(chain.frames[:-1], chain.slides, q, turns, strict=True):
         position = position.plus(rotation.apply(offset))
         rotation = rotation.compose(turn)
@@ -147,15 +152,23 @@ def _moved(chain: Chain, q: Sequence[Scalar]) -> list[tuple[Vec, Vec, Rotation, 
     return moved
 
 
-def jacobian_columns(chain: Chain, frames: Frames) -> list[tuple[Scalar, ...]]:
-    """Columns of the Jacobian, one a joint: three linear entries, then three angular ones."""
-    columns = []
-    for slide, axis, origin in zip(chain.slides, frames.axes, frames.origins, strict=True):
-        if slide:
-            columns.append((*axis, *ZERO))
-        else:
-            columns.append((*axis.cross(frames.position.minus(origin)), *axis))
-    return once(columns)
+def jacobian_rows(chain: Chain, frames: Frames, like: Array) -> list[Array]:
+    """Rows of the Jacobian `[n, ...]`, three linear ones, then three angular ones, of joint vectors `like [..., n]`."""
+    axis, origin = (
+        Vec(*(stack(parts, like, axis=0) for parts in zip(*vectors, strict=True)))
+        for vectors in (frames.axes, frames.origins)
+    )
+    linear, angular = axis.cross(frames.position.minus(origin)), axis
+    if any(chain.slides):
+        slides = for_joints(chain.slides, like)
+        linear = Vec(*(jnp.where(slides, along, moved) for along, moved in zip(axis, linear, strict=True)))
+        angular = Vec(*(jnp.where(slides, 0.0, part) for part in axis))
+    return once([jnp.asarray(row) for row in (*linear, *angular)])
+
+
+def for_joints(values: Sequence[float], like: Array) -> np.ndarray:
+    """A value of each joint `[n, ...]`, to stand beside what is computed of joint vectors `like [..., n]`."""
+    return np.array(values).reshape(-1, *[1] * (like.ndim - 1))
 
 
 def components(array: Array) -> list[Array]:
@@ -176,7 +189,7 @@ def added(vectors: Any) -> Any:
     return total(components(vectors))
 
 
-def stack(parts: Sequence[Scalar], like: Array) -> Array:
-    """Vectors `[..., k]` of their components, in shape and type those of `like`."""
+def stack(parts: Sequence[Scalar], like: Array, axis: int = -1) -> Array:
+    """Vectors of their components along an axis, `[..., k]`, in shape and type those of `like`."""
     shape = like.shape[:-1]
-    return jnp.stack([jnp.broadcast_to(jnp.asarray(c, like.dtype), shape) for c in parts], axis=-1)
+    return jnp.stack([jnp.broadcast_to(jnp.asarray(c, like.dtype), shape) for c in parts], axis)

@@ -21,11 +21,11 @@ from reachlab.robots.kinematics.forward import (
     Frames,
     Pose,
     components,
+    for_joints,
     frames_at,
-    jacobian_columns,
+    jacobian_rows,
     joint_vectors,
     norm,
-    stack,
 )
 from reachlab.robots.kinematics.scalars import (
     Rotation,
@@ -104,10 +104,10 @@ def ik_approach(chain: Chain, q: Array, position: Array, quaternion: Array, damp
 
 
 def _pose_step(chain: Chain, q: Array, frames: Frames, linear: Vec, held: Array, damping: float = DAMPING) -> Array:
-    angular, columns = _orientation(chain, frames, held)
+    angular, rows = _orientation(chain, frames, held, q)
     shorten = _shrink(MAX_TURN, _size(angular))
     turn = [mul(shorten, part) for part in angular]
-    return stack(_bounded_step(chain, components(q), columns, linear, turn, damping, MAX_JOINT_STEP), q)
+    return _bounded_step(chain, q, rows, linear, turn, damping, MAX_JOINT_STEP)
 
 
 def ik_point_step(chain: Chain, q: Array, command: Array, displacement: Array) -> Array:
@@ -117,26 +117,21 @@ def ik_point_step(chain: Chain, q: Array, command: Array, displacement: Array) -
     to `command [..., n]` it keeps the joint limits: a joint that would pass one stops there, and the step is solved
     again for the others, `LIMIT_PASSES` times in all.
     """
-    columns = [column[:3] for column in jacobian_columns(chain, frames_at(chain, components(q)))]
-    commanded, wish = components(command), components(displacement)
+    rows = jacobian_rows(chain, frames_at(chain, components(q)), q)[:3]
+    commanded, wish = jnp.moveaxis(command, -1, 0), components(displacement)
 
-    def again(_: int, before: tuple[list[Array], ...]) -> tuple[list[Array], ...]:
+    def again(_: int, before: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         free, stopped = before[:2]
-        left = [
-            sub(wanted, total([mul(column[row], s) for column, s in zip(columns, stopped, strict=True)]))
-            for row, wanted in enumerate(wish)
-        ]
-        masked = once([tuple(mul(f, c) for c in column) for f, column in zip(free, columns, strict=True)])
-        solved = _least_squares(masked, left, POINT_DAMPING)
-        wanted = once([c + (a + b) for c, a, b in zip(commanded, stopped, solved, strict=True)])
-        allowed = once([jnp.clip(a, low, high) for a, low, high in zip(wanted, chain.lower, chain.upper, strict=True)])
-        free = [jnp.where(a == w, f, 0.0) for a, w, f in zip(allowed, wanted, free, strict=True)]
-        step = [a - c for a, c in zip(allowed, commanded, strict=True)]
-        return free, [jnp.where(f > 0, 0.0, s) for f, s in zip(free, step, strict=True)], step
+        left = [sub(wanted, _along(row, stopped)) for row, wanted in zip(rows, wish, strict=True)]
+        solved = _least_squares(once([free * row for row in rows]), left, POINT_DAMPING)
+        wanted = once(commanded + (stopped + solved))
+        allowed = once(_clip(chain, wanted))
+        free, step = jnp.where(allowed == wanted, free, 0.0), allowed - commanded
+        return free, jnp.where(free > 0, 0.0, step), step
 
-    zero, one = jnp.zeros(q.shape[:-1]), jnp.ones(q.shape[:-1])
-    _, _, step = jax.lax.fori_loop(0, LIMIT_PASSES, again, ([one] * chain.n, [zero] * chain.n, [zero] * chain.n))
-    return stack(step, q)
+    zero = jnp.zeros(commanded.shape)
+    _, _, step = jax.lax.fori_loop(0, LIMIT_PASSES, again, (zero + 1.0, zero, zero))
+    return jnp.moveaxis(step, 0, -1)
 
 
 def inverse_kinematics(
@@ -175,19 +170,19 @@ def inverse_kinematics(
     seeds = jax.random.uniform(key, shape, minval=np.array(chain.lower), maxval=np.array(chain.upper))
     start = jnp.broadcast_to(joint_vectors(chain, start), (*target.position.shape[:-1], chain.n))
 
-    def errors(q: Array) -> tuple[Vec, tuple[Scalar, ...], list[tuple[Scalar, ...]], Array, Array, Array]:
+    def errors(q: Array) -> tuple[Vec, tuple[Scalar, ...], list[Array], Array, Array, Array]:
         frames = frames_at(chain, components(q))
         linear = Vec(*components(target.position)).minus(frames.position)
-        angular, columns = _orientation(chain, frames, target.quaternion)
+        angular, rows = _orientation(chain, frames, target.quaternion, q)
         distance, angle = linear.norm(), _size(angular)
         reached = (distance <= position_tolerance) & (angle <= angle_tolerance)
-        return linear, angular, columns, distance, angle, reached
+        return linear, angular, rows, distance, angle, reached
 
     def advance(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         q, _, count = carry
-        linear, angular, columns, distance, angle, reached = errors(q)
+        linear, angular, rows, distance, angle, reached = errors(q)
         damping = DAMPING + SUGIHARA * (distance**2 + angle**2)
-        moved = stack(_bounded_step(chain, components(q), columns, linear, angular, damping, MAX_SOLVER_STEP), q)
+        moved = _bounded_step(chain, q, rows, linear, angular, damping, MAX_SOLVER_STEP)
         again = (count + 1) % iterations == 0
         moved = jnp.where(again, seeds[(count + 1) // iterations - 1], moved)
         return jnp.where(reached[..., None], q, moved), reached, count + 1
@@ -215,16 +210,14 @@ def _size(angular: Sequence[Scalar]) -> Array:
     return Vec(*angular).norm() if len(angular) > 1 else jnp.abs(angular[0])
 
 
-def _orientation(
-    chain: Chain, frames: Frames, quaternion: Array
-) -> tuple[tuple[Scalar, ...], list[tuple[Scalar, ...]]]:
-    """Rotation error [rad] from the tool to an orientation `[..., 4]`, and the Jacobian's columns to mend it.
+def _orientation(chain: Chain, frames: Frames, quaternion: Array, q: Array) -> tuple[tuple[Scalar, ...], list[Array]]:
+    """Rotation error [rad] from the tool to an orientation `[..., 4]`, and the Jacobian's rows to mend it.
 
     It has a rotation vector's parts or, without the six joints of a pose, the tilt alone, about the arm's side.
     """
-    target, columns = rotation_from_quaternion(*components(quaternion)), jacobian_columns(chain, frames)
+    target, rows = rotation_from_quaternion(*components(quaternion)), jacobian_rows(chain, frames, q)
     if chain.poses:
-        return tuple(rotation_error(frames.rotation, target)), columns
+        return tuple(rotation_error(frames.rotation, target)), rows
     approach = Vec(*chain.approach)
     axis, held = frames.rotation.apply(approach), target.apply(approach)
     out = frames.position.minus(frames.origins[0])
@@ -234,7 +227,7 @@ def _orientation(
     aside = jnp.sqrt(held.x**2 + held.y**2)
     wanted = once(Vec(mul(aside, across.y), mul(-aside, across.x), held.z))
     tilt = once(across.dot(axis.cross(wanted)))
-    return (tilt,), once([(*column[:3], across.dot(Vec(*column[3:]))) for column in columns])
+    return (tilt,), once([*rows[:3], jnp.asarray(across.dot(Vec(*rows[3:])))])
 
 
 def rotation_error(current: Rotation, target: Rotation) -> Vec:
@@ -248,41 +241,39 @@ def rotation_error(current: Rotation, target: Rotation) -> Vec:
 
 def _bounded_step(
     chain: Chain,
-    q: Sequence[Array],
-    columns: Sequence[Sequence[Scalar]],
+    start: Array,
+    rows: Sequence[Array],
     linear: Vec,
     angular: Sequence[Scalar],
     damping: Scalar,
     bound: float,
-) -> list[Scalar]:
-    """Joint vector after one step of at most `bound` a joint, inside the limits."""
-    step = _least_squares(columns, (*linear, *angular), damping)
+) -> Array:
+    """Joint vectors `[..., n]` after one step from `start [..., n]` of at most `bound` a joint, inside the limits."""
+    q = jnp.moveaxis(start, -1, 0)
+    step = _least_squares(rows, (*linear, *angular), damping)
     scale = once(_shrink(bound, _longest(step)))
-    clipped = once(_clip(chain, [add(a, mul(scale, s)) for a, s in zip(q, step, strict=True)]))
+    clipped = once(_clip(chain, q + scale * step))
 
-    moved = [sub(new, old) for new, old in zip(clipped, q, strict=True)]
-    left = [
-        sub(mul(scale, wanted), total([mul(column[row], m) for column, m in zip(columns, moved, strict=True)]))
-        for row, wanted in enumerate(linear)
-    ]
-    free = [
-        jnp.where((c > low) & (c < high), 1.0, 0.0)
-        for c, low, high in zip(clipped, chain.lower, chain.upper, strict=True)
-    ]
-    masked = once([tuple(mul(f, c) for c in column[:3]) for f, column in zip(free, columns, strict=True)])
-    repair = _least_squares(masked, left, damping)
+    moved, lower, upper = clipped - q, for_joints(chain.lower, start), for_joints(chain.upper, start)
+    left = [sub(mul(scale, wanted), _along(row, moved)) for row, wanted in zip(rows, linear, strict=False)]
+    free = jnp.where((clipped > lower) & (clipped < upper), 1.0, 0.0)
+    repair = _least_squares(once([free * row for row in rows[:3]]), left, damping)
     shorten = once(_shrink(bound, _longest(repair)))
-    bounded = [mul(shorten, r) for r in repair]
-    return _clip(chain, [add(c, r) for c, r in zip(clipped, bounded, strict=True)])
+    return jnp.moveaxis(_clip(chain, clipped + shorten * repair), 0, -1)
 
 
-def _least_squares(columns: Sequence[Sequence[Scalar]], error: Sequence[Scalar], damping: Scalar) -> list[Scalar]:
-    rows = range(len(error))
-    gram = [[total([mul(c[i], c[j]) for c in columns]) for j in range(i + 1)] for i in rows]
-    for i in rows:
+def _least_squares(rows: Sequence[Array], error: Sequence[Scalar], damping: Scalar) -> Array:
+    """Step of the joints `[n, ...]` by which a Jacobian of these rows takes away an error."""
+    gram = [[_along(one, other) for other in rows[: i + 1]] for i, one in enumerate(rows)]
+    for i in range(len(rows)):
         gram[i][i] = add(gram[i][i], damping)
     weights = once(solve_positive(gram, error))
-    return once([total([mul(c[i], weights[i]) for i in rows]) for c in columns])
+    return once(jnp.asarray(total([mul(row, weight) for row, weight in zip(rows, weights, strict=True)])))
+
+
+def _along(row: Array, other: Array) -> Scalar:
+    """Sum of the products of two rows, one joint after the other."""
+    return total([row[joint] * other[joint] for joint in range(len(row))])
 
 
 def _shrink(bound: float, length: Scalar) -> Scalar:
@@ -290,10 +281,12 @@ def _shrink(bound: float, length: Scalar) -> Scalar:
     return bound / jnp.maximum(length, bound)
 
 
-def _longest(step: Sequence[Scalar]) -> Array:
-    """Largest component, by its size."""
-    return functools.reduce(jnp.maximum, [jnp.abs(component) for component in step])
+def _longest(step: Array) -> Array:
+    """Largest joint of a step `[n, ...]`, by its size."""
+    return functools.reduce(jnp.maximum, [jnp.abs(joint) for joint in step])
 
 
-def _clip(chain: Chain, q: Sequence[Scalar]) -> list[Scalar]:
-    return [jnp.clip(a, low, high) for a, low, high in zip(q, chain.lower, chain.upper, strict=True)]
+def _clip(chain: Chain, q: Array) -> Array:
+    """Joints `[n, ...]` within their limits."""
+    below = jnp.moveaxis(q, 0, -1)
+    return jnp.clip(q, for_joints(chain.lower, below), for_joints(chain.upper, below))
