@@ -319,7 +319,17 @@ def test_what_is_there_already_is_not_touched(tutorial: Env, tmp_path: Path) -> 
     assert refused(tutorial, tmp_path) == f"'{tmp_path}' exists and is not overwritten: name another with --out."
     assert contents(tmp_path) == {"notes.txt": b"mine"}
     states(tutorial, tmp_path / "done", episodes=2)
-    assert "exists and is not overwritten" in refused(tutorial, tmp_path / "done")
+    assert "done' is a dataset that is finished, and not extended" in refused(tutorial, tmp_path / "done")
+
+
+def test_where_nothing_is_recorded_yet_other_settings_begin_anew(
+    tutorial: Env, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recording, "PATIENCE", 8)
+    out = tmp_path / "zero"
+    assert "or record failures too with --failures" in refused(tutorial, out, "zero", failures=False)
+    settings = RecordConfig(episodes=2, cameras=(), seed=SEED, failures=True)
+    assert record(tutorial, "zero", None, out, settings).episodes == 2
 
 
 def test_other_settings_do_not_resume_a_dataset(tutorial: Env, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -411,7 +421,7 @@ def test_the_command_records_and_prints_one_object(
     assert (printed["out"], printed["episodes"]) == ("dataset", 3)
     assert info("dataset")["features"]["observation.images.top"]["shape"] == [16, 16, 3]
     assert cli.main(words) == cli.WRONG_INPUT
-    assert "exists and is not overwritten" in capsys.readouterr().err
+    assert "is a dataset that is finished" in capsys.readouterr().err
 
 
 def test_the_command_needs_a_run_for_a_trained_agent(capsys: pytest.CaptureFixture[str]) -> None:

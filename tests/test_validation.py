@@ -439,7 +439,7 @@ def test_a_mesh_of_a_package_that_is_missing_is_left_out_and_told(tmp_path: Path
     (tmp_path / "arm.urdf").write_text(URDF.replace('<link name="fore">', f'<link name="fore">{mesh}'))
     robot = load_robot(str(tmp_path / "arm.urdf"))
     assert robot.spec().compile().nmesh == 0
-    missing = r"not found in the folders of the robot file or of its packages \(package://[^)]*y\.obj\)"
+    missing = r"not found in the folders of their packages, which --package NAME=FOLDER says \(package://[^)]*y\.obj\)"
     assert any(re.search(missing, notice) for notice in robot.notices)
 
 

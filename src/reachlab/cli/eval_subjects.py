@@ -187,6 +187,8 @@ def _settings(arguments: Subjects, agents: Sequence[str], run: RunDirectory | No
     arm = {name: value for name in ("robot", "tool", "base", "package") if (value := vars(arguments)[name])}
     named = ({"task": arguments.task} if arguments.task else {}) | arm
     known = model.config if model else None
+    if run:
+        run.check_there()  # a word too many, as a second task, is taken for a run
     if (run and named) or (known and named not in ({}, {"task": known.task})):
         given = " and ".join(f"--{name}" for name in named)
         raise InputError(f"a run has its own task and robot: leave {given} out, or the run.")

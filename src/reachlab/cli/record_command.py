@@ -37,7 +37,7 @@ def record(arguments: Record) -> None:
     checked = tuple(name for name in varied if name != "view" or not settings.cameras)
     config = in_evaluation(known, arguments.sim or known.sim, randomise=checked, **other_goals(arguments))
     config = override(config, randomise=varied)
-    num_envs = min(settings.episodes, SIMULATORS[config.sim].most_envs or PART, PART)
+    num_envs = min(SIMULATORS[config.sim].most_envs or PART, PART)
     with EvalDisplay(settings.episodes) as display, closing(Env(config, num_envs)) as env:
         acting, policy, checkpoint = subject.acting(env, agent)
         display.begin(agent, config.sim)

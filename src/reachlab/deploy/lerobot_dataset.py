@@ -128,8 +128,12 @@ def begin(folder: Path, settings: Mapping[str, Any]) -> Written:
         (new / SETTINGS).parent.mkdir(parents=True)
         write_json(new / SETTINGS, settings)
         new.rename(folder)
-    if (folder / INFO).exists() or not (folder / SETTINGS).is_file():
+    if (folder / INFO).exists() and (folder / SETTINGS).is_file():
+        raise InputError(f"'{folder}' is a dataset that is finished, and not extended: name another folder with --out.")
+    if not (folder / SETTINGS).is_file():
         raise InputError(f"'{folder}' exists and is not overwritten: name another with --out.")
+    if not (files := _files(folder, "meta/episodes")):  # nothing is lost with other settings
+        write_json(folder / SETTINGS, settings)
     begun = read_json(folder / SETTINGS)
     for name in settings:
         if begun.get(name) != settings[name]:
@@ -139,7 +143,7 @@ def begin(folder: Path, settings: Mapping[str, Any]) -> Written:
             )
     for left in folder.rglob(".*.tmp"):  # of a process that was killed
         remove(left)
-    if not (files := _files(folder, "meta/episodes")):
+    if not files:
         return Written()
     listed = _read(folder, "meta/episodes", ["dataset_to_index", "reachlab/number"])
     steps, number = (int(column[-1].as_py()) for column in listed.columns)
