@@ -45,7 +45,7 @@ def shapes_of(robot: Robot) -> Capsules:
     if not any(shapes.links):
         raise InputError(
             f"robot {robot.name!r} has no shapes that could be read, and what it touches cannot be told: give its links"
-            f" shapes, or choose a task without obstacles; `reachlab robot {robot.model.file}` names files that were"
+            f" shapes, or choose a task that judges none; `reachlab robot {robot.model.file}` names files that were"
             " not found."
         )
     if max(shapes.radii) > HUGE * robot.scale:

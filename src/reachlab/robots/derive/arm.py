@@ -77,8 +77,8 @@ def find_arm(file: ModelFile, tool: str | None, base: str | None) -> Arm:
     notices += _notices(whole, numbers, shorter, fingers)
     if standing := _standing(whole, numbers[0]):
         notices.append(
-            f"Solid things stand beside the arm: {some(standing)}. It may run into them, and tasks with obstacles take"
-            " them for its base, within capsules: thicker than what is flat."
+            f"Solid things stand beside the arm: {some(standing)}. It may run into them, and tasks that judge contacts"
+            " take them for its base, within capsules: thicker than what is flat."
         )
     if any((one ^ other).intersection(numbers) for one, other in _held_together(whole)):
         notices.append("Constraints that connect or weld the arm to something that stands are left out.")
