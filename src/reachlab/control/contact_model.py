@@ -15,6 +15,7 @@ from reachlab.control.bodies import FAR, Bodies
 from reachlab.control.planning.arm import Arm
 from reachlab.control.planning.collision import LEAST_BOUND, Geoms, geoms_of
 from reachlab.control.planning.following import SHORTEST
+from reachlab.robots.files.model_file import IN_MILLIMETRES
 from reachlab.robots.files.pictures import without_shapes
 from reachlab.robots.robot import Robot
 from reachlab.robots.shapes.clearance import Capsules
@@ -51,7 +52,7 @@ def shapes_of(robot: Robot) -> Capsules:
     if max(shapes.radii) > HUGE * robot.scale:
         raise InputError(
             f"robot {robot.name!r} has a link that is {2 * max(shapes.radii):.3g} m thick by its shapes, and what it"
-            ' touches cannot be told: are they in millimetres? A URDF\'s <mesh> has scale="0.001 0.001 0.001" for them.'
+            f" touches cannot be told: {IN_MILLIMETRES}."
         )
     for link in {*range(1, robot.chain.n + 1)} - {*shapes.links}:
         moved = f"the link that joint {robot.joint_names[link - 1]!r} moves has no shapes that could be read"

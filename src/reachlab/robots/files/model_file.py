@@ -38,6 +38,9 @@ MOST_BODIES, LARGEST_MASS, FARTHEST = 2000, 1e6, 1000.0
 LONGEST = 30.0
 """Length of a mesh from which on it is said, since it seems to be in millimetres [m]."""
 
+IN_MILLIMETRES = 'are its vertices in millimetres? A URDF\'s <mesh> has scale="0.001 0.001 0.001" for them'
+"""What is asked where a shape is huge."""
+
 Stamp = dict[Path, tuple[int, int, int]]
 """Size [bytes] and times of change of files [ns]."""
 
@@ -132,8 +135,7 @@ class ModelFile:
         meshes = np.flatnonzero(model.geom_type == int(mujoco.mjtGeom.mjGEOM_MESH))
         lengths = 2 * model.geom_aabb[meshes, 3:].max(axis=1, initial=0.0)
         if huge := {model.body(model.geom_bodyid[meshes[i]]).name: None for i in np.flatnonzero(lengths > LONGEST)}:
-            how = 'are its vertices in millimetres? A URDF\'s <mesh> has scale="0.001 0.001 0.001" for them'
-            _warn(f"Robot file {self.file}: a mesh of {some(huge)} is {lengths.max():.3g} m long: {how}.")
+            _warn(f"Robot file {self.file}: a mesh of {some(huge)} is {lengths.max():.3g} m long: {IN_MILLIMETRES}.")
         return None
 
 
