@@ -9,6 +9,7 @@ import re
 import shutil
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -29,6 +30,7 @@ from reachlab.learn.checkpointing import UnwritableError
 from reachlab.learn.load import load_policy
 from reachlab.learn.ppo_method import TrainState, initial_state
 from reachlab.learn.train import _held
+from reachlab.robots.loading import load_robot
 from reachlab.runs.checkpoint import Counters, seal
 from reachlab.runs.directory import RunDirectory
 from reachlab.runs.files import write_json, written
@@ -83,6 +85,29 @@ def test_a_damaged_checkpoint_is_not_the_best(config: RunConfig, tmp_path: Path)
         if step == 1:
             (run.checkpoints / "step_000000000001" / "state.safetensors").write_bytes(b"cut")
     assert run.checkpoint_steps() == [2, 3, 4]
+
+
+def test_a_file_of_an_arm_may_lie_elsewhere_where_its_hash_tells_that_it_is_the_same(
+    config: RunConfig, tmp_path: Path
+) -> None:
+    text = load_robot("so101").model.file.read_text()
+    before, after = tmp_path / "before.xml", tmp_path / "after.xml"
+    before.write_text(text)
+    run, state = RunDirectory(tmp_path / "run"), {"x": np.zeros(9)}
+    run.create(replace(config, robot=str(before)))
+    run.write_checkpoint(512, state)
+    before.rename(after)
+    with pytest.raises(InputError, match=r"before\.xml', of run '.*', does not exist: .* into '.*config\.json'"):
+        run.read_config()
+    run.config_file.write_text(run.config_file.read_text().replace(str(before), str(after)))
+    run.read_config()
+    assert run.checkpoint_steps() == [512]
+    after.write_text(text.replace("mass", "mass ", 1))
+    with pytest.raises(InputError, match="was trained with another arm"):
+        run.read_config()
+    run.robot_file.unlink()
+    with pytest.raises(InputError, match=r"does not fit the run's configuration: robot is '.*before\.xml'"):
+        run.checkpoint_steps()
 
 
 @pytest.fixture(scope="module")

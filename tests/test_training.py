@@ -27,6 +27,7 @@ from reachlab.learn.ppo_method import PPO
 from reachlab.learn.train import TrainResult, train
 from reachlab.runs.directory import RunDirectory
 from reachlab.settings.json_form import to_json
+from reachlab.settings.validation import InputError
 
 TINY = {"num_envs": 16, "rollout_steps": 16, "total_steps": 1024, "stop_early": False, "report_episodes": 10}
 """A training of four iterations."""
@@ -233,6 +234,12 @@ def test_a_watch_is_told_every_row(tutorial: Trained) -> None:
 
 
 @pytest.mark.slow
+def test_a_sweep_is_not_resumed_as_a_run(tmp_path: Path) -> None:
+    (tmp_path / "sweep.json").write_text("{}")
+    with pytest.raises(InputError, match="is a sweep: its runs are the folders in"):
+        train(configure(**TINY), tmp_path, resume=True)
+
+
 def test_who_watches_may_end_a_training_or_its_report_and_nothing_is_lost(tmp_path: Path) -> None:
     config, out = configure(**TINY), tmp_path / "run"
 

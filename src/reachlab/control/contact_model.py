@@ -31,7 +31,7 @@ commands."""
 log = logging.getLogger(__name__)
 
 HUGE = 5.0
-"""Radius of a capsule that no link has, for each metre of the workspace's size."""
+"""Radius of a capsule that no link has of an arm of the tutorial's size, and of others in proportion [m]."""
 
 _Bit, _Geom = mujoco.mjtDisableBit, mujoco.mjtGeom
 

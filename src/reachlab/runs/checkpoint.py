@@ -24,6 +24,9 @@ from reachlab.settings.validation import Checked, Count, Fraction, InputError, N
 ARRAYS, MANIFEST = "state.safetensors", "manifest.json"
 """Files of a checkpoint: the training state, and what is known of it."""
 
+ROBOT = "robot.json"
+"""File of a run, beside its checkpoints, that holds the hash of the files of its arm."""
+
 Tree = TypeVar("Tree")
 
 
@@ -200,7 +203,8 @@ def verify(folder: Path, config: RunConfig) -> Manifest:
     manifest = read_manifest(folder)
     with _damage_told(folder):
         saved = from_json(manifest.config)
-    if Path(saved.robot).suffix and Path(config.robot).suffix:  # a file, which may lie elsewhere now
+    hashed = (folder.parents[1] / ROBOT).is_file()  # then a file may lie elsewhere now: the arm is told by its hash
+    if hashed and Path(saved.robot).suffix and Path(config.robot).suffix:
         saved = replace(saved, robot=config.robot, package=config.package)
     if other := difference(config, saved):
         raise InputError(

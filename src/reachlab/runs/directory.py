@@ -53,7 +53,7 @@ class RunDirectory:
         """Run directory at `path`, which need not exist."""
         self.path = path
         self.config_file = path / "config.json"
-        self.robot_file = path / "robot.json"
+        self.robot_file = path / checkpoint.ROBOT
         self.metrics_file = path / "metrics.jsonl"
         self.report_file = path / "report.json"
         self.curve_file = path / "curve.png"

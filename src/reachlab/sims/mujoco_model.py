@@ -59,9 +59,10 @@ def physics_model(robot: Robot, config: SimConfig, scene: Scene = EMPTY, *, payl
     Raises:
         InputError: the robot file does not compile with these options.
     """
-    spec = physics_spec(robot, config, scene, payload=payload)
     try:
-        return spec.compile()
+        return physics_spec(robot, config, scene, payload=payload).compile()
+    except InputError:
+        raise
     except ValueError as error:
         why = " ".join(str(error).split()).rstrip(".")
         raise InputError(f"robot {robot.name!r} does not compile in MuJoCo: {why}.") from None

@@ -46,7 +46,7 @@ def frame_of(robot: Robot) -> Frame:
     base = at = int(model.body_parentid[model.jnt_bodyid[0]])
     while at and not _in_origin(data, at):
         at = int(model.body_parentid[at])
-    name, held = (str(model.body(body).name) for body in (at, base))
+    name, held = (str(model.body(body).name) or f"body {body}" for body in (at, base))
     return Frame(name, held, tuple(data.xpos[base].tolist()), tuple(data.xquat[base].tolist()))
 
 

@@ -135,7 +135,7 @@ def _moved(chain: Chain, q: Sequence[Scalar]) -> list[tuple[Vec, Vec, Rotation, 
     moved = []
     hinges = [joint for joint, slide in enumerate(chain.slides) if not slide]
     turns: list[tuple[Scalar, Scalar]] = [(0.0, 0.0)] * len(q)
-    if hinges:  # at once: a program for each of them took a fifth of the time that all of a training's take to compile
+    if hinges:  # at once: a kernel for each took a fifth of the time in which a training's collection compiles
         angles = jnp.stack([q[joint] for joint in hinges])
         cosines, sines = once((jnp.cos(angles), jnp.sin(angles)))
         for row, joint in enumerate(hinges):
