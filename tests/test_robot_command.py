@@ -373,7 +373,7 @@ def test_baselines_need_no_run(reachlab: Shell) -> None:
     report = as_json(said)
     assert report["robot"] == "small"
     assert report["success_rate"] == 1
-    assert "leave --base and --package out" in reachlab("eval", "x", "--base", "base", "--package", "a=b").err
+    assert "leave --base and --package out" in reachlab("eval", "panda/lift", "--base", "base", "--package", "a=b").err
 
 
 def test_folders_of_packages_are_kept_whole(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
