@@ -7,15 +7,12 @@ import itertools
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import Array
 
 from reachlab.jax_setup import jit
+from reachlab.robots.derive.reaching import lead
 from reachlab.robots.kinematics.chain import Chain
-from reachlab.robots.kinematics.forward import angle_between, components, forward_kinematics
-from reachlab.robots.kinematics.inverse import ik_approach
-from reachlab.robots.kinematics.scalars import Vec, rotation_from_quaternion
+from reachlab.robots.kinematics.forward import forward_kinematics
 from reachlab.robots.robot import Box, Robot, front_of
 from reachlab.settings.cache import kept
 from reachlab.tasks.task import Bounds
@@ -30,9 +27,6 @@ the first one is taken that does, else the best."""
 
 EACH = (4, 4, 3)
 """Points in x, y and z that have to be reached."""
-
-STEPS = 200
-"""Steps of inverse kinematics towards each of them."""
 
 NEAR, UPRIGHT, PLAY = 0.002, 0.05, 0.02
 """Where the tool is there: distance [m], angle [rad], and what is left to each joint's limits [rad or m]."""
@@ -78,10 +72,8 @@ def _find(chain: Chain, home: tuple[float, ...], held: tuple[float, ...], worksp
     parts = [(middle - half + by * outward, middle + half + by * outward) for by in MOVES]
     parts = [((*a[:2], table), (*b[:2], table + 2 * half[2])) for a, b in parts]
     grids = [list(itertools.product(*map(np.linspace, a, b, EACH))) for a, b in parts]
-    there = jit(functools.partial(_there, chain, jnp.array(home), jnp.array(held)), once=True)
-    with jax.ensure_compile_time_eval():
-        shares = [float(np.asarray(there(jnp.array(grid, jnp.float32))).mean()) for grid in grids]
-    low, high = parts[int(np.argmax(shares))]
+    there = _there(chain, home, held, np.concatenate(grids)).reshape(len(parts), -1)
+    low, high = parts[int(np.argmax(there.mean(axis=1)))]
     return Part(tuple(map(float, low)), tuple(map(float, high)))
 
 
@@ -102,21 +94,11 @@ def reach_on_table(robot: Robot) -> float:
     return _reach(robot.chain, robot.table_top)
 
 
-def _there(chain: Chain, home: Array, held: Array, points: Array) -> Array:
+def _there(chain: Chain, home: tuple[float, ...], held: tuple[float, ...], points: np.ndarray) -> np.ndarray:
     """Which of points `[P, 3]` the tool comes to, held like that, with all joints within their limits.
 
     Of an arm with fewer than six joints only the tilt counts.
     """
-    turned = jnp.broadcast_to(held, (len(points), 4))
-
-    def closer(_: int, q: Array) -> Array:
-        return ik_approach(chain, q, points, turned)
-
-    q = jax.lax.fori_loop(0, STEPS, closer, jnp.broadcast_to(home, (len(points), chain.n)))
-    tool = forward_kinematics(chain, q)
-    free = ((q > jnp.array(chain.lower) + PLAY) & (q < jnp.array(chain.upper) - PLAY)).all(axis=-1)
-    near = jnp.linalg.norm(tool.position - points, axis=-1) < NEAR
-    if chain.poses:
-        return free & near & (angle_between(tool.quaternion, turned) < UPRIGHT)
-    out = rotation_from_quaternion(*components(tool.quaternion)).apply(Vec(*chain.approach))
-    return free & near & (out.z < -np.cos(UPRIGHT))
+    led = lead(chain, np.array(home), points, np.array(held))
+    free = ((led.q > np.array(chain.lower) + PLAY) & (led.q < np.array(chain.upper) - PLAY)).all(axis=1)
+    return free & (led.off < NEAR) & (led.turned < UPRIGHT)

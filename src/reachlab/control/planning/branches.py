@@ -7,6 +7,7 @@ from numpy.random import Generator
 
 from reachlab.control.planning.arm import Arm
 from reachlab.control.planning.collision import CollisionChecker
+from reachlab.robots.kinematics.transforms import motions
 
 STARTS = 24
 """Joint vectors from which those of a pose are looked for: home, and random ones."""
@@ -65,11 +66,9 @@ def _errors(
     With fewer than six joints it is the tilt alone that has an error, in the upright plane of first joint and tool.
     """
     links = arm.links_at(q)
-    tool, axes, origins = links[:, -1], links[:, :-1, :3, 2], links[:, :-1, :3, 3]
+    tool = links[:, -1]
     linear = position - tool[:, :3, 3]
-    sliding = arm.slides[:, None]
-    moves = np.where(sliding, axes, np.cross(axes, tool[:, None, :3, 3] - origins))
-    turns = np.where(sliding, 0.0, axes)
+    moves, turns = motions(links[:, :-1], arm.slides, tool[:, :3, 3])
     if arm.poses:
         missing = rotation @ np.swapaxes(tool[:, :3, :3], 1, 2)
         trace = np.trace(missing, axis1=1, axis2=2)
@@ -77,7 +76,7 @@ def _errors(
         angular = skew / np.sqrt(np.maximum(1.0 + trace, TINY))[:, None]
     else:
         points, down = tool[:, :3, :3] @ arm.approach, (rotation @ arm.approach)[:, 2]
-        out = tool[:, :2, 3] - origins[:, 0, :2]
+        out = tool[:, :2, 3] - links[:, 0, :2, 3]
         across = np.stack([-out[:, 1], out[:, 0], 0 * out[:, 0]], axis=1)
         across /= np.maximum(np.linalg.norm(out, axis=1, keepdims=True), TINY)
         aside = np.sqrt(np.maximum(1.0 - down**2, 0.0))

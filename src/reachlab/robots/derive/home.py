@@ -3,22 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import Array
 
 from reachlab.robots.kinematics.chain import Chain
-from reachlab.robots.kinematics.forward import (
-    approach_axis,
-    components,
-    forward_kinematics,
-    frames_at,
-    jacobian,
-    stack,
-)
-from reachlab.robots.kinematics.scalars import solve_positive
+from reachlab.robots.kinematics.transforms import motions
 
 SAMPLES = 8192
 """Random joint vectors from which homes are found."""
@@ -64,22 +54,6 @@ TRIED = 64
 """Best joint vectors that are looked at for it."""
 
 
-def turned_candidates(chain: Chain, base: np.ndarray, sampled: Array, tilt: Array) -> tuple[Array, ...]:
-    """Joint vectors `sampled [B, n]` with the tool turned to a tilt, for `Candidates`.
-
-    With them come the tool's position, the Gram matrix of its Jacobian, what is left of the turn, how far the arm hangs
-    below its second joint, and where the tool was.
-    """
-    q = jax.lax.fori_loop(0, TURNS, lambda _, q: _turned(chain, base, q, tilt), sampled)
-    off = jnp.linalg.norm(_turn(chain, base, q, tilt)[0], axis=-1)
-    q = jnp.where((off < TURNED).any(), q, sampled)  # an arm that cannot turn its tool so stays off its limits
-    pose, columns = forward_kinematics(chain, q), jacobian(chain, q)[..., :3, :]
-    gram = jnp.einsum("bij,bkj->bik", columns, columns)
-    heights = [jnp.broadcast_to(origin.z, off.shape) for origin in frames_at(chain, components(q)).origins]
-    hangs = heights[min(1, chain.n - 1)] - jnp.stack(heights[1:] or heights).min(axis=0)
-    return q, pose.position, gram, off, hangs, forward_kinematics(chain, sampled).position
-
-
 def rounded(chain: Chain, q: np.ndarray) -> np.ndarray:
     """Joint vector `[n]` to thousandths [rad or m]: single precision finds it, whose last digits depend on the CPU."""
     return np.clip(np.round(q, 3) + 0.0, chain.lower, chain.upper)
@@ -92,22 +66,23 @@ class Candidates:
         reach: how far from its base the tool comes [m].
     """
 
-    def __init__(
-        self, chain: Chain, base: np.ndarray, tilts: Sequence[float], find: Callable[..., tuple[Array, ...]]
-    ) -> None:
-        """Candidates of an arm that stands at `base [3]` m, with the tool tilted by one of some angles [rad].
-
-        `find` is `turned_candidates` of this arm, compiled.
-        """
+    def __init__(self, chain: Chain, base: np.ndarray, tilts: Sequence[float]) -> None:
+        """Candidates of an arm that stands at `base [3]` m, with the tool tilted by one of some angles [rad]."""
         self._base = base
         lower, upper = np.array(chain.lower), np.array(chain.upper)
         middle = (lower + upper) / 2
         lower, upper = np.maximum(lower, middle - WIDEST), np.minimum(upper, middle + WIDEST)
-        sampled = np.random.default_rng(0).uniform(lower, upper, (SAMPLES, chain.n)).astype(np.float32)
-        found = [[np.asarray(part, np.float64) for part in find(sampled, np.float32(tilt))] for tilt in tilts]
-        q, self._position, gram, off, hangs, anywhere = map(np.concatenate, zip(*found, strict=True))
+        sampled = np.random.default_rng(0).uniform(lower, upper, (SAMPLES, chain.n))
+        self.reach = float(np.quantile(np.linalg.norm(_posture(chain, sampled).position - base, axis=1), REACH))
         self._tilt = np.repeat(tilts, SAMPLES)
-        self.reach = float(np.quantile(np.linalg.norm(anywhere - base, axis=1), REACH))
+        q, off = map(np.concatenate, zip(*(_turned(chain, base, sampled, tilt) for tilt in tilts), strict=True))
+        if not (off < TURNED).any():  # an arm that cannot turn its tool so stays off its limits
+            q = np.tile(sampled, (len(tilts), 1))
+        links, self._position, _ = _posture(chain, q)
+        columns, _ = motions(links[:, 1:], chain.slides, self._position)
+        gram = np.swapaxes(columns, 1, 2) @ columns
+        heights = links[:, 1:, 2, 3]
+        hangs = heights[:, min(1, chain.n - 1)] - heights[:, min(1, chain.n - 1) :].min(axis=1)
         half = np.maximum((np.array(chain.upper) - np.array(chain.lower)) / 2, TINY)
         to_limit = np.minimum(q - chain.lower, chain.upper - q) / half
         able = np.sqrt(np.linalg.eigvalsh(gram)[:, 0].clip(0)) / self.reach
@@ -139,25 +114,46 @@ class Candidates:
         return self._q[self._worth.argmax()] if self._worth.any() else self._middle
 
 
-def _turn(chain: Chain, base: np.ndarray, q: Array, tilt: Array) -> tuple[Array, Array]:
-    """Turn `[B, 3]` rad that brings the tool's axis to its tilt, away from the base; and that axis `[B, 3]`."""
-    pose = forward_kinematics(chain, q)
-    axis, out = approach_axis(chain, pose.quaternion), (pose.position - base)[..., :2]
-    out /= jnp.linalg.norm(out, axis=-1, keepdims=True) + TINY
-    wanted = jnp.concatenate([jnp.sin(tilt) * out, jnp.full_like(out[..., :1], -jnp.cos(tilt))], axis=-1)
-    across = jnp.cross(axis, wanted)
-    sin = jnp.linalg.norm(across, axis=-1, keepdims=True)
-    angle = jnp.arctan2(sin, (axis * wanted).sum(axis=-1, keepdims=True))
-    return angle * jnp.where(sin > TINY, across / jnp.maximum(sin, TINY), jnp.array([1.0, 0.0, 0.0])), axis
+class _Posture(NamedTuple):
+    """An arm at joint vectors `[B, n]`: its links `[B, n + 1, 4, 4]`, and its tool's position and axis `[B, 3]`."""
+
+    links: np.ndarray
+    position: np.ndarray
+    axis: np.ndarray
 
 
-def _turned(chain: Chain, base: np.ndarray, q: Array, tilt: Array) -> Array:
-    """Joint vectors `[B, n]` one damped least-squares step nearer to a tool that is tilted so."""
-    turn, axis = _turn(chain, base, q, tilt)
-    columns = jacobian(chain, q)[..., 3:, :]
-    columns -= axis[..., :, None] * jnp.einsum("bi,bij->bj", axis, columns)[..., None, :]
-    gram = jnp.einsum("bij,bkj->bik", columns, columns) + DAMPING * jnp.eye(3)
-    weights = solve_positive([[gram[:, i, j] for j in range(i + 1)] for i in range(3)], components(turn))
-    step = jnp.einsum("bij,bi->bj", columns, stack(weights, turn))
-    step *= jnp.minimum(1.0, LONGEST_STEP / jnp.maximum(jnp.abs(step).max(axis=-1, keepdims=True), TINY))
-    return jnp.clip(q + step, jnp.array(chain.lower), jnp.array(chain.upper))
+def _posture(chain: Chain, q: np.ndarray) -> _Posture:
+    links = chain.links_at(q)
+    tool = links[:, -1] @ chain.between[-1]
+    return _Posture(links, tool[:, :3, 3], tool[:, :3, :3] @ np.array(chain.approach))
+
+
+def _turned(chain: Chain, base: np.ndarray, q: np.ndarray, tilt: float) -> tuple[np.ndarray, np.ndarray]:
+    """Joint vectors `[B, n]` with the tool turned to a tilt, away from the base; and what is left of the turn `[B]`.
+
+    By damped least-squares steps.
+    """
+    posture = _posture(chain, q)
+    turn = _turn(posture, base, tilt)
+    hinges = ~np.array(chain.slides)[:, None]
+    for _ in range(TURNS):
+        axis, columns = posture.axis[:, None], hinges * posture.links[:, 1:, :3, 2]
+        columns -= (columns @ posture.axis[..., None]) * axis
+        gram = np.swapaxes(columns, 1, 2) @ columns + DAMPING * np.eye(3)
+        step = (columns @ np.linalg.solve(gram, turn[..., None]))[..., 0]
+        step *= np.minimum(1.0, LONGEST_STEP / np.maximum(np.abs(step).max(axis=1, keepdims=True), TINY))
+        q = np.clip(q + step, chain.lower, chain.upper)
+        posture = _posture(chain, q)
+        turn = _turn(posture, base, tilt)
+    return q, np.linalg.norm(turn, axis=1)
+
+
+def _turn(posture: _Posture, base: np.ndarray, tilt: float) -> np.ndarray:
+    """Turn `[B, 3]` rad that brings the tool's axis to its tilt, away from the base."""
+    out = (posture.position - base)[:, :2]
+    out = out / (np.linalg.norm(out, axis=1, keepdims=True) + TINY)
+    wanted = np.column_stack([np.sin(tilt) * out, np.full(len(out), -np.cos(tilt))])
+    across = np.cross(posture.axis, wanted)
+    sin = np.linalg.norm(across, axis=1, keepdims=True)
+    angle = np.arctan2(sin, (posture.axis * wanted).sum(axis=1, keepdims=True))
+    return angle * np.where(sin > TINY, across / np.maximum(sin, TINY), (1.0, 0.0, 0.0))

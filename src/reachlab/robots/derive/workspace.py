@@ -5,14 +5,14 @@ from __future__ import annotations
 import functools
 import itertools
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from jax import Array
 
 from reachlab.robots.derive.home import Candidates, rounded
-from reachlab.robots.derive.reaching import NODES, PROBES, programs_of
+from reachlab.robots.derive.reaching import NODES, PROBES, lead, program
 from reachlab.robots.kinematics.chain import Chain, significant
 from reachlab.robots.robot import TUTORIAL_WORKSPACE, Box
 from reachlab.settings.validation import InputError
@@ -23,6 +23,9 @@ SHARE = 0.999
 NEAREST, WIDEST, HIGHEST, LOWEST_GOAL = 0.15, 0.8, 0.9, 0.08
 """Where the grid begins in front of the base, and ends at its sides and above it; and the height above which points in
 the air lie: shares of the arm's reach."""
+
+CLOSE, TURNED = 2e-3, 0.1
+"""A point is reached when the tool is this close to it [m], and, where it is held, turned by less than this [rad]."""
 
 TRAVEL = 1.2
 """Points in the air are near enough to home that every joint gets there in this time at its speed limit [s]."""
@@ -79,22 +82,18 @@ def derive(
         home: the file's.
         free: whether the arm does not touch itself at a joint vector `[n]`.
     """
-    tilts, (rotation, offset) = TILTS[:1] if chain.poses else TILTS, chain.frames[-1]
-    tool = np.array([*rotation, offset], np.float32), np.array(chain.approach, np.float32)
-    programs = programs_of(replace(chain, frames=chain.frames[:-1], approach=()))
-    held, anyhow, find = (functools.partial(one, *tool) for one in programs)
-    candidates = Candidates(chain, base, tilts, functools.partial(find, base.astype(np.float32)))
-    search = _Search(chain, speed, base, candidates.reach, held, anyhow)
+    program(chain)  # is compiled meanwhile
+    tilts = TILTS[:1] if chain.poses else TILTS
+    candidates = Candidates(chain, base, tilts)
+    search = _Search(chain, speed, base, candidates.reach)
     tried = [(np.array(home), turn, FAR_BETTER**2) for turn in QUARTERS] if home else []
     for turn, tilt in itertools.product(QUARTERS, tilts):
         favour = FAR_BETTER ** ((turn == 0.0) + (tilt == 0.0))
         most = -(-(HOMES_ASIDE if turn else HOMES) // len(tilts))
         tried += [(q, turn, favour) for q in candidates.best(turn, tilt, free, most)]
-    found = [
-        (favour * box[1], q, turn, box[0])
-        for q, turn, favour in tried
-        if (box := search.largest(functools.partial(search.held, q), turn, chain.tool_at(q)[0], 0.0))
-    ]
+    with ThreadPoolExecutor() as pool:
+        boxes = pool.map(lambda one: search.about(*one[:2]), tried)
+        found = [(favour * box[1], q, turn, box[0]) for (q, turn, favour), box in zip(tried, boxes, strict=True) if box]
     if not found:
         return _around(chain, base, np.array(home) if home else rounded(chain, candidates.any()))
     _, q, turn, box = max(found, key=lambda one: one[0])
@@ -116,32 +115,33 @@ def orientation(chain: Chain, home: tuple[float, ...]) -> tuple[float, ...]:
 
 @dataclass
 class _Search:
-    """Boxes of points that an arm reaches from a home; what is compiled are the functions below."""
+    """Boxes of points that an arm reaches from a home."""
 
     chain: Chain
     speed: np.ndarray
     base: np.ndarray
     reach: float
-    compiled_held: Callable[..., tuple[Array, Array]]
-    compiled_anyhow: Callable[..., tuple[Array, Array]]
 
     def held(self, q: np.ndarray, points: np.ndarray) -> np.ndarray:
         """Which of `points [m, 3]` the tool reaches from home `q`, held as it is there."""
-        return np.asarray(self.compiled_held(q.astype(np.float32), points.astype(np.float32))[0])
+        led = lead(self.chain, q, points, self.chain.tool_at(q)[1])
+        return (led.off < CLOSE) & (led.turned < TURNED)
 
     def start(self, q: np.ndarray, box: Box, turn: float) -> np.ndarray:
         """Home `[n]` from which the tool starts in its place in the box."""
         low, high = np.sort((np.array(box) - self.base) @ _about_z(turn), axis=0)
         point = self.base + (low + np.array(START) * (high - low)) @ _about_z(turn).T
-        points = np.broadcast_to(point, (PROBES, 3)).astype(np.float32)
-        return np.asarray(self.compiled_held(q.astype(np.float32), points)[1][0], np.float64)
+        return lead(self.chain, q, point[None], self.chain.tool_at(q)[1]).q[0]
 
     def anyhow(self, q: np.ndarray, points: np.ndarray) -> np.ndarray:
         """Which of them it reaches from starts about home in any orientation, and in time."""
         noise = np.random.default_rng(0).uniform(-NOISE, NOISE, (len(points), self.chain.n))
-        starts = np.clip(q + noise, self.chain.lower, self.chain.upper).astype(np.float32)
-        reached, ends = self.compiled_anyhow(starts, points.astype(np.float32))
-        return np.asarray(reached) & (np.abs(np.asarray(ends) - q) <= TRAVEL * self.speed).all(axis=1)
+        led = lead(self.chain, np.clip(q + noise, self.chain.lower, self.chain.upper), points, None)
+        return (led.off < CLOSE) & (np.abs(led.q - q) <= TRAVEL * self.speed).all(axis=1)
+
+    def about(self, q: np.ndarray, turn: float) -> tuple[Box, float] | None:
+        """The largest box about home `q`, in which the tool is held as it is there, and its size."""
+        return self.largest(functools.partial(self.held, q), turn, self.chain.tool_at(q)[0], 0.0)
 
     def largest(
         self, reached: Callable[[np.ndarray], np.ndarray], turn: float, holds: np.ndarray | None, lowest: float

@@ -59,10 +59,14 @@ class Chain:
 
     def tool_at(self, q: Sequence[float] | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Position `[3]` m and quaternion `[4]` wxyz of the tool at one joint vector `[n]`, without JAX."""
-        transform = self.links_at(q)[-1] @ _matrix(*self.frames[-1])
+        transform = self.tools_at(q)
         quaternion = np.zeros(4)
         mujoco.mju_mat2Quat(quaternion, transform[:3, :3].ravel())
         return transform[:3, 3], quaternion
+
+    def tools_at(self, q: Sequence[float] | np.ndarray) -> np.ndarray:
+        """Transforms `[..., 4, 4]` of the tool at joint vectors `[..., n]`, without JAX."""
+        return self.links_at(q)[..., -1, :, :] @ self.between[-1]
 
     @property
     def between(self) -> np.ndarray:

@@ -97,14 +97,26 @@ def ik_displace(chain: Chain, q: Array, displacement: Array, quaternion: Array) 
     return _pose_step(chain, q, frames, Vec(*components(displacement)), quaternion)
 
 
-def ik_approach(chain: Chain, q: Array, position: Array, quaternion: Array, damping: float = DAMPING) -> Array:
-    """The same step towards a tool at `position [..., 3]` m."""
+def ik_approach(
+    chain: Chain, q: Array, position: Array, quaternion: Array, damping: Scalar = DAMPING, holding: Scalar = 1.0
+) -> Array:
+    """The same step towards a tool at `position [..., 3]` m; where `holding` is 0, in any orientation."""
     frames = frames_at(chain, components(q))
-    return _pose_step(chain, q, frames, Vec(*components(position)).minus(frames.position), quaternion, damping)
+    linear = Vec(*components(position)).minus(frames.position)
+    return _pose_step(chain, q, frames, linear, quaternion, damping, holding)
 
 
-def _pose_step(chain: Chain, q: Array, frames: Frames, linear: Vec, held: Array, damping: float = DAMPING) -> Array:
+def _pose_step(
+    chain: Chain,
+    q: Array,
+    frames: Frames,
+    linear: Vec,
+    held: Array,
+    damping: Scalar = DAMPING,
+    holding: Scalar = 1.0,
+) -> Array:
     angular, rows = _orientation(chain, frames, held, q)
+    rows = [*rows[:3], *(jnp.asarray(mul(holding, row)) for row in rows[3:])]
     shorten = _shrink(MAX_TURN, _size(angular))
     turn = [mul(shorten, part) for part in angular]
     return _bounded_step(chain, q, rows, linear, turn, damping, MAX_JOINT_STEP)

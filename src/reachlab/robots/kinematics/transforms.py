@@ -29,3 +29,13 @@ def moved_links(frames: np.ndarray, slides: Sequence[bool] | np.ndarray, q: np.n
         before = before @ frames[joint] @ transform
         found.append(before)
     return found
+
+
+def motions(links: np.ndarray, slides: Sequence[bool] | np.ndarray, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How a point `[..., 3]` m and its frame are moved and turned by each joint, `[..., n, 3]`: the Jacobian's columns.
+
+    `links [..., n, 4, 4]` are what the joints move.
+    """
+    axes, sliding = links[..., :3, 2], np.asarray(slides, bool)[:, None]
+    moves = np.where(sliding, axes, np.cross(axes, point[..., None, :] - links[..., :3, 3]))
+    return moves, np.where(sliding, 0.0, axes)
