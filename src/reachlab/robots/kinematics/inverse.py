@@ -107,13 +107,7 @@ def ik_approach(
 
 
 def _pose_step(
-    chain: Chain,
-    q: Array,
-    frames: Frames,
-    linear: Vec,
-    held: Array,
-    damping: Scalar = DAMPING,
-    holding: Scalar = 1.0,
+    chain: Chain, q: Array, frames: Frames, linear: Vec, held: Array, damping: Scalar = DAMPING, holding: Scalar = 1.0
 ) -> Array:
     angular, rows = _orientation(chain, frames, held, q)
     rows = [*rows[:3], *(jnp.asarray(mul(holding, row)) for row in rows[3:])]
