@@ -6,6 +6,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
 
+import jax
 import numpy as np
 import pytest
 
@@ -78,8 +79,9 @@ def robot(tmp_path_factory: pytest.TempPathFactory) -> Robot:
 
 
 def test_links_meet_where_their_shapes_do_and_not_where_their_capsules_do(robot: Robot) -> None:
-    env: Any = SimpleNamespace(setup=SimpleNamespace(robot=robot), config=SimpleNamespace(sim="mujoco"))
-    meets = make_meets(cast("Any", env))
+    setup, config = SimpleNamespace(robot=robot), SimpleNamespace(sim="mujoco")
+    env: Any = SimpleNamespace(setup=setup, config=config, compile_part=lambda function, *_: jax.jit(function))
+    meets = make_meets(env)
     assert meets is not None
     q = np.array([STRAIGHT, BESIDE, INSIDE, INSIDE], np.float32)
     told = meets(cast("Any", q), np.array([True, True, True, False]))

@@ -124,18 +124,18 @@ def make_act(env: Env, agent: str | Function) -> Act:
     chosen: Agent = entry.load()
     steps_ahead(env)
 
-    @env.compile_part
     def decided(policy: Policy | None, state: EnvState, key: Array, picture: Any) -> tuple[Array, Memory, Array]:
         key, now = jax.random.split(key)
         return *decide(chosen, env, policy, state, now, picture), key
 
+    decision = env.compile_part(decided, agent)
     draws = env.pictured and entry.trained
 
     def act(
         policy: Policy | None, state: EnvState, key: Array, mask: Array | None = None, instead: Array | None = None
     ) -> tuple[EnvState, Transition, Array]:
         picture = env.render_observation(state, None if mask is None else np.asarray(mask)) if draws else None
-        action, memory, key = decided(policy, state, key, picture)
+        action, memory, key = decision(policy, state, key, picture)
         state, transition = env.step(replace(state, memory=memory), action, instead=instead)
         return state, transition, key
 

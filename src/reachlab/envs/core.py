@@ -246,9 +246,14 @@ class Env:
 
     # --- for callers ------------------------------------------------------------------------------
 
-    def compile_part(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """A function beside the simulator: itself where a caller traces everything, compiled where none can."""
-        return function if self.traced else jit(function, brief=True)
+    def compile_part(self, function: Callable[..., Any], *settings: object) -> Callable[..., Any]:
+        """A function beside the simulator: itself where a caller traces everything, compiled where none can.
+
+        It is kept by its name where `settings` are all that it depends on beside its arguments and this environment.
+        """
+        if self.traced:
+            return function
+        return Computed(kept(function, function.__name__, self.identity, *settings) if settings else function)
 
     def compile_whole(self, function: Callable[..., Any]) -> Callable[..., Any]:
         """A function that uses this environment, compiled as a whole where everything can be traced."""

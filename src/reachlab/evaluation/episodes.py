@@ -150,17 +150,22 @@ def make_runner(env: Env, agent: str | Function, episodes: int = FEW, keep: Keep
     init = init if traced else env.compile_whole(init)
     meets = None if traced or keep else make_meets(env)
 
-    @env.compile_part
     def unplayed(state: EnvState, keys: Array) -> tuple[Episodes, Array]:
         begun = _unplayed(state, env.setup, judged=meets is not None)
         return begun, jax.random.fold_in(keys[0], AGENT_STREAM)
 
+    first = env.compile_part(unplayed, meets is not None)
+
     def begin(keys: Array) -> Carry:
         state = init(keys)
-        return state, *unplayed(state, keys)
+        return state, *first(state, keys)
 
     act = make_act(env, agent)
-    count_step = functools.partial(_count, setup=env.setup)
+
+    def count(episodes: Episodes, state: EnvState, transition: Transition) -> Episodes:
+        return _count(episodes, state, transition, env.setup)
+
+    count_step = env.compile_part(count, "episodes")
 
     def advance(policy: Policy | None, carry: Carry) -> tuple[Carry, Array]:
         state, episodes, key = carry
@@ -177,7 +182,7 @@ def make_runner(env: Env, agent: str | Function, episodes: int = FEW, keep: Keep
 
     if env.traced and isinstance(agent, str):
         advance = jit(advance)
-    else:
+    elif env.traced:
         count_step = jit(count_step, brief=True)
     beside = Beside(meets, None if keep else make_straight(env), getattr(act, "planned", None), keep)
     return Runner(functools.partial(_run_on_host, begin, advance, beside, moves=moves), env.num_envs, on_host=True)

@@ -9,7 +9,6 @@ import numpy as np
 from jax import Array
 
 from reachlab.envs.core import Env
-from reachlab.jax_setup import jit
 from reachlab.robots.shapes.clearance import capsules_at, self_distance
 from reachlab.robots.shapes.self_contact import meeting
 from reachlab.sims import SIMULATORS
@@ -26,11 +25,15 @@ def make_meets(env: Env) -> Meets | None:
     robot = env.setup.robot
     if "dynamics" not in SIMULATORS[env.config.sim].gives or not (capsules := robot.capsules).pairs:
         return None
-    near = jit(lambda q: self_distance(capsules, capsules_at(robot.chain, capsules, q)) < 0, brief=True)
+
+    def near(q: Array) -> Array:
+        return self_distance(capsules, capsules_at(robot.chain, capsules, q)) < 0
+
+    overlap = env.compile_part(near, "links")
     exactly = functools.cache(lambda: meeting(robot))
 
     def meets(q: Array, rows: np.ndarray) -> np.ndarray:
-        found = np.asarray(near(q)) & rows
+        found = np.asarray(overlap(q)) & rows
         found[found] = [exactly()(one) for one in np.asarray(q)[found]]
         return found
 

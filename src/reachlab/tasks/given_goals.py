@@ -31,7 +31,8 @@ def joints_at(setup: TaskSetup, point: Array) -> tuple[Array, Array]:
         way *= jnp.minimum(LONGEST_STEP / (jnp.linalg.norm(way) + NEAR), 1.0)
         return q + ik_point_step(chain, q, q, way)
 
-    q = jax.lax.fori_loop(0, ITERATIONS, step, jnp.array(setup.robot.home))
+    home = jnp.array(setup.robot.home) + 0.0 * point[0]  # of a batch where the point is: see `of_key`
+    q = jax.lax.fori_loop(0, ITERATIONS, step, home)
     return q, jnp.linalg.norm(forward_kinematics(chain, q).position - point) < NEAR
 
 

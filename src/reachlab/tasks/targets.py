@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -18,6 +18,8 @@ from reachlab.robots.kinematics.inverse import inverse_kinematics
 from reachlab.robots.shapes.clearance import free_of_contact
 from reachlab.settings.tables import Table
 from reachlab.tasks.task import Bounds, TaskSetup
+
+Tree = TypeVar("Tree")
 
 WXYZ, XYZW = (3, 0, 1, 2), (1, 2, 3, 0)
 """Where the numbers of a quaternion are found in one of the other order."""
@@ -104,7 +106,7 @@ class Drawn(NamedTuple):
 
 def first_reached(draw: Callable[[Array], Drawn], setup: TaskSetup, key: Array) -> Goal:
     """The first goal drawn that the arm can reach and be at freely; exactly the pose of the joints that were found."""
-    nothing = Drawn(key, jnp.array(setup.robot.home), jnp.zeros((), bool), jnp.zeros((), jnp.int32))
+    nothing = Drawn(key, *of_key(key, (jnp.array(setup.robot.home), jnp.zeros((), bool), jnp.zeros((), jnp.int32))))
 
     def again(before: Drawn) -> Drawn:
         drawn = draw(before.key)
@@ -114,6 +116,15 @@ def first_reached(draw: Callable[[Array], Drawn], setup: TaskSetup, key: Array) 
     found = jax.lax.while_loop(lambda drawn: ~drawn.reached & (drawn.draws < DRAWS), again, nothing)
     pose = forward_kinematics(setup.robot.chain, found.q)
     return Goal.at(pose.position, quaternion=pose.quaternion, joints=found.q)
+
+
+def of_key(key: Array, tree: Tree) -> Tree:
+    """The same numbers, of a batch where the key is of one, to begin a loop with.
+
+    JAX traces a loop's body anew for the parts of what it carries that turn out to be of a batch.
+    """
+    zero = jax.random.key_data(key).ravel()[0] & 0
+    return jax.tree.map(lambda x: x + zero.astype(x.dtype), tree)
 
 
 def _turned_pose(setup: TaskSetup, key: Array) -> Drawn:

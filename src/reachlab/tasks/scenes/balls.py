@@ -14,7 +14,7 @@ from reachlab.control.situation import Goal
 from reachlab.robots.kinematics.forward import Pose, forward_kinematics
 from reachlab.robots.shapes.clearance import Capsules, Segments, capsules_at, free_at, moving
 from reachlab.tasks.given_goals import joints_at
-from reachlab.tasks.targets import Drawn, first_reached, sample_point
+from reachlab.tasks.targets import Drawn, first_reached, of_key, sample_point
 from reachlab.tasks.task import TaskSetup
 
 NAME = "balls"
@@ -90,7 +90,7 @@ def sample_scene(setup: TaskSetup, key: Array, start: Array, goal: Goal) -> Bodi
         bodies = jax.tree.map(lambda a, b: jnp.where(_rows(there, a), a, b), drawn, nothing)
         return _Scene(key, bodies, _leads(setup, on_ways, bodies), before.rounds + 1)
 
-    begun = _Scene(key, nothing, jnp.zeros((), bool), jnp.zeros((), jnp.int32))
+    begun = _Scene(key, *of_key(key, (nothing, jnp.zeros((), bool), jnp.zeros((), jnp.int32))))
     found = jax.lax.while_loop(lambda scene: ~scene.solved & (scene.rounds < ROUNDS), again, begun)
     return jax.tree.map(lambda a, b: jnp.where(found.solved, a, b), found.bodies, nothing)
 

@@ -14,6 +14,7 @@ from reachlab.control.bodies import Bodies, Shape, absent, beside
 from reachlab.control.situation import Goal
 from reachlab.robots.shapes.clearance import Segments, capsules_at, free_at, moving
 from reachlab.tasks.scenes.balls import LONG, RADIUS, THIN
+from reachlab.tasks.targets import of_key
 from reachlab.tasks.task import TaskSetup
 
 NAME = "moving"
@@ -76,7 +77,7 @@ def sample_scene(setup: TaskSetup, key: Array, start: Array, goal: Goal) -> Bodi
         evaded = _evaded(setup, for_postures, goal.joints, bodies, times)
         return _Scene(key, bodies, there[0] & evaded, before.rounds + 1)
 
-    begun = _Scene(key, nothing, jnp.zeros((), bool), jnp.zeros((), jnp.int32))
+    begun = _Scene(key, *of_key(key, (nothing, jnp.zeros((), bool), jnp.zeros((), jnp.int32))))
     found = jax.lax.while_loop(lambda scene: ~scene.solved & (scene.rounds < ROUNDS), again, begun)
     return jax.tree.map(lambda a, b: jnp.where(found.solved, a, b), found.bodies, nothing)
 
