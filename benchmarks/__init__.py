@@ -69,6 +69,10 @@ SUITES: dict[str, Lazy] = {
         "The programs that a first training of each kind compiles, and how long each takes.",
         "benchmarks.programs:programs",
     ),
+    "waiting": Lazy(
+        "Whole commands with nothing compiled and again, beside another version: AGAINST=FOLDER of its sources.",
+        "benchmarks.waiting:waiting",
+    ),
     "scale": Lazy(
         "Rollouts by Ray workers and trials of sweeps, and what more workers would come to.",
         "benchmarks.scale:scale",
