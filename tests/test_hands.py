@@ -43,7 +43,7 @@ def played(task: str, robot: str = "panda", **settings: Any) -> tuple[Env, EnvSt
     """An environment, its states at the start and after the script's episodes, and which were successes."""
     env = Env(configure(task, robot=robot, **{"randomise": (), **settings}), EPISODES)
     start = state = env.init(episode_keys(3, REPORT_STREAM, 0, EPISODES))
-    act, key, success = make_act(env, "ik"), jax.random.key(0), np.zeros(EPISODES, bool)
+    act, key, success = env.compile_whole(make_act(env, "ik")), jax.random.key(0), np.zeros(EPISODES, bool)
     for _ in range(env.config.rules.max_steps):
         state, transition, key = act(None, state, key)
         success = np.asarray(transition.terms["success"])

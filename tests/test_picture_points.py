@@ -66,7 +66,7 @@ def spots(count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_keypoints_are_learnt_to_a_fraction_of_a_cell() -> None:
-    pictures, places = spots(64)
+    pictures, places = spots(32)
     encoder, optimiser = Keypoints.make(jax.random.key(0), 2), optax.adam(5e-3)
 
     @jax.jit
