@@ -24,7 +24,6 @@ from reachlab.control.situation import Goal
 from reachlab.envs.consistency import check
 from reachlab.envs.gymnasium_single import ReachEnv
 from reachlab.envs.random_streams import env_keys
-from reachlab.envs.setup import _task
 from reachlab.scale.training import failure_file, run_training
 from reachlab.settings import extensions
 from reachlab.settings.config import RunConfig
@@ -166,13 +165,42 @@ def test_lists_are_taken_and_what_is_loaded_is_short() -> None:
 def test_what_is_no_environment_agent_or_setting_is_told_so(tmp_path: Path) -> None:
     env = reachlab.Env(reachlab.configure("tutorial"), 2)
     for given, sentence in (
-        ((ReachEnv("tutorial"), "ik"), "a reachlab.Env is evaluated, got ReachEnv: make one by reachlab.Env"),
-        ((env, SimpleNamespace()), "agent must be a name or a function of observations, got SimpleNamespace"),
+        ((ReachEnv("tutorial"), "ik"), r"evaluate needs an Env, as reachlab.Env\(.*, got ReachEnv"),
+        ((env, SimpleNamespace()), r"evaluate needs a name or a function \(.* as agent, got SimpleNamespace"),
+        ((env, "trained", reachlab.load("panda/precise")), "needs a Policy, .* got LoadedRun: give its `policy`"),
     ):
         with pytest.raises(InputError, match=sentence):
             reachlab.evaluate(*cast("Any", given))
-    with pytest.raises(InputError, match=r"settings are needed, as reachlab.configure\('tutorial'\) gives, got 'x'"):
-        reachlab.train(cast("Any", "x"), tmp_path / "run")
+    config: Any = reachlab.configure("tutorial")
+    for call, sentence in (
+        (lambda: reachlab.train(cast("Any", "x"), tmp_path / "run"), "train needs a RunConfig, .* as config, got 'x'"),
+        (lambda: reachlab.train(config, cast("Any", None)), "train needs a path as out, got None"),
+        (lambda: reachlab.train(config, tmp_path / "run", cast("Any", 3)), "train needs a function as watch, got 3"),
+        (lambda: reachlab.distil(config, tmp_path / "run"), "distil needs a DistilRunConfig, .* got RunConfig"),
+        (lambda: reachlab.load_robot(cast("Any", 3)), "load_robot needs a path as name, got 3"),
+        (lambda: reachlab.view(cast("Any", env.setup)), "view needs an Env, .*, as env, got TaskSetup"),
+    ):
+        with pytest.raises(InputError, match=sentence):
+            call()
+    assert not [*tmp_path.iterdir()]
+
+
+def test_a_path_is_a_robot_as_its_text_is(tmp_path: Path) -> None:
+    assert reachlab.configure(robot=tmp_path / "arm.urdf").robot == str(tmp_path / "arm.urdf")
+
+
+PAID = {"each": 1.0}
+
+
+def test_a_number_that_a_reward_uses_counts_as_it_is_when_an_environment_is_made(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(REWARDS, "mine", lambda _, outcome: {"paid": 0 * outcome.gap + PAID["each"]})
+    for paid in (1.0, 2.0):
+        monkeypatch.setitem(PAID, "each", paid)
+        env = ReachEnv("tutorial", reward="mine")
+        env.reset(seed=0)
+        assert env.step(np.zeros(3, np.float32))[1] == paid
 
 
 def test_a_reward_that_was_changed_counts_from_the_next_environment_on(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -268,10 +296,8 @@ def test_a_task_that_cannot_be_is_refused(
     kind: Any = TASKS["tutorial"].load()
     task = replace(kind.task(), **changed)
     monkeypatch.setattr(kind, "task", staticmethod(lambda: task))
-    _task.cache_clear()
     with pytest.raises(InputError, match=sentence):
         _stepped("tutorial")
-    _task.cache_clear()
 
 
 def test_a_controller_that_fails_is_told_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -280,11 +306,9 @@ def test_a_controller_that_fails_is_told_by_name(monkeypatch: pytest.MonkeyPatch
     kind: Any = TASKS["precise"].load()
     task = replace(kind.task(), control=Control("mine", residual_gain=1.0))
     monkeypatch.setattr(kind, "task", staticmethod(lambda: task))
-    _task.cache_clear()
     env = reachlab.Env(reachlab.configure("precise", sim="kinematic", max_steps=3, hold_steps=1), 2)
     with pytest.raises(InputError, match=r"controller 'mine' fails at test_python_input.py:\d+"):
         reachlab.evaluate(env, "ik", episodes=2)
-    _task.cache_clear()
 
 
 def _stepped(task: str) -> None:
@@ -313,7 +337,10 @@ def test_a_film_of_odd_numbers_is_refused(changed: dict[str, Any], tmp_path: Pat
 def test_what_cannot_be_filmed_drawn_or_made_an_environment_is_told_so(tmp_path: Path) -> None:
     odd: Any = "tutorial"
     for call, sentence in (
-        (lambda: reachlab.write_video(odd, "ik", None, tmp_path / "a.webp"), "a reachlab.Env is filmed, got str"),
+        (
+            lambda: reachlab.write_video(odd, "ik", None, tmp_path / "a.webp"),
+            "write_video needs an Env, .*'tutorial'",
+        ),
         (lambda: reachlab.plot([], tmp_path / "a.png"), "name at least one"),
         (lambda: reachlab.load(cast("Any", None)), r"a run is given by its directory .*, got NoneType"),
         (lambda: reachlab.export(cast("Any", 3), tmp_path / "export"), r"a run is given by its directory .*, got int"),

@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import logging
 import sys
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import jax
@@ -28,6 +30,7 @@ from reachlab.robots.loading import load_robot
 from reachlab.settings.validation import InputError
 from reachlab.tasks.scenes import bank, kinds
 from reachlab.tasks.scenes.kinds import KINDS
+from reachlab.tasks.scenes.sampling import goal_box
 
 pytestmark = pytest.mark.usefixtures("few_scenes")
 
@@ -229,3 +232,15 @@ def test_where_there_is_no_terminal_one_sentence_says_what_is_waited_for_the_fir
     said = [record.getMessage() for record in caplog.records]
     assert said == ["reachlab: drawing 16 scenes 'bin' for xarm7, kept for later, in one to five minutes."]
     assert capfd.readouterr().out == ""
+
+
+def test_goals_of_an_arm_whose_front_is_not_x_have_a_box() -> None:
+    panda = load_robot("panda")
+    low, high = (np.array(corner)[[1, 0, 2]] for corner in panda.workspace)
+    turned = replace(panda, workspace=(tuple(low.tolist()), tuple(high.tolist())))
+    assert turned.front == pytest.approx(np.pi / 2)
+    setup: Any = SimpleNamespace(rules=SimpleNamespace(scene=("wall",)), robot=turned)
+    ahead: Any = SimpleNamespace(rules=SimpleNamespace(scene=("wall",)), robot=panda)
+    (low, high), (plain_low, plain_high) = goal_box(setup), goal_box(ahead)
+    assert (low < high).all()
+    assert high - low == pytest.approx((plain_high - plain_low)[[1, 0, 2]], abs=1e-6)

@@ -14,15 +14,18 @@ import numpy as np
 import pytest
 
 from params import tried
+from reachlab import jax_setup
 from reachlab.envs.presets import configure
 from reachlab.envs.setup import make_setup
 from reachlab.jax_setup import jit
 from reachlab.robots import loading
 from reachlab.robots.catalogue import ROBOTS
+from reachlab.robots.derive import reaching
 from reachlab.robots.kinematics.forward import Pose, forward_kinematics
 from reachlab.robots.kinematics.inverse import inverse_kinematics
 from reachlab.robots.loading import NO_BOX, _load, load_robot
 from reachlab.robots.robot import Robot
+from reachlab.settings.validation import InputError
 from reachlab.tasks.reachability import survey
 
 FIVE = """<mujoco><compiler angle="radian"/><worldbody>
@@ -205,3 +208,22 @@ def test_an_arm_that_cannot_point_its_tool_down_starts_away_from_its_limits(tmp_
     robot = load_robot(str(tmp_path / "upright.xml"))
     lower, upper, home = np.array(robot.chain.lower), np.array(robot.chain.upper), np.array(robot.home)
     assert (np.minimum(home - lower, upper - home) > 0.05 * (upper - lower)).all()
+
+
+def test_an_arm_is_led_the_same_where_jax_computes_with_64_bits() -> None:
+    robot = load_robot("ur5e")
+    points = np.array([robot.goal_box[0], robot.goal_box[1]])
+    reaching._compiled.cache_clear()
+    with jax.enable_x64(True):
+        there = reaching.lead(robot.chain, np.array(robot.home), points, None)
+    reaching._compiled.cache_clear()
+    plain = reaching.lead(robot.chain, np.array(robot.home), points, None)
+    assert (there.off < 1e-3).all()
+    np.testing.assert_array_equal(there.q, plain.q)
+
+
+def test_who_leads_an_arm_in_a_fork_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    robot = load_robot("ur5e")
+    monkeypatch.setattr(jax_setup, "FORKED", [1])
+    with pytest.raises(InputError, match="JAX cannot compute in this process, a fork"):
+        reaching.lead(robot.chain, np.array(robot.home), np.zeros((1, 3)), None)

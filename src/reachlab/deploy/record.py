@@ -24,6 +24,7 @@ from reachlab.envs.core import Env
 from reachlab.envs.random_streams import RECORD_STREAM
 from reachlab.evaluation.episodes import Episodes, Step, Watch, ignore, make_runner, run_episodes
 from reachlab.render import CAMERAS
+from reachlab.settings.arguments import typed
 from reachlab.settings.config import RecordConfig
 from reachlab.settings.json_form import flatten, to_json
 from reachlab.settings.validation import InputError, choose, installing
@@ -70,6 +71,7 @@ class Batch(NamedTuple):
     played: Episodes
 
 
+@typed
 def record(
     env: Env,
     agent: str | Function,

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
-import operator
+import sys
 from collections.abc import Callable
 from typing import Any, Self
 
+import cloudpickle
 import jax
 import numpy as np
 from gymnasium.vector import AutoresetMode
@@ -24,6 +26,9 @@ from reachlab.tasks.actions import ACTIONS
 from reachlab.tasks.observations import OBSERVATIONS
 from reachlab.tasks.rewards import REWARDS
 
+BY_NAME = ("reachlab", "builtins", "functools")
+"""Packages whose functions are what they were."""
+
 
 class EpisodeBatch:
     """Episodes under way in every environment of a batch; they begin anew as Gymnasium's autoreset mode says."""
@@ -34,7 +39,7 @@ class EpisodeBatch:
         Compiled programs are shared with batches that are settled alike.
         """
         if env.traced:
-            self._steps: Steps = _compiled(env.config, env.num_envs, mode, _Named(env))
+            self._steps: Steps = _compiled(env.config, env.num_envs, mode, _named(env))
         else:
             self._steps = Steps(env, mode) if env.pictured else HostSteps(env, mode)
         self._in_numpy, self._held = in_numpy, self._steps.nothing
@@ -93,21 +98,26 @@ class Programs(Steps):
         return self._held.pack(held), packing.pack(result)
 
 
-class _Named:
-    """What settings name, equal where it is the same: who tries another reward may give it the same name."""
+def _named(env: Env) -> object:
+    """What settings name, by its code and by the values that this uses; equal to nothing where these are not to be had.
 
-    def __init__(self, env: Env) -> None:
-        rules = env.setup.rules
-        self._all = REWARDS[rules.reward], OBSERVATIONS[rules.observation], ACTIONS[rules.action], env.setup.task
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Named) and all(map(operator.is_, self._all, other._all))
-
-    def __hash__(self) -> int:
-        return hash(tuple(map(id, self._all)))
+    Who tries another reward may give it the same name, or change a number that it uses.
+    """
+    rules = env.setup.rules
+    named = REWARDS[rules.reward], OBSERVATIONS[rules.observation], ACTIONS[rules.action], env.setup.task
+    parts = [type(rules), *named, *(part for one in named for part in vars(one).values())]
+    modules = {str(getattr(part, "__module__", None)) for part in parts} & sys.modules.keys() - {"__main__"}
+    try:
+        with contextlib.ExitStack() as by_name_again:
+            for module in (sys.modules[name] for name in modules if name.partition(".")[0] not in BY_NAME):
+                cloudpickle.register_pickle_by_value(module)
+                by_name_again.callback(cloudpickle.unregister_pickle_by_value, module)
+            return cloudpickle.dumps(named)
+    except Exception:  # whatever is among those values
+        return object()
 
 
 @functools.lru_cache(maxsize=16)
-def _compiled(config: RunConfig, num_envs: int, mode: AutoresetMode, named: _Named) -> Programs:
+def _compiled(config: RunConfig, num_envs: int, mode: AutoresetMode, named: object) -> Programs:
     del named
     return Programs(Env(config, num_envs), mode)

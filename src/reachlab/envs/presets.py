@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 from typing import Any, TypeVar
 
+from reachlab.settings.arguments import typed
 from reachlab.settings.config import DistilRunConfig, PPOConfig, RunConfig
 from reachlab.settings.extensions import IMPORTED, import_installed
 from reachlab.settings.json_form import flatten, override, to_json
@@ -93,6 +95,7 @@ def configure(task: str = "tutorial", **settings: Any) -> RunConfig:
         InputError: a name that is no setting of the task, or a value that is not allowed.
     """
     settings = {name: tuple(value) if isinstance(value, list) else value for name, value in settings.items()}
+    settings |= {name: str(value) for name, value in settings.items() if isinstance(value, os.PathLike)}
     chosen = {name: settings[name] for name in CHOICES if settings.get(name) is not None}
     config = preset(task, **chosen)
     for name in settings:
@@ -121,6 +124,7 @@ def in_simulator(config: Config, sim: str) -> Config:
     return override(config, **{name: there[name] for name in follow})
 
 
+@typed
 def distillation(teacher: str, taught: RunConfig, **settings: Any) -> DistilRunConfig:
     """Configuration of a student of the teacher in the run directory `teacher`, which was trained as `taught`.
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import logging
 from typing import Any
 
@@ -67,10 +66,15 @@ def make_setup(config: RunConfig) -> TaskSetup:
     return setup
 
 
-@functools.cache
+_tasks: dict[type[TaskSettings], tuple[Task, Task]] = {}
+
+
 def _task(kind: type[TaskSettings]) -> Task:
-    """The task of settings; raises `InputError` where one that was added lacks a function."""
-    return checked(kind.task(), kind.__name__)
+    """The task of settings as it is now, checked; raises `InputError` where one that was added lacks a function."""
+    given = kind.task()  # a notebook may have other functions by now
+    if kind not in _tasks or _tasks[kind][0] != given:
+        _tasks[kind] = given, checked(given, kind.__name__)
+    return _tasks[kind][1]
 
 
 def settled(config: RunConfig, setup: TaskSetup) -> RunConfig:

@@ -19,7 +19,8 @@ from reachlab.evaluation.episodes import Episodes, Runner, Watch, ignore, make_r
 from reachlab.evaluation.intervals import quantiles, wilson_interval
 from reachlab.evaluation.tracking import followed
 from reachlab.runs.provenance import versions
-from reachlab.settings.validation import LAST_SEED, InputError, whole_number
+from reachlab.settings.arguments import typed
+from reachlab.settings.validation import LAST_SEED, whole_number
 
 QUANTILES = {"median": 0.5, "p95": 0.95, "p99": 0.99, "max": 1.0}
 """Quantiles of the final error in a report."""
@@ -115,6 +116,7 @@ class Report:
         return asdict(self)
 
 
+@typed
 def evaluate(
     env: Env,
     agent: str | Function,
@@ -144,17 +146,6 @@ def evaluate(
     Raises:
         InputError: see `examine`, or what is given is no environment of reachlab, or no agent.
     """
-    if not isinstance(env, Env):
-        kind = type(env).__name__
-        raise InputError(
-            f"a reachlab.Env is evaluated, got {kind}: make one by reachlab.Env(reachlab.configure('tutorial'), 100),"
-            " or take .env of what `load` gives."
-        )
-    if not isinstance(agent, str) and not callable(agent):
-        raise InputError(
-            f"agent must be a name or a function of observations, got {type(agent).__name__}: of a model of"
-            " Stable-Baselines3 lambda seen: model.predict(seen, deterministic=True)[0]."
-        )
     if runner is None and (varied := env.config.randomise) and varied == preset_of(env.config).randomise:
         log.warning(
             "reachlab: %s vary in this evaluation, as in the preset's training; `reachlab eval` is without, as is"

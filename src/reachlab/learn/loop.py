@@ -59,6 +59,11 @@ class Progress:
     elapsed_s: float
     evaluate: Callable[[int], Report]
 
+    def __repr__(self) -> str:
+        """One line, as `watch=print` shows it."""
+        told = f", success {100 * self.metrics['success_rate']:.1f} %" if "success_rate" in self.metrics else ""
+        return f"Progress({self.steps:,} of {self.total_steps:,} steps, {self.elapsed_s:.1f} s{told})"
+
 
 class Loop:
     """Iterations until the steps are used up or enough validations in a row reach `stop_success`.

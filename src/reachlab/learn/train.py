@@ -29,6 +29,7 @@ from reachlab.runs.lock import locked
 from reachlab.runs.metrics import Metrics, cut_metrics
 from reachlab.runs.shipped import refuse_sweep
 from reachlab.runs.sinks import Sink, make_sinks
+from reachlab.settings.arguments import typed
 from reachlab.settings.config import DistilRunConfig, RunConfig
 from reachlab.settings.json_form import override
 from reachlab.settings.validation import InputError, whole_number
@@ -66,6 +67,7 @@ class TrainResult:
         return self.report.to_json() | times
 
 
+@typed
 def train(
     config: RunConfig,
     out: str | Path,
@@ -140,6 +142,7 @@ def _held(run: RunDirectory, *, new: bool) -> Iterator[None]:
         raise
 
 
+@typed
 def distil(
     config: DistilRunConfig,
     out: str | Path,

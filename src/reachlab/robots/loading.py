@@ -22,6 +22,7 @@ from reachlab.robots.files.urdf import JointFacts
 from reachlab.robots.kinematics.limits import is_limited, own_servos, speed_limits, torque_limits
 from reachlab.robots.robot import CATALOGUE, DEFAULT, DERIVED, FILE, JERK_RATE, RAMP_RATE, Robot
 from reachlab.robots.shapes.self_contact import untouching
+from reachlab.settings.arguments import typed
 from reachlab.settings.cache import kept
 from reachlab.settings.validation import InputError
 
@@ -53,8 +54,9 @@ VERSION = 8
 """Of the derivation of home and boxes: what an older one left in the cache is derived again."""
 
 
+@typed
 def load_robot(
-    name: str,
+    name: str | Path,
     tool: str | None = None,
     *,
     kind: str | None = None,
@@ -82,6 +84,7 @@ def load_robot(
     Raises:
         InputError: unknown name, tool or gripper, missing or broken file, or an arm without hinge and slide joints.
     """
+    name = str(name)
     file = find_model_file(name, packages)
     known = ROBOTS.get(name)
     if known and not tool:

@@ -22,6 +22,7 @@ from reachlab.scale.goals import check_goal
 from reachlab.scale.space import dimensions, label
 from reachlab.scale.study import Study, Trial, load_optuna
 from reachlab.scale.trials import SweepConfig, Trials
+from reachlab.settings.arguments import typed
 from reachlab.settings.config import RunConfig
 from reachlab.settings.json_form import override, to_json
 from reachlab.settings.validation import InputError, choose
@@ -80,6 +81,7 @@ def read_sweep(path: Path) -> SweepConfig:
         raise InputError(f"'{file}' is not usable: it is of another version.") from None
 
 
+@typed
 def sweep(
     config: RunConfig,
     settings: SweepConfig,

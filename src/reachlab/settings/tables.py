@@ -56,7 +56,7 @@ class Lazy:
         except ModuleNotFoundError as error:
             if error.name is None or not f"{module}.".startswith(f"{error.name}."):
                 raise
-            why = f"there is no module {module!r}: it has the name of its file, without .py"
+            why = f"there is no module {module!r}: it has the name of its file, without .py; a notebook's is __main__"
         except AttributeError:
             if hasattr(sys.modules.get(module), name):
                 raise

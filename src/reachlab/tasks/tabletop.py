@@ -15,6 +15,7 @@ from reachlab.robots.kinematics.chain import Chain
 from reachlab.robots.kinematics.forward import forward_kinematics
 from reachlab.robots.robot import Box, Robot, front_of
 from reachlab.settings.cache import kept
+from reachlab.settings.validation import InputError
 from reachlab.tasks.task import Bounds
 
 SHARES = (0.5, 0.7, 0.55)
@@ -83,7 +84,8 @@ def _reach(chain: Chain, table: float) -> float:
         q = np.random.default_rng(0).uniform(chain.lower, chain.upper, (SAMPLES, chain.n)).astype(np.float32)
         with jax.ensure_compile_time_eval():
             tool = np.asarray(jit(lambda q: forward_kinematics(chain, q).position, brief=True)(q))
-        low = np.abs(tool[:, 2] - table) < LOW
+        if not (low := np.abs(tool[:, 2] - table) < LOW).any():
+            raise InputError(f"the arm's tool never comes within {LOW:g} m of the table, {table:g} m high.")
         return Reach(float(np.linalg.norm((tool[low] - chain.frames[0][1])[:, :2], axis=1).max()))
 
     return kept("tables", (VERSION, chain, table), find, Reach, Reach._asdict).reach

@@ -20,6 +20,7 @@ from reachlab.agents.acting import Function, name_of
 from reachlab.agents.policy import Policy
 from reachlab.envs.core import Env
 from reachlab.runs.files import written
+from reachlab.settings.arguments import typed
 from reachlab.settings.validation import LAST_SEED, InputError, choose, installing, whole_number
 from reachlab.watch.captions import Caption, captioned, inset
 from reachlab.watch.player import Player, played
@@ -66,6 +67,7 @@ class Clip:
     bytes: int
 
 
+@typed
 def write_video(
     env: Env,
     agent: str | Function,
@@ -95,7 +97,7 @@ def write_video(
         InputError: an ending that is none of them, a file that cannot be written, or no OpenGL to draw with; no
             environment of reachlab, or a number that makes no sense.
     """
-    _check_numbers(env, seed, episodes, fps, speed)
+    _check_numbers(seed, episodes, fps, speed)
     out = Path(out)
     encode = _encoder(out)
     name = name_of(agent) if callable(agent) else choose("agent", agent, AGENTS)
@@ -134,10 +136,7 @@ def _encoder(out: Path) -> Callable[..., None]:
     return encode
 
 
-def _check_numbers(env: Any, seed: int, episodes: int, fps: float, speed: float) -> None:
-    if not isinstance(env, Env):
-        kind = type(env).__name__
-        raise InputError(f"a reachlab.Env is filmed, got {kind}: make one by reachlab.Env(reachlab.configure(), 1).")
+def _check_numbers(seed: int, episodes: int, fps: float, speed: float) -> None:
     whole_number("seed", seed, 0, LAST_SEED)
     whole_number("episodes", episodes, 1, MOST_EPISODES)
     for name, value in (("fps", fps), ("speed", speed or 1.0)):

@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 from jax import Array
 
-from reachlab.jax_setup import beside, jit
+from reachlab.jax_setup import beside, jit, refuse_fork
 from reachlab.robots.kinematics.chain import Chain
 from reachlab.robots.kinematics.inverse import DAMPING, POINT_DAMPING, ik_approach
 from reachlab.robots.kinematics.scalars import Rotation, Vec
@@ -60,7 +60,12 @@ def lead(chain: Chain, q: np.ndarray, points: np.ndarray, held: np.ndarray | Non
 
 
 def program(chain: Chain) -> Callable[..., Array]:
-    """What leads an arm; it is compiled beside the main thread from the first call on."""
+    """What leads an arm; it is compiled beside the main thread from the first call on.
+
+    Raises:
+        InputError: JAX cannot compute in this process.
+    """
+    refuse_fork()
     return _compiled(replace(chain, frames=chain.frames[:-1], approach=()))
 
 
@@ -81,7 +86,12 @@ def _compiled(arm: Chain) -> Callable[..., Any]:
 
     shapes = (4, 3), (3,), (PROBES, arm.n), (PROBES, 3), (PROBES, 3), (4,), ()
     given = [jax.ShapeDtypeStruct(shape, np.float32) for shape in shapes]
-    return beside(lambda: jit(lead_all, brief=True).lower(*given).compile())
+
+    def compiled() -> Callable[..., Array]:
+        with jax.enable_x64(False):  # whatever holds in this thread
+            return jit(lead_all, brief=True).lower(*given).compile()
+
+    return beside(compiled)
 
 
 def _turned(chain: Chain, rotations: np.ndarray, held: np.ndarray) -> np.ndarray:

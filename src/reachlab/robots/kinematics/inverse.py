@@ -40,6 +40,7 @@ from reachlab.robots.kinematics.scalars import (
     sub,
     total,
 )
+from reachlab.settings.arguments import typed
 from reachlab.settings.validation import InputError
 
 DAMPING = 1e-5
@@ -140,6 +141,7 @@ def ik_point_step(chain: Chain, q: Array, command: Array, displacement: Array) -
     return jnp.moveaxis(step, 0, -1)
 
 
+@typed
 def inverse_kinematics(
     chain: Chain,
     target: Pose,

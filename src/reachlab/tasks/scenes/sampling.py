@@ -53,7 +53,7 @@ def goal_box(setup: TaskSetup) -> Bounds:
     """Corners `[3]` m of the box that holds all goals."""
     if not set(setup.rules.scene) <= KINDS.keys():
         return box_corners(setup)
-    low, high = kind_of(setup.rules.scene[0], setup.robot).place(BOX).astype(np.float32)
+    low, high = np.sort(kind_of(setup.rules.scene[0], setup.robot).place(BOX), axis=0).astype(np.float32)
     return low, high
 
 

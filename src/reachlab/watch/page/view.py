@@ -12,6 +12,7 @@ from reachlab.agents.acting import Function
 from reachlab.agents.policy import Policy
 from reachlab.envs.core import Env
 from reachlab.learn.interrupts import Interrupts
+from reachlab.settings.arguments import typed
 from reachlab.settings.validation import InputError, choose
 from reachlab.watch.page.document import page_head
 from reachlab.watch.page.page import EPISODES, page_body, write_page
@@ -20,6 +21,7 @@ from reachlab.watch.page.server import LOCAL, PageServer
 from reachlab.watch.page.shown import shown_in
 
 
+@typed
 def view(
     env: Env,
     agent: str | Function = "trained",
