@@ -126,7 +126,11 @@ def test_an_extension_that_cannot_be_imported_is_refused_in_one_sentence(
 @pytest.mark.parametrize(
     ("name", "place", "why"),
     [
-        ("mytask.py", "rail:Rail", "there is no module 'rail': it has the name of its file, without .py"),
+        (
+            "mytask.py",
+            "rail:Rail",
+            "there is no module 'rail': it has the name of its file, without .py; a notebook's is __main__",
+        ),
         ("rail.py", "rail:Rial", "module 'rail' has no 'Rial'"),
     ],
 )
@@ -137,6 +141,17 @@ def test_an_entry_that_names_nothing_is_refused_in_one_sentence(folder: Path, na
     done = reachlab_command("train", "--import", name, "--task", "rail", *TINY.split())
     assert (done.returncode, done.stdout) == (cli.WRONG_INPUT, "")
     assert done.stderr == f"reachlab: the table's entry {place!r} cannot be loaded: {why}.\n"
+
+
+def test_a_file_may_import_those_beside_it(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    elsewhere = folder / "tasks"
+    elsewhere.mkdir()
+    (elsewhere / "weights_of_mine.py").write_text("WEIGHT = 3.0")
+    (elsewhere / "mine_beside.py").write_text("import weights_of_mine\nOWN = weights_of_mine.WEIGHT")
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    monkeypatch.setattr(extensions, "IMPORTED", [])
+    extensions.import_extension("tasks/mine_beside.py")
+    assert sys.modules["mine_beside"].OWN == 3.0
 
 
 def test_a_file_that_is_called_as_a_module_in_use_is_refused(folder: Path) -> None:

@@ -218,7 +218,10 @@ def test_a_recording_holds_whole_episodes_that_json_can_tell(arm: Shown) -> None
         (b'{"steps": true}', "steps must be a whole number, got True."),
         (b'{"steps": 1e3}', "steps must be a whole number, got 1000.0."),
         (b'{"agent": "traind"}', "Did you mean 'trained'"),
-        (b'{"agent": "trained", "steps": 1}', "agent 'trained' needs a run: name its directory."),
+        (
+            b'{"agent": "trained", "steps": 1}',
+            "agent 'trained' needs a run: name its directory, or from Python",
+        ),
         (b'{"goal": [1, 2]}', "goal must have 3 or 7 numbers, got 2."),
         (b'{"goal": [NaN, 0, 0]}', "each entry of goal must be"),
         (b'{"goal": [1e999, 0, 0]}', "each entry of goal must be"),

@@ -311,6 +311,15 @@ def test_a_controller_that_fails_is_told_by_name(monkeypatch: pytest.MonkeyPatch
         reachlab.evaluate(env, "ik", episodes=2)
 
 
+def test_a_controller_may_be_entered_as_the_function_that_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(CONTROLLERS, "mine", cast("Any", lambda _, now: 0 * now.q))
+    kind: Any = TASKS["precise"].load()
+    task = replace(kind.task(), control=Control("mine", residual_gain=1.0))
+    monkeypatch.setattr(kind, "task", staticmethod(lambda: task))
+    env = reachlab.Env(reachlab.configure("precise", sim="kinematic", max_steps=3, hold_steps=1, randomise=()), 2)
+    assert reachlab.evaluate(env, "ik", episodes=2).success_rate == 0
+
+
 def _stepped(task: str) -> None:
     env = ReachEnv(task)
     env.reset(seed=0)

@@ -65,7 +65,7 @@ def trained(
     """The trained policy, without noise."""
     del key
     if policy is None:
-        raise InputError("agent 'trained' needs a run: name its directory.")
+        raise InputError("agent 'trained' needs a run: name its directory, or from Python give its policy.")
     _check_fits(policy.schema, env)
     return policy.decide(env.observe(state, picture), state.memory)
 

@@ -83,10 +83,10 @@ def _found(name: str) -> ModuleSpec:
     if path.suffix == ".py":
         if not path.is_file():
             raise InputError(f"extension '{name}' is not there: name a module, or its file, with --import.")
+        _look_in(path.absolute().parent)  # as `python mytask.py` does
         found = importlib.util.spec_from_file_location(path.stem, path.absolute())
     else:
-        if (here := str(Path.cwd())) not in sys.path:  # as `python -m` does
-            sys.path.append(here)
+        _look_in(Path.cwd())  # as `python -m` does
         try:
             found = importlib.util.find_spec(name)
         except (ImportError, ValueError):
@@ -94,6 +94,11 @@ def _found(name: str) -> ModuleSpec:
     if found is None or found.origin is None or not found.has_location:
         raise InputError(f"extension '{name}' is not there: name a module, or its file, with --import.")
     return found
+
+
+def _look_in(folder: Path) -> None:
+    if str(folder) not in sys.path:
+        sys.path.append(str(folder))
 
 
 def _import(spec: ModuleSpec, name: str) -> None:
