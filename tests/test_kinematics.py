@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import functools
+from dataclasses import replace
 from typing import Any
 
 import jax
@@ -432,3 +433,10 @@ def test_a_model_that_is_no_arm_is_refused(joint, tool, message):
     model = arm_of(f'<body name="end">{joint}<geom size="0.1"/></body>')
     with pytest.raises(ValueError, match=message):
         chain_from_model(model, tool)
+
+
+def test_slides_begin_within_a_tenth_of_their_way_and_hinges_as_said(robot):
+    assert robot.chain.noise(0.3) == 0.3
+    slides = (False, True, True)
+    chain = replace(robot.chain, slides=slides, lower=(-2.0, -0.25, -5.0), upper=(2.0, 0.0, 5.0))
+    assert chain.noise(0.3) == pytest.approx([0.3, 0.025, 0.3])

@@ -27,7 +27,10 @@ def test_an_entry_is_imported_only_when_it_is_loaded(tmp_path: Path, monkeypatch
 @pytest.mark.parametrize(
     ("place", "why"),
     [
-        ("reachlab.nowhere:name", "there is no module 'reachlab.nowhere': it has the name of its file, without .py"),
+        (
+            "reachlab.nowhere:name",
+            "there is no module 'reachlab.nowhere': it has the name of its file, without .py; a notebook's is __main__",
+        ),
         ("reachlab.settings.tables:Lasy", "module 'reachlab.settings.tables' has no 'Lasy'"),
     ],
 )

@@ -6,7 +6,7 @@ import functools
 import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -130,6 +130,10 @@ class Robot:
     notices: tuple[str, ...] = ()
     pybullet: PybulletModel | None = None
     gripper: Gripper | None = None
+
+    def _repr_pretty_(self, printer: Any, _: bool) -> None:
+        """What a notebook shows in place of everything that is known of it."""
+        printer.text(f"<Robot {self.name}: {self.chain.n} joints, tool {self.tool}, home {list(self.home)}>")
 
     def spec(self, *, pictures: bool = True) -> mujoco.MjSpec:
         """A new spec of the arm, whose only joints are the chain's, in its order, and then the gripper's.

@@ -41,7 +41,7 @@ class TaskSettings(Checked):
     max_steps: Annotated[int, Range(1, 10**5)] = 1000
     """An episode is truncated on this step."""
     start_noise: NonNegative = 0.0
-    """Episodes start with every joint within this of its home [rad or m]."""
+    """Episodes start with every joint within this of its home [rad or m], a slide within a tenth of its way."""
     approach_weight: Annotated[NonNegative, InProportion(5.0, inverse=True)] = BY_ARM
     """Reward for each metre that the tool comes closer [1/m]; by default 5/m, in inverse proportion to the arm's
     workspace."""

@@ -29,10 +29,10 @@ def sample_goal(setup: TaskSetup, key: Array) -> Goal:
 
 def sample_start(setup: TaskSetup, key: Array) -> Array:
     """The robot's home `[n]`, and noise where the rules say so."""
-    chain, noise = setup.robot.chain, setup.rules.start_noise
-    home = jnp.array(setup.robot.home)
-    if not noise:
+    chain, home = setup.robot.chain, jnp.array(setup.robot.home)
+    if not setup.rules.start_noise:
         return home
+    noise = chain.noise(setup.rules.start_noise)
     start = home + jax.random.uniform(key, home.shape, minval=-noise, maxval=noise)
     return jnp.clip(start, jnp.array(chain.lower), jnp.array(chain.upper))
 

@@ -57,8 +57,8 @@ def survey(setup: TaskSetup) -> Survey:
     low, high = np.array(robot.workspace)
     reached = _drawn_within(setup) if _solved(setup) else _within_reach(setup, random)
 
-    noise = setup.rules.start_noise
-    starts = robot.home + random.uniform(-noise, noise, (SAMPLES, robot.chain.n))
+    noise = robot.chain.noise(setup.rules.start_noise)
+    starts = robot.home + random.uniform(-1.0, 1.0, (SAMPLES, robot.chain.n)) * noise
     begun = _tool(robot, np.clip(starts, robot.chain.lower, robot.chain.upper))
     outside = bounded & ((begun < low) | (begun > high)).any(axis=-1)
     return Survey(float(reached.mean()), float(outside.mean()))

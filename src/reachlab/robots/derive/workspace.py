@@ -135,7 +135,7 @@ class _Search:
 
     def anyhow(self, q: np.ndarray, points: np.ndarray) -> np.ndarray:
         """Which of them it reaches from starts about home in any orientation, and in time."""
-        noise = np.random.default_rng(0).uniform(-NOISE, NOISE, (len(points), self.chain.n))
+        noise = self.chain.noise(NOISE) * np.random.default_rng(0).uniform(-1.0, 1.0, (len(points), self.chain.n))
         led = lead(self.chain, np.clip(q + noise, self.chain.lower, self.chain.upper), points, None)
         return (led.off < CLOSE) & (np.abs(led.q - q) <= TRAVEL * self.speed).all(axis=1)
 

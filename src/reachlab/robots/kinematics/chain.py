@@ -16,6 +16,9 @@ from reachlab.robots.kinematics.transforms import joint_transforms, moved_links
 DECIMALS = 12
 """Decimals of the constants of a joint frame [m or 1]: one that is 0 or 1 but for float64's rounding is that number."""
 
+NOISE_OF_SLIDES = 0.1
+"""Share of a slide's way by which it is away from home at most where an episode begins: 0.3 m may be all of it."""
+
 ROUND_TO_EXACT = 1e-12
 """What is this close to 0 is."""
 
@@ -56,6 +59,12 @@ class Chain:
         offsets = sum(float(np.linalg.norm(np.array(offset))) for _, offset in self.frames)
         limits = zip(self.lower, self.upper, self.slides, strict=True)
         return offsets + sum(max(abs(low), abs(high)) for low, high, slides in limits if slides)
+
+    def noise(self, most: float) -> float | np.ndarray:
+        """How far from home joints begin `[n]`: by `most` [rad or m], slides by no more than a share of their way."""
+        if not any(self.slides):
+            return most
+        return np.where(self.slides, np.minimum(most, NOISE_OF_SLIDES * np.subtract(self.upper, self.lower)), most)
 
     def tool_at(self, q: Sequence[float] | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Position `[3]` m and quaternion `[4]` wxyz of the tool at one joint vector `[n]`, without JAX."""
