@@ -177,6 +177,10 @@ def test_what_is_no_environment_agent_or_setting_is_told_so(tmp_path: Path) -> N
         (lambda: reachlab.train(config, cast("Any", None)), "train needs a path as out, got None"),
         (lambda: reachlab.train(config, tmp_path / "run", cast("Any", 3)), "train needs a function as watch, got 3"),
         (lambda: reachlab.distil(config, tmp_path / "run"), "distil needs a DistilRunConfig, .* got RunConfig"),
+        (
+            lambda: reachlab.load("panda/precise").policy.act(cast("Any", ReachEnv("precise").reset(seed=0))),
+            r"an observation is needed, got a tuple with infos: `observation, _ = env.reset\(\)`",
+        ),
         (lambda: reachlab.load_robot(cast("Any", 3)), "load_robot needs a path as name, got 3"),
         (lambda: reachlab.view(cast("Any", env.setup)), "view needs an Env, .*, as env, got TaskSetup"),
     ):

@@ -165,7 +165,12 @@ class Policy:
         """Action `[..., a]` for an observation and what was remembered, and what is remembered then.
 
         The action is the mean without a key, a sample with one.
+
+        Raises:
+            InputError: what `reset` gives is given whole.
         """
+        if isinstance(observation, tuple) and any(isinstance(part, dict) for part in observation):
+            raise InputError("an observation is needed, got a tuple with infos: `observation, _ = env.reset()`.")
         known = features(self.parameters, self.inputs(observation, memory))
         head = gaussian(self.parameters, known)
         return self.action(head.mean if key is None else head.sample(key)), remembered(self.parameters, known)

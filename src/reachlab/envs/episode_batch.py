@@ -105,7 +105,7 @@ def _named(env: Env) -> object:
     """
     rules = env.setup.rules
     named = REWARDS[rules.reward], OBSERVATIONS[rules.observation], ACTIONS[rules.action], env.setup.task
-    parts = [type(rules), *named, *(part for one in named for part in vars(one).values())]
+    parts = [type(rules), *named, *(part for one in named for part in getattr(one, "__dict__", {}).values())]
     modules = {str(getattr(part, "__module__", None)) for part in parts} & sys.modules.keys() - {"__main__"}
     try:
         with contextlib.ExitStack() as by_name_again:

@@ -43,7 +43,7 @@ def typed(function: Callable[Parameters, Result]) -> Callable[Parameters, Result
     def call(*arguments: Parameters.args, **named: Parameters.kwargs) -> Result:
         names = function.__code__.co_varnames[: function.__code__.co_argcount]
         for name, value in (*zip(names, arguments, strict=False), *named.items()):
-            if (kinds := _kinds(function, name)) and not any(_is(value, kind) for kind in kinds):
+            if (kinds := _kinds(function, name)) and not isinstance(value, kinds):
                 raise InputError(f"{function.__name__} needs {_told(kinds)} as {name}, got {_got(value, kinds)}.")
         return function(*arguments, **named)
 
@@ -58,24 +58,16 @@ def _kinds(function: Callable[..., Any], name: str) -> tuple[Any, ...]:
     except NameError:  # imported for type checkers alone
         return ()
     parts = typing.get_args(hint) if isinstance(hint, types.UnionType) else (hint,)
-    kinds = tuple(typing.get_origin(part) or part for part in parts)
-    known = (str, Path, types.NoneType, collections.abc.Callable)
+    kinds = tuple(os.PathLike if part is Path else typing.get_origin(part) or part for part in parts)
+    known = (str, os.PathLike, types.NoneType, collections.abc.Callable)
     ours = [kind in known or getattr(kind, "__module__", "").startswith("reachlab.") for kind in kinds]
     return kinds if all(ours) and all(isinstance(kind, type) for kind in kinds) else ()
 
 
-def _is(value: object, kind: Any) -> bool:
-    return (
-        callable(value)
-        if kind is collections.abc.Callable
-        else isinstance(value, os.PathLike if kind is Path else kind)
-    )
-
-
 def _told(kinds: tuple[Any, ...]) -> str:
     """What is needed, and how it comes about."""
-    names = {str: "a name", collections.abc.Callable: "a function", Path: "a path"}
-    shown = [kind for kind in kinds if kind is not types.NoneType and not (kind is str and Path in kinds)]
+    names = {str: "a name", collections.abc.Callable: "a function", os.PathLike: "a path"}
+    shown = [kind for kind in kinds if kind is not types.NoneType and not (kind is str and os.PathLike in kinds)]
     told = [names.get(kind) or f"{'an' if kind.__name__[0] in 'AEIOU' else 'a'} {kind.__name__}" for kind in shown]
     made = [f", as {MADE[kind.__name__]}," for kind in shown if kind.__name__ in MADE]
     if str in kinds and collections.abc.Callable in kinds:
