@@ -163,7 +163,7 @@ def make_runner(env: Env, agent: str | Function, episodes: int = FEW, keep: Keep
     act = make_act(env, agent)
 
     def count(episodes: Episodes, state: EnvState, transition: Transition) -> Episodes:
-        return _count(episodes, state, transition, env.setup)
+        return _count(episodes, state, transition, setup=env.setup)
 
     count_step = env.compile_part(count, "episodes")
 
