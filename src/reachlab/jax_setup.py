@@ -54,12 +54,6 @@ def jit(function: Callable[..., Any], *, brief: bool = False, once: bool = False
     return jax.jit(function, compiler_options=options)
 
 
-def compile_together(*calls: tuple[Callable[..., Any], tuple[Any, ...]]) -> list[Callable[..., Any]]:
-    """Brief functions, compiled at the same time, each for arguments like those that stand beside it."""
-    with ThreadPoolExecutor() as pool:
-        return list(pool.map(lambda call: jit(call[0], brief=True).lower(*call[1]).compile(), calls))
-
-
 COMPILERS = ThreadPoolExecutor(2)
 """What compiles beside the main thread, in the order of asking: a program takes one core and a half."""
 

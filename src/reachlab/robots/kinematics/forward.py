@@ -24,7 +24,6 @@ from reachlab.robots.kinematics.scalars import (
     Vec,
     once,
     quaternion_from_rotation,
-    rotation_from_quaternion,
     total,
 )
 from reachlab.settings.validation import InputError
@@ -84,25 +83,6 @@ def joint_vectors(chain: Chain, q: ArrayLike) -> Array:
     if given.shape[-1:] != (chain.n,):
         raise InputError(f"joint vectors have {chain.n} numbers in their last axis, and the shape is {given.shape}.")
     return given if jnp.issubdtype(given.dtype, jnp.floating) else given.astype(jnp.float32)
-
-
-def approach_axis(chain: Chain, quaternion: Array) -> Array:
-    """The axis along which the tool points `[..., 3]`, in the world, in an orientation `[..., 4]`."""
-    rotation = rotation_from_quaternion(*components(quaternion))
-    return stack(rotation.apply(Vec(*chain.approach)), quaternion)
-
-
-def tilt(chain: Chain, quaternion: Array) -> Array:
-    """Angle `[...]` rad of the axis along which the tool points from straight down."""
-    axis = approach_axis(chain, quaternion)
-    return jnp.arctan2(norm(axis[..., :2]), -axis[..., 2])
-
-
-def turned(chain: Chain, quaternion: Array, held: Array) -> Array:
-    """Angle `[...]` rad from one orientation to another; of their tilts where an arm holds no more."""
-    if not chain.poses:
-        return jnp.abs(tilt(chain, quaternion) - tilt(chain, held))
-    return angle_between(quaternion, held)
 
 
 def angle_between(quaternion: Any, other: Any) -> Any:
