@@ -44,7 +44,7 @@ def _played(folder: Path, name: str) -> Iterator[Row]:
             known = controller.goal_joints is not None
             begun = time.perf_counter()
             given = measured.q, measured.qd, measured.goal, step * plant.period
-            command = controller.step(*given, obstacles=measured.obstacles)
+            command = controller.step(*given, **measured.beside)
             mode = controller._way._mode
             took[mode if known else "search"].append(time.perf_counter() - begun)
             modes.add(mode)

@@ -42,6 +42,8 @@ class Rail(TaskSettings):
         learner=LearnerConfig(hidden=(32, 32), learning_rate=3e-3),
     )
 
+    evaluated: ClassVar[tuple[str, ...]] = ("rail_speed", *TaskSettings.evaluated)
+
     observation: str = "ball"
     action: str = "joint_delta"
     reward: str = "goal_distance"

@@ -34,7 +34,7 @@ os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 
 from reachlab.agents import AGENTS
 from reachlab.cli import main as cli
-from reachlab.cli.flags import EVALUATED
+from reachlab.cli.flags import evaluated
 from reachlab.cli.verbs import VERBS
 from reachlab.deploy.topics import Topics
 from reachlab.envs.consistency import RANDOMISED
@@ -158,7 +158,7 @@ class Outcome:
 def _evaluated() -> dict[str, Any]:
     """Annotations of the settings that evaluations may change."""
     kinds = {name: kind for task in TASKS.values() for name, kind in hints(task.load()).items()}
-    return {name: kinds[name] for name in EVALUATED if name != "goal_velocity"}
+    return {name: kinds[name] for name in evaluated() if name != "goal_velocity"}
 
 
 def flags_of(cls: type) -> dict[str, Any]:

@@ -21,9 +21,10 @@ from PIL import Image
 
 from reachlab.agents import AGENTS
 from reachlab.bench import SUITES
+from reachlab.cli import flags as cli_flags
 from reachlab.cli import main as cli
 from reachlab.cli import train_command
-from reachlab.cli.flags import EVALUATED, Train, no_goals
+from reachlab.cli.flags import Train, no_goals
 from reachlab.cli.verbs import VERBS
 from reachlab.envs.consistency import NAMES
 from reachlab.envs.presets import configure, distillation, preset
@@ -320,7 +321,7 @@ WRONG = {
 @pytest.mark.parametrize("task", TASKS)
 def test_the_flags_of_goals_take_what_a_task_begins_with(task: str) -> None:
     rules = vars(preset(task).rules)
-    given = {name: rules[name] for name in EVALUATED if name in rules}
+    given = {name: rules[name] for name in cli_flags.evaluated() if name in rules}
     flags = vars(type(no_goals())(**given))
     assert {name: flags[name] for name in given} == given
 

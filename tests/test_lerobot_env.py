@@ -16,8 +16,8 @@ import pytest
 import reachlab
 from reachlab.cli.eval_subjects import is_model
 from reachlab.deploy.lerobot_env import LeRobotVectorEnv
-from reachlab.deploy.lerobot_surroundings import told
 from reachlab.deploy.lerobot_units import motors_of
+from reachlab.deploy.surroundings import step_arguments
 from reachlab.envs.presets import configure
 from reachlab.envs.setup import make_setup
 from reachlab.lerobot import LeRobotPolicy, make_env
@@ -159,13 +159,13 @@ def test_wrong_input_is_refused_in_a_sentence(env: LeRobotVectorEnv, tmp_path: P
 def test_what_is_asked_is_told_to_a_controller_by_name() -> None:
     facts = {"goal": {"orientation": True, "moves": True}, "objects": [6]}
     bodies = [[0.1, 0.2, 0.3, 1, 0, 0, 0, 0, 0, 0, 0.05, 0, 0, 0], [0, 0, -10.0, 1, *[0] * 10], [0.4, *[0] * 13]]
-    asked = told(facts, np.concatenate([np.arange(10.0), *bodies]))
-    assert asked["goal"].tolist() == [*range(7)]
-    assert asked["velocity"].tolist() == [7, 8, 9]
+    asked = step_arguments(facts, np.concatenate([np.arange(10.0), *bodies]))
+    assert asked["goal"] == [*range(7)]
+    assert asked["velocity"] == [7, 8, 9]
     assert [body["radius"] for body in asked["obstacles"]] == [0.05]
     assert [body["position"][0] for body in asked["objects"]] == [0.4]
     with pytest.raises(InputError, match="asks for other goals"):
-        told(facts, np.zeros(11))
+        step_arguments(facts, np.zeros(11))
 
 
 def test_a_policy_of_lerobot_is_known_by_its_files_and_needs_lerobot(tmp_path: Path) -> None:

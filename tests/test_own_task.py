@@ -13,8 +13,10 @@ import pytest
 import reachlab
 from conformance import CHECKS, Subject
 from reachlab.cli import main as cli
+from reachlab.cli.flags import evaluated
 from reachlab.settings import extensions
 from reachlab.settings.validation import InputError
+from reachlab.tasks import TASKS
 
 RAIL = Path(__file__).parents[1] / "examples" / "rail.py"
 
@@ -67,6 +69,10 @@ def test_a_file_is_imported_and_runs_remember_it(folder: Path) -> None:
     assert json.loads((folder / "run" / "config.json").read_text())["imports"] == [str(folder / "rail.py")]
     told = reachlab_command("eval", "run", "--agent", "trained", "ik", "--episodes", "4", "--json")
     assert [report["task"] for report in json.loads(told.stdout)] == ["rail", "rail"]
+    words = ["eval", "run", "--agent", "ik", "--max-steps", "200", "--episodes", "4", "--json", "--rail-speed"]
+    slow, fast = (json.loads(reachlab_command(*words, speed).stdout) for speed in ("0.1", "1.5"))
+    assert slow["final_error_mm"]["median"] < fast["final_error_mm"]["median"]
+    assert "at most 2, got 3.0" in reachlab_command("eval", "run", "--rail-speed", "3").stderr
     assert reachlab_command("video", "run", "--episodes", "1").returncode == 0
     assert reachlab_command("view", "run", "--out", "page.html").returncode == 0
     assert reachlab_command("plot", "run").returncode == 0
@@ -92,6 +98,16 @@ def test_an_extension_that_a_run_names_is_not_imported_before_its_user_did(folde
     (folder / "plain.py").write_text("NUMBER = 2")
     with pytest.raises(InputError, match="or has changed since"):
         extensions.import_remembered((str(folder / "plain.py"),))
+
+
+@pytest.mark.usefixtures("entered")
+def test_settings_that_a_task_says_may_be_evaluated_are_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert "rail_speed" in evaluated()
+    monkeypatch.setattr(TASKS["rail"].load(), "evaluated", ("rail_sped",))
+    with pytest.raises(
+        InputError, match=r"setting in rail's `evaluated` 'rail_sped' is not .*Did you mean 'rail_speed'"
+    ):
+        evaluated()
 
 
 OWN = (("tasks", "TASKS", "tutorial"), ("agents", "AGENTS", "ik"), ("robots.catalogue", "ROBOTS", "panda"))

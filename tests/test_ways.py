@@ -423,7 +423,7 @@ def test_held_out_scenes_are_solved(robot: str, scene: str, tmp_path: Path) -> N
         for step in range(plant.steps):
             measured = plant.measure()
             given = measured.q, measured.qd, measured.goal, step * plant.period
-            command = controller.step(*given, obstacles=measured.obstacles)
+            command = controller.step(*given, **measured.beside)
             time.sleep(10 * plant.period * (mode(controller) == "wait"))  # a slow machine's plans come as early
             done, success = plant.step(command)
             if done:

@@ -19,8 +19,8 @@ from torch import Tensor
 
 from lerobot_policy_reachlab.configuration_reachlab import ReachlabConfig
 from reachlab.deploy.check import read_facts, start_controller
-from reachlab.deploy.lerobot_surroundings import told
 from reachlab.deploy.lerobot_units import exported_motors
+from reachlab.deploy.surroundings import step_arguments
 from reachlab.settings.validation import InputError
 
 EXPORT = "export"
@@ -101,7 +101,7 @@ class ReachlabPolicy(PreTrainedPolicy):
         commands = []
         for i, controller in enumerate(self._controllers[: len(q)]):
             speeds, now = (q[i] - self._before[i]) / period, self._steps * period
-            commands.append(controller.step(q[i], speeds, time=now, **told(self._facts, asked[i])))
+            commands.append(controller.step(q[i], speeds, time=now, **step_arguments(self._facts, asked[i])))
             if controller.problem not in self._problems:
                 log.warning("reachlab: %s.", controller.problem)
                 self._problems.add(controller.problem)

@@ -23,7 +23,7 @@ class Export(Checked):
     out: Annotated[Path, Optional] = Path("policy")
     """Folder to make; by default policy, here."""
     agent: Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")] = None
-    """`trained`, or `hybrid`: a planner beside the policy; by default that among obstacles that stay where they are."""
+    """`trained`, or `hybrid`: a planner beside the policy; by default that among bodies that stay in place."""
     goals: GoalFlags = field(default_factory=no_goals)
     """What will be asked for, where that is something else than in training."""
     json: bool = False

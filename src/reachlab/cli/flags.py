@@ -26,6 +26,7 @@ from reachlab.settings.validation import (
     Range,
     Seed,
     Steps,
+    choose,
     hints,
 )
 from reachlab.tasks import TASKS
@@ -117,17 +118,20 @@ STUDENT += ("memory", "goal_lost")
 """Flags of `Distil` that are settings of its run, beside `settings`."""
 
 
-EVALUATED = (
-    *("targets", "target_turn", "target_low", "target_high", "target_height", "goal_paths", "goal_speed", "goal_jump"),
-    *("goal_steps", "goal_lost", "scene", "obstacles", "body_speed", "goal_velocity"),
-    *("object_shape", "object_size", "object_mass", "object_friction"),
-    *("settle_steps", "start_noise", "max_steps", "wrench"),
-)
-"""Settings of a task that an evaluation may change: what is asked for, for how long, and what is measured."""
+def evaluated() -> list[str]:
+    """Settings of any task that an evaluation may change.
+
+    Raises:
+        InputError: a task's `evaluated` names one that it has not.
+    """
+    names: dict[str, None] = {}
+    for task, kind in ((task, entry.load()) for task, entry in TASKS.items()):
+        names |= {choose(f"setting in {task}'s `evaluated`", name, hints(kind)): None for name in kind.evaluated}
+    return list(names)
 
 
 def _goal_flags() -> type:
-    """Dataclass with a flag for each setting of `EVALUATED`; None where one is not given."""
+    """Dataclass with a flag for each setting that is `evaluated`; None where one is not given."""
     kinds: dict[str, Any] = {}
     for name, kind in chain.from_iterable(hints(task.load()).items() for task in TASKS.values()):
         same = kinds.setdefault(name, kind) == kind  # else each task checks it by the limits of its own
@@ -135,15 +139,16 @@ def _goal_flags() -> type:
     texts = {name: text for task in reversed(TASKS.values()) for name, text in field_docstrings(task.load()).items()}
 
     def flag(name: str) -> Any:
-        marks = tyro.conf.arg(help=first_sentence(texts[name]), metavar="VALUE", help_behavior_hint="")
+        text = first_sentence(texts.get(name, "A setting of its task."))
+        marks = tyro.conf.arg(help=text, metavar="VALUE", help_behavior_hint="")
         return Annotated[kinds[name] | None, marks]
 
-    flags = [(name, flag(name), None) for name in EVALUATED]
+    flags = [(name, flag(name), None) for name in evaluated()]
     return make_dataclass("GoalFlags", flags, bases=(Checked,), frozen=True)
 
 
 GoalFlags = Annotated[Any, tyro.conf.arg(name="", constructor_factory=_goal_flags)]
-"""A flag for each setting of `EVALUATED`."""
+"""A flag for each setting that is `evaluated`."""
 
 
 def no_goals() -> Any:

@@ -23,12 +23,12 @@ from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, Pri
 from reachlab.cli.flags import STUDENT, Distil, Train
 from reachlab.cli.short_help import short
 from reachlab.cli.sweep_flags import Sweep
-from reachlab.cli.verbs import VERBS
+from reachlab.cli.verbs import VERBS, overview
 from reachlab.envs.presets import CHOICES, of_other_tasks, preset
 from reachlab.envs.uses import unused
 from reachlab.learn.interrupts import EXIT_BASE, asked, end_at_once, end_if_deaf, hear, raise_on_termination
 from reachlab.settings.config import DistilRunConfig, RunConfig
-from reachlab.settings.extensions import extended, import_extension, import_installed
+from reachlab.settings.extensions import extended, import_extension, import_installed, import_of_runs
 from reachlab.settings.json_form import flatten, to_json
 from reachlab.settings.validation import InputError, choose
 
@@ -134,7 +134,7 @@ def _run(words: list[str]) -> int:
     """
     try:
         if not words or words[0] in ("-h", "--help"):
-            print(_overview())
+            print(overview())
             return DONE
         if words[0] == "--version":
             print(f"reachlab {version('reachlab')}")
@@ -157,17 +157,6 @@ def _run(words: list[str]) -> int:
         _say(str(interruption) or "interrupted.")
         return vars(interruption).get("status", INTERRUPTED)
     return DONE
-
-
-def _overview() -> str:
-    width = max(map(len, VERBS))
-    verbs = "\n".join(f"  {name:{width}}  {verb.flags.__doc__}" for name, verb in VERBS.items())
-    return (
-        "usage: reachlab COMMAND [OPTIONS]\n\nTrains robot arms to reach, and proves how well they do it.\n\n"
-        f"commands:\n{verbs}\n\n`reachlab COMMAND --help` shows a command's options, `reachlab --version` the version."
-        " A first run: reachlab train\n`--import MODULE|FILE`, of every command, imports a module of yours with tasks,"
-        " robots or other entries of the tables; runs remember it."
-    )
 
 
 def _parse(verb: str, flags: type, words: list[str]) -> Any:
@@ -209,7 +198,7 @@ def _of_other_tasks(words: list[str], default: Any) -> str | None:
 
 
 def _imported(words: list[str]) -> list[str]:
-    """The words without `--import`, the extensions of which are imported, after those of installed packages."""
+    """The words without `--import`; its extensions are imported, those of installed packages and of runs among them."""
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     parser.add_argument("--import", action="append", default=[], dest="names", nargs="?", const="")
     given, others = parser.parse_known_args(words)
@@ -220,6 +209,7 @@ def _imported(words: list[str]) -> list[str]:
         import_module("reachlab.envs.gymnasium_ids")  # which an extension may make environments by
     for name in given.names:
         import_extension(name)
+    import_of_runs(others)
     return others
 
 

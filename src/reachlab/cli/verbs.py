@@ -131,3 +131,15 @@ VERBS: dict[str, Verb] = {
     "bench": Verb(Bench, bench),
     "list": Verb(List, list_names),
 }
+
+
+def overview() -> str:
+    """What `reachlab` without a command prints."""
+    width = max(map(len, VERBS))
+    verbs = "\n".join(f"  {name:{width}}  {verb.flags.__doc__}" for name, verb in VERBS.items())
+    return (
+        "usage: reachlab COMMAND [OPTIONS]\n\nTrains robot arms to reach, and proves how well they do it.\n\n"
+        f"commands:\n{verbs}\n\n`reachlab COMMAND --help` shows a command's options, `reachlab --version` the version."
+        " A first run: reachlab train\n`--import MODULE|FILE`, of every command, imports a module of yours with tasks,"
+        " robots or other entries of the tables; runs remember it."
+    )

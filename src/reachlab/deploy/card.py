@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from reachlab.deploy.surroundings import ASIDE
 from reachlab.robots.derive.frame import Frame
 
 EXAMPLE = """```python
@@ -122,15 +123,16 @@ def evaluated_with(facts: dict[str, Any]) -> str:
 
 
 def sees(facts: dict[str, Any]) -> bool:
-    """Whether the policy has to be told of obstacles."""
+    """Whether the policy has to be told of bodies beside the arm."""
     return facts["inputs"].get("bodies_kind", [0]) != [len(facts.get("objects", []))]
 
 
 def _beside(facts: dict[str, Any], place: Sequence[float]) -> str:
     """What the example's step is told of beside the arm: one small body at its side; an object at a place."""
-    told = ', obstacles=[{"position": [0.0, 0.6, 0.1], "half": [0.05, 0.05, 0.1]}]' if sees(facts) else ""
-    objects = [{"position": list(place), "velocity": [0.0, 0.0, 0.0]}] * len(facts.get("objects", []))
-    return told + (f", objects={json.dumps(objects)}" if objects else "")
+    told: dict[str, Any] = dict(ASIDE) if sees(facts) else {}
+    if objects := [{"position": list(place), "velocity": [0.0, 0.0, 0.0]}] * len(facts.get("objects", [])):
+        told["objects"] = objects
+    return "".join(f", {name}={json.dumps(bodies)}" for name, bodies in told.items())
 
 
 def _limits(facts: dict[str, Any]) -> list[str]:

@@ -174,34 +174,29 @@ def serve(folder: Path, pipe: Connection) -> None:
         pipe.recv()
         pipe.send(str(error))
         return
-    period, told, due = controller.period, None, time.perf_counter()
+    period, measured, due = controller.period, None, time.perf_counter()
     with contextlib.suppress(EOFError, BrokenPipeError, ConnectionResetError):
         while True:
             q, qd = None, None
-            if told is None:
+            if measured is None:
                 pipe.poll(None)
             # A measurement is used as it comes; where none comes in a period and a half, there is none.
             came = pipe.poll(max(0.0, due + 0.5 * period - time.perf_counter()))
             while came and pipe.poll():
                 message = pipe.recv()
                 if isinstance(message, Measurement):
-                    told, q, qd = message, message.q, message.qd
+                    measured, q, qd = message, message.q, message.qd
                 else:
-                    told, q, answer = None, None, READY
+                    measured, q, answer = None, None, READY
                     try:
                         controller.reset(message)
                     except ValueError as error:
                         answer = str(error)
                     pipe.send(answer)
                     break
-            if told is None:
+            if measured is None:
                 continue
             now = time.perf_counter()
             due = now + period
-            extras: dict[str, Any] = {"velocity": told.velocity, "obstacles": told.obstacles}
-            if told.objects:  # of which controllers of earlier exports know nothing
-                extras["objects"] = told.objects
-            if told.wrench:
-                extras["wrench"] = told.wrench
-            command = controller.step(q, qd, told.goal, now, **extras)
+            command = controller.step(q, qd, measured.goal, now, **measured.beside)
             pipe.send((command, controller.problem))

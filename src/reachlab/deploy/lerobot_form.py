@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from reachlab.deploy.lerobot_pictures import Studio
-from reachlab.deploy.lerobot_surroundings import surroundings
 from reachlab.deploy.lerobot_units import motors_of
+from reachlab.deploy.surroundings import surroundings
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState
 

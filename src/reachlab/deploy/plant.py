@@ -6,12 +6,13 @@ import heapq
 import itertools
 import time
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
 
 from reachlab.deploy.plant_faults import Faults
+from reachlab.deploy.surroundings import step_arguments, surroundings
 from reachlab.envs.core import Env
 from reachlab.envs.random_streams import REPORT_STREAM, episode_keys
 from reachlab.evaluation.intervals import wilson_interval
@@ -29,16 +30,13 @@ RESTS = 1e-6
 class Measurement:
     """What the controller is told in a control period: joints and speeds `[n]`, and its goal, if that is seen.
 
-    Where it is measured also the wrench at the wrist `[6]`.
+    `beside` is what else is measured, by the names of `Controller.step`.
     """
 
     q: np.ndarray
     qd: np.ndarray
     goal: list[float] | None
-    velocity: list[float] | None
-    obstacles: list[dict[str, Any]]
-    objects: list[dict[str, Any]]
-    wrench: list[float] | None = None
+    beside: dict[str, Any]
 
 
 class Link(Protocol):
@@ -108,6 +106,7 @@ class Plant:
             self._env.compile_whole(self._env.init_held_out),
             self._env.compile_whole(self._env.step),
         )
+        self._objects = [None] * self._env.setup.task.scene(self._env.setup).objects
         self._idle = np.zeros((1, len(self._env.action_bounds[0])), np.float32)
         self.begin(0)
         for _ in range(WARM_UP):
@@ -120,7 +119,7 @@ class Plant:
     @property
     def q(self) -> np.ndarray:
         """Joints, and the opening of a gripper `[m]`."""
-        return self._beside(self._state.arm.q, self._state.arm.opening)
+        return self._joined(self._state.arm.q, self._state.arm.opening)
 
     def step(self, command: np.ndarray) -> tuple[bool, bool]:
         """Move for a control period towards a command `[n]`; whether the episode has ended, and in success."""
@@ -130,24 +129,16 @@ class Plant:
     def measure(self) -> Measurement:
         """What is measured and asked for now."""
         state, goal = self._state, self._state.goal
-        asked = np.asarray(goal.position, float)[0].tolist()
-        asked += np.asarray(goal.quaternion, float)[0].tolist()
-        velocity = np.asarray(goal.velocity, float)[0].tolist() or None
-        setup, bodies, around = self._env.setup, state.arm.bodies, list[dict[str, Any]]()
-        if bodies.kind.size:  # what JAX computes of nothing would take a part of the control period too
-            parts = {name: getattr(bodies, name) for name in ("position", "quaternion", "half", "radius")}
-            parts["velocity"] = bodies.velocity[..., :3]
-            rows = {name: np.asarray(part, float)[0] for name, part in parts.items()}
-            present = np.flatnonzero(np.asarray(bodies.present)[0])
-            around = [{name: part[i].tolist() for name, part in rows.items()} for i in present]
-        fixed = len(around) - setup.task.scene(setup).objects
-        qd = self._beside(state.arm.qd, np.zeros(state.arm.opening.shape))
-        seen = self._env.goal_seen(state.key, state.clock)[0]
-        wrench = None if state.arm.wrench is None else np.asarray(state.arm.wrench, float)[0].tolist()
-        return Measurement(self.q, qd, asked if seen else None, velocity, around[:fixed], around[fixed:], wrench)
+        parts = {"orientation": goal.quaternion.size > 0, "moves": goal.velocity.size > 0}
+        beside = step_arguments({"goal": parts, "objects": self._objects}, surroundings(goal, state.arm.bodies)[0])
+        place = beside.pop("goal")
+        if state.arm.wrench is not None:
+            beside["wrench"] = np.asarray(state.arm.wrench, float)[0].tolist()
+        qd = self._joined(state.arm.qd, np.zeros(state.arm.opening.shape))
+        return Measurement(self.q, qd, place if self._env.goal_seen(state.key, state.clock)[0] else None, beside)
 
     @staticmethod
-    def _beside(joints: Any, opening: Any) -> np.ndarray:
+    def _joined(joints: Any, opening: Any) -> np.ndarray:
         return np.concatenate([np.asarray(joints, float)[0], np.asarray(opening, float)[0]])
 
     def close(self) -> None:
@@ -173,7 +164,7 @@ class Disturbed:
         if random[0] < faults.nan:
             q = measurement.q.copy()
             q[self._random.integers(len(q))] = np.nan
-            measurement = Measurement(q, *list(vars(measurement).values())[1:])
+            measurement = replace(measurement, q=q)
         if random[1] >= faults.drop:
             due = time.perf_counter() + faults.delay + random[2] * faults.jitter
             heapq.heappush(self._late, (due, next(self._numbers), measurement))

@@ -17,8 +17,8 @@ from reachlab.agents.acting import Function, name_of
 from reachlab.agents.policy import Policy
 from reachlab.control.bodies import Bodies
 from reachlab.deploy.lerobot_pictures import Studio
-from reachlab.deploy.lerobot_surroundings import surroundings
 from reachlab.deploy.lerobot_units import Motors, motors_of
+from reachlab.deploy.surroundings import surroundings
 from reachlab.emit.behaviour import example_state
 from reachlab.envs.core import Env
 from reachlab.envs.random_streams import RECORD_STREAM

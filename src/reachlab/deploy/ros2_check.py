@@ -116,11 +116,11 @@ class RosLink:
         if measurement.goal and (self._moves or measurement.goal != self._asked):
             self._asked = measurement.goal
             self._goals.publish(self._pose(measurement.goal))
-        for one in measurement.objects:
+        for one in measurement.beside.get("objects", []):
             self._objects.publish(self._pose([*one["position"], *one["quaternion"]]))
-        self._obstacles.publish(to_markers(measurement.obstacles))
-        if measurement.wrench:
-            self._wrenches.publish(self._felt(measurement.wrench))
+        self._obstacles.publish(to_markers(measurement.beside["obstacles"]))
+        if wrench := measurement.beside.get("wrench"):
+            self._wrenches.publish(self._felt(wrench))
         self._publish(measurement.q, measurement.qd)
 
     def _felt(self, numbers: list[float]) -> Any:

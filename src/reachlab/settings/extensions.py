@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import hashlib
 import importlib.util
 import json
 import os
 import sys
+from collections.abc import Iterable
 from importlib.machinery import ModuleSpec
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -75,6 +77,19 @@ def import_remembered(names: tuple[str, ...]) -> None:
                 f" when it is imported. If you trust it, name it with --import {name}."
             )
         _import(spec, name)
+
+
+def import_of_runs(words: Iterable[str]) -> None:
+    """Import the extensions of those words that are run directories: settings of their tasks are flags then.
+
+    Raises:
+        InputError: as `import_remembered`.
+    """
+    for word in words:
+        names: list[str] = []
+        with contextlib.suppress(OSError, ValueError, TypeError, KeyError):  # said where it is read as a run
+            names = json.loads(read_regular(Path(word) / "config.json", MOST_TEXT)[0])["imports"]
+        import_remembered(tuple(names))
 
 
 def _found(name: str) -> ModuleSpec:

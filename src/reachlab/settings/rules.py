@@ -17,6 +17,8 @@ class TaskSettings(Checked):
 
     preset: ClassVar[Any]
     """Settings of the training that go with the task, see `presets.Preset`."""
+    evaluated: ClassVar[tuple[str, ...]] = ("start_noise", "max_steps", "wrench")
+    """Settings that an evaluation may change: what is asked for, for how long, and what is measured."""
 
     tool: str | None = None
     """Tool frame, a site or body of the robot, that has to reach the target; by default its own for this task."""

@@ -59,6 +59,7 @@ class Clutter(Precise):
         ppo=PPOConfig(epochs=4, minibatches=4, gamma=0.98, final_std=0.1),
         rules=(WITHOUT_CONTROLLER, *TOUCHED, IMITATED),
     )
+    evaluated: ClassVar[tuple[str, ...]] = ("scene", "obstacles", "body_speed", *Precise.evaluated)
 
     observation: str = "clutter"
     reward: str = "closeness"

@@ -1,4 +1,4 @@
-"""Task `clutter_pose`: hold a pose among obstacles without touching anything, under full dynamics."""
+"""Task `clutter_pose`: `clutter`, and the tool is turned as asked."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ClutterPose(Clutter):
-    """Settings of holding a pose among obstacles."""
+    """Settings of holding a pose in clutter."""
 
     observation: str = "clutter_pose"
     success_angle: Positive = 0.05
@@ -24,7 +24,7 @@ class ClutterPose(Clutter):
 
     @classmethod
     def task(cls) -> Task:
-        """The flange is held in a pose among obstacles."""
+        """The flange is held in a pose in clutter."""
         from reachlab.tasks import reach
         from reachlab.tasks.given_goals import place_pose
 

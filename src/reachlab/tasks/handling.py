@@ -40,6 +40,10 @@ class Handling(TaskSettings):
         ),
         ppo=PPOConfig(epochs=4, minibatches=4, gamma=0.97, final_std=0.1),
     )
+    evaluated: ClassVar[tuple[str, ...]] = (
+        *("object_shape", "object_size", "object_mass", "object_friction"),
+        *TaskSettings.evaluated,
+    )
 
     observation: str = "push"
     action: str = "joint_residual"

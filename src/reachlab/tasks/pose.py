@@ -34,6 +34,7 @@ class Pose(Precise):
         ppo=PPOConfig(epochs=4, minibatches=4, gamma=0.95, final_std=0.05),
         rules=(WITHOUT_CONTROLLER, *TOUCHED),
     )
+    evaluated: ClassVar[tuple[str, ...]] = ("target_turn", *Precise.evaluated)
 
     observation: str = "pose"
     reward: str = "closeness"

@@ -37,6 +37,10 @@ class Track(TaskSettings):
         ppo=PPOConfig(epochs=4, minibatches=4, gamma=0.8, final_std=0.1),
         rules=(WITHOUT_CONTROLLER,),
     )
+    evaluated: ClassVar[tuple[str, ...]] = (
+        *("goal_paths", "goal_speed", "goal_jump", "goal_velocity", "target_low", "target_high", "settle_steps"),
+        *TaskSettings.evaluated,
+    )
 
     observation: str = "track"
     action: str = "joint_residual"

@@ -63,6 +63,10 @@ class Tutorial(TaskSettings):
     """Settings of reaching a point."""
 
     preset: ClassVar[Preset] = Preset(rules=TOUCHED, student=STUDENT)
+    evaluated: ClassVar[tuple[str, ...]] = (
+        *("targets", "target_low", "target_high", "target_height", "goal_steps", "goal_lost"),
+        *TaskSettings.evaluated,
+    )
 
     at_goal: str = "end"
     """What happens at the target: continue, end or hold. `end`: success ends the episode. `continue`: the policy acts

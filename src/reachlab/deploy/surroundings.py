@@ -1,4 +1,4 @@
-"""What LeRobot is told of an episode beside the arm, as numbers: the goal, and the bodies that are there."""
+"""What is known of an episode beside the arm, as numbers and as a controller is told: the goal, and the bodies."""
 
 from __future__ import annotations
 
@@ -17,6 +17,9 @@ BODY = {"position": 3, "quaternion": 4, "half": 3, "radius": 1, "velocity": 3}
 ENDS = np.cumsum(list(BODY.values()))
 """Where the parts end in the numbers of a body."""
 
+ASIDE = {"obstacles": [{"position": [0.0, 0.6, 0.1], "half": [0.05, 0.05, 0.1]}]}
+"""A small body at the arm's side, as a controller is told of it."""
+
 
 def surroundings(goal: Goal, bodies: Bodies) -> np.ndarray:
     """Numbers `[B, l]` of goals and of bodies `[B, K]`.
@@ -32,11 +35,11 @@ def surroundings(goal: Goal, bodies: Bodies) -> np.ndarray:
     return np.concatenate(known, axis=1).astype(np.float32)
 
 
-def told(facts: Mapping[str, Any], numbers: np.ndarray) -> dict[str, Any]:
-    """What a controller is asked, by the names of `Controller.step`, of an `environment_state [k]`.
+def step_arguments(facts: Mapping[str, Any], numbers: np.ndarray) -> dict[str, Any]:
+    """What a controller is told and asked, by the names of `Controller.step`, of what `surroundings` gives `[l]`.
 
     Args:
-        facts: what the `policy.json` of its folder says.
+        facts: what the `policy.json` of its folder says of its `goal` and its `objects`.
         numbers: the environment's.
 
     Raises:
@@ -47,7 +50,10 @@ def told(facts: Mapping[str, Any], numbers: np.ndarray) -> dict[str, Any]:
     if rest.size % ENDS[-1]:
         raise InputError("the environment asks for other goals than the policy's: give it the exported folder as task.")
     rows = [np.split(row, ENDS[:-1]) for row in rest.reshape(-1, ENDS[-1]) if row[2] > FAR[2] / 2]
-    bodies = [dict(zip(BODY, (*row[:3], row[3][0], row[4]), strict=True)) for row in rows]
+    bodies = [dict(zip(BODY, (part.tolist() for part in row), strict=True)) for row in rows]
+    bodies = [body | {"radius": body["radius"][0]} for body in bodies]
     fixed = len(bodies) - len(facts["objects"])
-    asked = {"goal": place, "obstacles": bodies[:fixed], "objects": bodies[fixed:]}
-    return asked | ({"velocity": velocity} if goal["moves"] else {})
+    known = {"goal": place.tolist(), "obstacles": bodies[:fixed]}
+    if bodies[fixed:]:  # of which controllers of earlier exports know nothing
+        known["objects"] = bodies[fixed:]
+    return known | ({"velocity": velocity.tolist()} if goal["moves"] else {})
