@@ -384,11 +384,11 @@ def test_obstacles_are_drawn_and_the_touched_one_is_red(env: Env, begun: EnvStat
     empty = env.render(env.rearrange(begun, far), index)
     drawn = (np.abs(seen.astype(int) - empty) > 20).any(axis=-1).mean()
     assert drawn > 0.005
-    assert not any(block.touched for block in env.blocks(begun, index))
+    assert not any(block.touched for block in env.shown.blocks(begun, index))
     state, _ = env.step(
         ball_at(env, begun, np.asarray(begun.arm.tool_position)), np.zeros((COUNT, len(env.action_bounds[0])), "f4")
     )
-    assert [block.touched for block in env.blocks(state, index)] == [True, False, False, False]
+    assert [block.touched for block in env.shown.blocks(state, index)] == [True, False, False, False]
 
     def reds(picture: np.ndarray) -> int:
         return int(((picture[..., 0] > 120) & (picture[..., 1] < 80) & (picture[..., 2] < 90)).sum())

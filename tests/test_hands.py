@@ -123,7 +123,7 @@ def test_joints_without_lag_are_where_they_were_commanded() -> None:
 def test_a_puck_is_drawn_round_and_its_goal_is_in_the_picture() -> None:
     env = Env(configure("slide", robot="panda", randomise=()), EPISODES)
     state = env.init(episode_keys(0, REPORT_STREAM, 0, EPISODES))
-    (puck,) = env.blocks(state)
+    (puck,) = env.shown.blocks(state)
     radius = env.setup.rules.object_size
     assert puck.kind == Shape.CYLINDER
     assert puck.size[:2] == pytest.approx([radius, radius / 3])

@@ -58,6 +58,24 @@ def test_environments_that_cannot_be_are_refused(config: Any, sentence: str) -> 
         reachlab.Env(config(), 2)
 
 
+def test_an_environment_is_told_what_shapes_it_takes() -> None:
+    env = reachlab.Env(reachlab.configure("tutorial"), 2)
+    assert repr(env) == "<Env of 2 'tutorial' with 'iiwa14' in 'kinematic'>"
+    key = jax.random.key(0)
+    for given, kind in ((0, r"int of shape \(\)"), (key, r"PRNGKeyArray of shape \(\)"), (None, "NoneType")):
+        with pytest.raises(InputError, match=rf"begin by a key each, as jax.random.split.*, got {kind}"):
+            env.init(cast(Any, given))
+    state = env.init(jax.random.split(jax.random.PRNGKey(0), 2))  # a key of the old kind
+    for action in (np.zeros(3), np.zeros((2, 5)), np.zeros((3, 3))):
+        with pytest.raises(InputError, match=r"actions of these environments have shape \(2, 3\), got "):
+            env.step(state, action)
+
+
+def test_what_is_named_by_its_initials_is_found() -> None:
+    with pytest.raises(InputError, match=r"setting 'lr' does not exist\. Did you mean 'learning_rate'\?"):
+        reachlab.configure("tutorial", lr=1e-3)
+
+
 @pytest.mark.parametrize("beyond", [(float("nan"), 1.0), (0.1, float("inf")), (-5.0, -4.0)])
 def test_distances_are_numbers_above_0(beyond: tuple[float, float]) -> None:
     with pytest.raises(InputError, match="beyond"):

@@ -171,6 +171,8 @@ class Policy:
         """
         if isinstance(observation, tuple) and any(isinstance(part, dict) for part in observation):
             raise InputError("an observation is needed, got a tuple with infos: `observation, _ = env.reset()`.")
+        if observation is None:
+            raise InputError("an observation is needed, as of `env.reset()`, got None.")
         known = features(self.parameters, self.inputs(observation, memory))
         head = gaussian(self.parameters, known)
         return self.action(head.mean if key is None else head.sample(key)), remembered(self.parameters, known)

@@ -19,24 +19,21 @@ from reachlab.control.situation import Goal, Situation, shaped_within
 from reachlab.envs.delays import goal_seen
 from reachlab.envs.functions import EnvFunctions, EnvState, Stepped, Transition
 from reachlab.envs.packing import Computed
+from reachlab.envs.random_streams import checked_keys
 from reachlab.envs.sampling import AllAtOnce, InParts
 from reachlab.envs.setup import make_setup, settled
+from reachlab.envs.shown import Shown
 from reachlab.jax_setup import jit, prepare
-from reachlab.render.marks import NO_PATH, TARGET_AXES, TOOL_AXES, Axes, Block, Marks
+from reachlab.render.marks import NO_PATH
 from reachlab.render.view_randomisation import develop, make_views
-from reachlab.robots.shapes.clearance import capsules_at
 from reachlab.settings.config import MOST_ENVS, RunConfig
 from reachlab.settings.validation import InputError, whole_number
 from reachlab.sims.simulator import BatchArray, SimState, make_simulator
 from reachlab.tasks.actions import ACTIONS
 from reachlab.tasks.observations import design_of
-from reachlab.tasks.scenes.balls import clearances
 from reachlab.tasks.schema import SIZE, Observed
 from reachlab.tasks.targets import solved_for
 from reachlab.traced import digest, kept
-
-TOUCHING = 0.005
-"""Distance within which an arm that touches something touches a body [m]: it has moved on since."""
 
 
 class Env:
@@ -56,6 +53,7 @@ class Env:
         traced: whether JAX can trace everything.
         simulator: who moves the arms.
         functions: what happens before and after a step of it.
+        shown: what pictures for people show of a state beside the arm.
         sample, parts, observed: what episodes begin with, these functions, and what is observed: traced, or compiled
             one by one.
     """
@@ -100,12 +98,13 @@ class Env:
         # With pictures a simulator that can be traced is compiled here: only the pictures are drawn on the host.
         whole = self._whole = jit if simulated and self.pictured else lambda function: function
         self._init, self._reset = whole(self._init_all), whole(self._reset_some)
-        self._steps, robot = dict[int, Callable[..., Stepped]](), setup.robot
-        self._clearances = jit(
-            lambda q, here: clearances(robot.capsules, capsules_at(robot.chain, robot.capsules, q), here), brief=True
-        )
+        self._steps, self.shown = dict[int, Callable[..., Stepped]](), Shown(self.setup)
         self._goal_seen = jit(functools.partial(goal_seen, setup.rules), brief=True)
         self.observed, self._view_samples = self._part(f.observe), jit(f.view_samples, brief=True)
+
+    def __repr__(self) -> str:
+        """Short: its settings fill a screen."""
+        return f"<Env of {self.num_envs} {self.config.task!r} with {self.config.robot!r} in {self.config.sim!r}>"
 
     def _part(self, function: Callable[..., Any]) -> Computed:
         return Computed(kept(function, function.__name__, self.identity))
@@ -126,8 +125,11 @@ class Env:
         """State in which every environment begins an episode; `keys [B]`, see `random_streams`.
 
         Its goal is sampled or, where one is given, that `goal [B, ...]`.
+
+        Raises:
+            InputError: no key for each of them.
         """
-        return self._init(keys, goal, False)
+        return self._init(checked_keys(keys), goal, False)
 
     def init_held_out(self, keys: Array) -> EnvState:
         """The same for an evaluation: scenes that are drawn before training are others than those to train in."""
@@ -149,7 +151,12 @@ class Env:
 
         An environment whose episode ends on the way stays where it ended, to be reset; rewards are added up. Where
         `instead [B, n]` is a number it is the joint command; without it the arm rests at the goal if the rules let it.
+
+        Raises:
+            InputError: the actions have another shape.
         """
+        if (shape := jnp.shape(action)) != (allowed := (len(state.key), len(self.action_bounds[0]))):
+            raise InputError(f"actions of these environments have shape {allowed}, got {shape}.")
         if times not in self._steps:
             self._steps[times] = self._whole(functools.partial(self._repeat, times))
         return self._steps[times](state, action, instead)
@@ -267,32 +274,7 @@ class Env:
         With the tool's `path [k, 3]` and the goal's `trail [k, 3]` [m], and the axes of both where an orientation is
         asked for.
         """
-        goal, arm, axes = state.goal, state.arm, ()
-        if goal.quaternion.shape[-1]:
-            target = (np.asarray(rows)[index] for rows in (goal.position, goal.quaternion))
-            tool = (np.asarray(rows)[index] for rows in (arm.tool_position, arm.tool_quaternion))
-            axes = Axes(*target, size=TARGET_AXES), Axes(*tool, size=TOOL_AXES)
-        blocks = self.blocks(state, index)
-        marks = Marks(self.setup.rules.success_distance, self.reached(state, index), path, trail, axes, blocks)
-        return self.simulator.render(arm, goal, index, marks)
-
-    def blocks(self, state: EnvState, index: int = 0) -> tuple[Block, ...]:
-        """The bodies beside one arm as they are drawn, with those that it touches."""
-        here: Bodies = jax.tree.map(lambda rows: np.asarray(rows)[index], state.arm.bodies)
-        touched = np.zeros(len(here.kind), bool)
-        if len(touched) and np.asarray(state.arm.contact)[index].any():
-            touched = np.asarray(self._clearances(np.asarray(state.arm.q)[index, None], here))[0] < TOUCHING
-        kind, size = here.kind.tolist(), np.asarray(here.mujoco_size)
-        moves = np.arange(len(kind)) >= len(kind) - self.setup.task.scene(self.setup).objects
-        parts = (here.position, here.quaternion, kind, size, here.present.tolist(), touched.tolist(), moves.tolist())
-        return tuple(Block(*one) for one in zip(*parts, strict=True))
-
-    def reached(self, state: EnvState, index: int = 0) -> bool:
-        """Whether a goal is reached now: the tool is near enough and, where the task asks for it, was held there."""
-        task, rules = self.setup.task, self.setup.rules
-        # Of a goal that moves the errors that count are those of the whole episode.
-        errors = state.errors if rules.moves else task.counted(state.errors, state.progress)
-        return bool(np.asarray(task.near(rules, errors))[index])
+        return self.simulator.render(state.arm, state.goal, index, self.shown.marks(state, index, path, trail))
 
     def close(self) -> None:
         """Close the simulator."""

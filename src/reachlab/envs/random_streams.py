@@ -8,10 +8,13 @@ with numbers that no split reaches.
 from __future__ import annotations
 
 import functools
+from typing import Any
 
 import jax
 import numpy as np
 from jax import Array
+
+from reachlab.settings.validation import InputError
 
 TRAINING_STREAM, REPORT_STREAM, VALIDATION_STREAM, LEARNER_STREAM, GYMNASIUM_STREAM, RECORD_STREAM = range(6)
 """Streams of a seed: episodes of training, reports and validations; what the learner samples; Gymnasium's episodes, and
@@ -27,6 +30,21 @@ SIGHT_STREAM, GOAL_STREAM, WRENCH_STREAM = 2**32 - 9, 2**32 - 10, 2**32 - 11
 """Streams of an episode's key beside these parts: its view, the noise of its measurements, what its agent samples,
 where the next episode begins, its bodies, how late its measurements are, which objects it has, where they are
 measured and how late, when its goal is seen, and the noise of the wrench at its wrist."""
+
+
+def checked_keys(keys: Any) -> Array:
+    """Keys `[B]` as they are, typed or of old kind.
+
+    Raises:
+        InputError: they are none.
+    """
+    typed = jax.numpy.issubdtype(getattr(keys, "dtype", object), jax.dtypes.prng_key)
+    if len(getattr(keys, "shape", ())) != 2 - typed:
+        raise InputError(
+            "environments begin by a key each, as jax.random.split(jax.random.key(0), env.num_envs), got"
+            f" {type(keys).__name__} of shape {getattr(keys, 'shape', ())}."
+        )
+    return keys
 
 
 def stream_key(seed: int | Array, stream: int) -> Array:

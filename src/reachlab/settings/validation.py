@@ -35,6 +35,8 @@ def choose(kind: str, name: str, names: Iterable[str], titles: Mapping[str, str]
     if name in allowed:
         return name
     near = [known for known in allowed if known.startswith(str(name).rstrip("s") or " ")]
+    words = {known: known.split("_") for known in allowed if "_" in known}
+    near = near or [known for known, parts in words.items() if "".join(part[:1] for part in parts) == name]
     near = near or difflib.get_close_matches(str(name), allowed, n=3)
     if near and len(allowed) > MANY:
         raise InputError(f"{kind} {name!r} does not exist. Did you mean {' or '.join(map(repr, near))}?")

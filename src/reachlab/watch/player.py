@@ -217,10 +217,10 @@ class Player:
             distance=float(_row(errors.distance)),
             angle=float(_row(errors.angle)) if rules.asks_orientation else None,
             error=float(_row(counted.distance)) if settled else None,
-            reached=self._env.reached(self.state),
+            reached=self._env.shown.reached(self.state),
             path=self._path.add(tool),
             trail=self._trail.add(target) if rules.moves else self._trail.points,
-            blocks=self._env.blocks(self.state),
+            blocks=self._env.shown.blocks(self.state),
         )
 
 

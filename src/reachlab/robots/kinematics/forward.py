@@ -79,7 +79,7 @@ def joint_vectors(chain: Chain, q: ArrayLike) -> Array:
     """
     if not isinstance(chain, Chain):
         raise InputError(f"a chain is needed, as load_robot('panda').chain, got {type(chain).__name__}.")
-    given = jnp.asarray(q)
+    given = jnp.asarray([] if q is None else q)
     if given.shape[-1:] != (chain.n,):
         raise InputError(f"joint vectors have {chain.n} numbers in their last axis, and the shape is {given.shape}.")
     return given if jnp.issubdtype(given.dtype, jnp.floating) else given.astype(jnp.float32)
