@@ -468,6 +468,8 @@ def test_measurements_may_come_late_and_damaged_in_real_time(precise: Path, caps
 class Turning:
     """A link whose controller turns the arm at a share of its full speed, and loses every third command on its way."""
 
+    problem = ""
+
     def __init__(self, plant: Plant, share: float) -> None:
         self.most = share * plant.speed * plant.period
         self.made = 0
@@ -482,9 +484,6 @@ class Turning:
 
     def receive(self) -> list[np.ndarray]:
         return [] if self.made % 3 == 0 else [self.command]
-
-    def problem(self) -> str:
-        return ""
 
 
 @pytest.mark.parametrize(("share", "kept"), [(1.0, True), (1.2, False)])

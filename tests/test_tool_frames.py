@@ -63,9 +63,9 @@ def test_the_tool_is(world: str, name: str) -> None:
     assert find_tools(compiled(world)) == [name]
 
 
-@pytest.mark.parametrize("rank", range(len(TOOL_NAMES) - 1), ids=lambda rank: " ".join(TOOL_NAMES[rank]))
+@pytest.mark.parametrize("rank", range(len(TOOL_NAMES) - 1), ids=TOOL_NAMES.__getitem__)
 def test_surer_names_come_first(rank: int) -> None:
-    surer, other = ("_".join(TOOL_NAMES[place]) for place in (rank, rank + 1))
+    surer, other = (TOOL_NAMES[place].replace(" ", "_") for place in (rank, rank + 1))
     assert find_tools(compiled(arm(site(other) + site(surer)))) == [surer]
 
 

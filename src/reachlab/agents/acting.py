@@ -60,10 +60,9 @@ class Driver:
 
 
 def trained(
-    env: Env, policy: Policy | None, state: EnvState, key: Array, picture: Array | None
+    env: Env, policy: Policy | None, state: EnvState, _key: Array, picture: Array | None
 ) -> tuple[Array, Memory]:
     """The trained policy, without noise."""
-    del key
     if policy is None:
         raise InputError("agent 'trained' needs a run: name its directory, or from Python give its policy.")
     _check_fits(policy.schema, env)
@@ -161,9 +160,8 @@ def _act_by(decide: Function, env: Env) -> Act:
     step, told = env.compile_whole(env.step), _is_told(decide)
 
     def act(
-        policy: Policy | None, state: EnvState, key: Array, mask: Array | None = None, instead: Array | None = None
+        _policy: Policy | None, state: EnvState, key: Array, mask: Array | None = None, instead: Array | None = None
     ) -> tuple[EnvState, Transition, Array]:
-        del policy
         seen = jax.tree.map(np.array, env.observe_now(state, None if mask is None else np.asarray(mask)))
         begins = (np.asarray(state.clock) == 0,) if told else ()
         actions = checked_actions(decide(seen, *begins), state.last_action.shape)

@@ -13,29 +13,25 @@ from reachlab.robots.kinematics.forward import forward_kinematics
 from reachlab.tasks.actions import ACTIONS
 
 
-def random(env: Env, policy: Policy | None, state: EnvState, key: Array, picture: Array | None) -> Array:
+def random(env: Env, _policy: Policy | None, state: EnvState, key: Array, _picture: Array | None) -> Array:
     """Actions sampled uniformly from their box."""
-    del policy, picture
     low, high = env.action_bounds
     return jax.random.uniform(key, state.last_action.shape, minval=low, maxval=high)
 
 
-def zero(env: Env, policy: Policy | None, state: EnvState, key: Array, picture: Array | None) -> Array:
+def zero(_env: Env, _policy: Policy | None, state: EnvState, _key: Array, _picture: Array | None) -> Array:
     """Actions of zero."""
-    del env, policy, key, picture
     return jnp.zeros_like(state.last_action)
 
 
-def ik(env: Env, policy: Policy | None, state: EnvState, key: Array, picture: Array | None) -> Array:
+def ik(env: Env, _policy: Policy | None, state: EnvState, _key: Array, _picture: Array | None) -> Array:
     """Inverse kinematics in a closed loop: to the goal from where the tool is measured, at every step."""
-    del policy, key, picture
     now = env.situation(state)
     return ACTIONS[env.config.rules.action].towards(env.setup, now, now)
 
 
-def ik_open(env: Env, policy: Policy | None, state: EnvState, key: Array, picture: Array | None) -> Array:
+def ik_open(env: Env, _policy: Policy | None, state: EnvState, _key: Array, _picture: Array | None) -> Array:
     """Inverse kinematics without feedback: to the goal from where the tool was commanded, whatever is measured."""
-    del policy, key, picture
     now = env.situation(state)
     q = now.command[:, : env.setup.robot.chain.n]
     commanded = forward_kinematics(env.setup.robot.chain, q).position

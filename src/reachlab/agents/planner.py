@@ -85,9 +85,8 @@ class Following:
         """Time that arms waited for plans in the episodes `[B]` [s]."""
         return self._planned.copy()
 
-    def commands(self, policy: Policy | None, state: EnvState, mask: np.ndarray) -> np.ndarray:
+    def commands(self, _policy: Policy | None, state: EnvState, mask: np.ndarray) -> np.ndarray:
         """Next joint commands `[B, n]` in the environments of `mask [B]`; without a motion the last ones."""
-        del policy
         keys, joints = np.asarray(jax.random.key_data(state.key)), np.asarray(state.goal.joints)
         now = self._situation(state)
         clock, q, given = np.asarray(state.clock), np.asarray(now.q), np.array(state.command)

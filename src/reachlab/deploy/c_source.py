@@ -74,33 +74,25 @@ def c_sources(facts: dict[str, Any], limits: MotionLimits, step: Behaviour) -> d
         "remembers": ", next.memory" if memory else "",
         "remembered": f" || !all_finite(next.memory, {memory})" if memory else "",
         "moved": ", ".join(moved),
-        "place": _placing(step.place, ";\n"),
-        "placing": _placing(step.place, f"\n{{\n{_placed(step.place)}\n}}"),
         "refused": _refused([one.name for one in inputs if one.name not in READ]),
         "goal": "\n".join(" " * 8 + line for line in _example([one.name for one in inputs])),
     }
+    text |= _placing(step.place) if step.place else {"place": "", "placing": ""}
     return {name: _filled(name, text) for name in FILES}
 
 
-def _placing(place: Program | None, end: str) -> str:
-    if place is None:
-        return ""
+def _placing(place: Program) -> dict[str, str]:
+    """Declaration and definition of what puts a goal at a place."""
     about = (
         "/* The goal with joints near those of the arm that have it, exactly as they have it; 0 if there are none: then"
         " brake. */"
     )
     given = ", ".join(f"const {one}" for one in c_declarations(place.inputs, "reachlab_real"))
-    return f"\n{about}\nint reachlab_place({given}, reachlab_input *input){end}"
-
-
-def _placed(place: Program | None) -> str:
-    if place is None:
-        return ""
-    names = [one.name for one in place.inputs]
-    results = [
-        "reached" if one.name == "reached" else one.name.replace("placed_", "input->goal_") for one in place.outputs
-    ]
-    return f"    int reached[1];\n    place({', '.join([*names, *results])});\n    return reached[0];"
+    head = f"\n{about}\nint reachlab_place({given}, reachlab_input *input)"
+    passed = [one.name for one in place.inputs]
+    passed += [one.name.replace("placed_", "input->goal_") for one in place.outputs]  # and `reached` as it is
+    body = f"    int reached[1];\n    place({', '.join(passed)});\n    return reached[0];"
+    return {"place": f"{head};\n", "placing": f"{head}\n{{\n{body}\n}}"}
 
 
 def _refused(names: Sequence[str]) -> str:

@@ -127,11 +127,11 @@ def _controller(folder: Path) -> Iterator[PipeLink]:
 
 
 class PipeLink:
-    """A pipe to a controller's process."""
+    """A pipe to a controller's process, see `Link`."""
 
     def __init__(self, pipe: Connection) -> None:
         """The end of a pipe."""
-        self._pipe, self._problem = pipe, ""
+        self._pipe, self.problem = pipe, ""
 
     def begin(self, q: np.ndarray) -> None:
         """Reset the controller.
@@ -145,7 +145,7 @@ class PipeLink:
             if self._pipe.poll(0.1) and isinstance(answer := self._pipe.recv(), str):
                 if answer != READY:
                     raise InputError(answer)
-                self._problem = ""
+                self.problem = ""
                 return
         raise InputError(f"the controller is not ready within {PATIENCE:g} s.")
 
@@ -157,13 +157,9 @@ class PipeLink:
         """The commands that have come."""
         commands = []
         while self._pipe.poll():
-            command, self._problem = self._pipe.recv()
+            command, self.problem = self._pipe.recv()
             commands.append(command)
         return commands
-
-    def problem(self) -> str:
-        """What the controller said last."""
-        return self._problem
 
 
 def serve(folder: Path, pipe: Connection) -> None:

@@ -15,25 +15,25 @@ from typing import Any
 
 import jax
 import numpy as np
+from safetensors.numpy import save_file
 
 from reachlab.agents.acting import make_act
 from reachlab.agents.policy import Policy
 from reachlab.control.contact_model import arm_of
-from reachlab.control.motion_limits import MotionLimits
+from reachlab.control.situation import shaped_within
 from reachlab.deploy.bundle import controller_source, planner_source
 from reachlab.deploy.c_library import OWN, CPolicy, compiler
 from reachlab.deploy.c_source import c_sources
 from reachlab.deploy.card import model_card
 from reachlab.deploy.facts import describe
-from reachlab.deploy.onboard.folder import LIMITS, fingerprint, read_folder
+from reachlab.deploy.onboard.folder import fingerprint, read_folder
 from reachlab.deploy.onboard.step import load_step
 from reachlab.deploy.onnx_network import OnnxNetwork
 from reachlab.deploy.weights import named_weights, onnx_model
-from reachlab.emit.behaviour import as_measured, behaviour, rows_of
+from reachlab.emit.behaviour import as_measured, behaviour, decision, rows_of
 from reachlab.emit.program import constants_of
 from reachlab.emit.python import to_python
 from reachlab.envs.core import Env
-from reachlab.envs.functions import EnvState
 from reachlab.envs.random_streams import REPORT_STREAM, episode_keys
 from reachlab.envs.setup import in_evaluation
 from reachlab.learn.load import load_saved
@@ -44,7 +44,7 @@ from reachlab.runs.provenance import versions
 from reachlab.runs.shipped import find_run
 from reachlab.settings.config import RunConfig
 from reachlab.settings.json_form import flatten, override, to_json
-from reachlab.settings.validation import InputError, choose, installing
+from reachlab.settings.validation import InputError, choose
 
 SITUATIONS, TOGETHER = 1000, 50
 """Situations in which an export is compared with its policy, and how many episodes they are taken from."""
@@ -185,11 +185,6 @@ def write_files(folder: Path, env: Env, policy: Policy, more: dict[str, Any]) ->
     Raises:
         InputError: the extra 'deploy' is missing, or the step cannot be printed.
     """
-    try:
-        from safetensors.numpy import save_file
-    except ModuleNotFoundError:
-        raise InputError(f"an export needs the extra 'deploy': {installing('deploy')}.") from None
-
     model = onnx_model(policy, env.action_bounds, clips=env.setup.rules.clip_actions)
     weights = named_weights(policy, env.action_bounds)
     step = behaviour(env, policy, weights)
@@ -200,7 +195,7 @@ def write_files(folder: Path, env: Env, policy: Policy, more: dict[str, Any]) ->
     if "planner" in more:
         (folder / "planner.py").write_text(planner_source(), encoding="utf-8")
     (folder / "step.py").write_text(to_python(step.programs, pausing={"place"}), encoding="utf-8")
-    for name, text in c_sources(facts, _limits(env, facts), step).items():
+    for name, text in c_sources(facts, shaped_within(env.setup), step).items():
         (folder / name).write_text(text, encoding="utf-8", errors="backslashreplace")
     facts["files"] = {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in sorted(folder.iterdir())}
     facts["sha256"] = fingerprint(facts)
@@ -210,11 +205,6 @@ def write_files(folder: Path, env: Env, policy: Policy, more: dict[str, Any]) ->
         (folder / name).write_text(content, encoding="utf-8", errors="backslashreplace")
 
 
-def _limits(env: Env, facts: dict[str, Any]) -> MotionLimits:
-    rows = [joint["widest"] for joint in facts["joints"]]
-    return MotionLimits(**{name: np.array([row[name] for row in rows]) for name in LIMITS}, period=env.setup.period)
-
-
 def compare(folder: Path, env: Env, policy: Policy, situations: int = SITUATIONS) -> dict[str, float]:
     """Largest differences of an export from a policy in so many situations of held-out episodes, by what computes it.
 
@@ -222,20 +212,14 @@ def compare(folder: Path, env: Env, policy: Policy, situations: int = SITUATIONS
     compiler is there, of those of the C sources from those of the shell [rad or m], and of their actions [of the box].
     """
     onnx, facts, functions = OnnxNetwork(folder), read_folder(folder), as_measured(env.functions)
-    printed, limits, low = load_step(folder)["decide"], _limits(env, facts), env.action_bounds[0]
+    printed, limits, low = load_step(folder)["decide"], shaped_within(env.setup), env.action_bounds[0]
     size, worst = env.action_bounds[1] - low, defaultdict[str, float](float)
-
-    def expected(state: EnvState, picture: Any) -> tuple[Any, Any, Any, Any]:
-        state = replace(state, sensed=None)  # it is given joints as they are
-        seen = functions.observe(state, picture)
-        action, memory = policy.decide(seen, state.memory)
-        action, command, _ = functions.command(state, action, None)
-        return seen, action, command, memory
 
     def note(what: str, difference: Any) -> None:
         worst[what] = max(worst[what], float(np.abs(difference).max()))
 
-    decide = jax.jit(expected)
+    # It is given joints as they are.
+    decide = jax.jit(lambda state, picture: decision(functions, policy, replace(state, sensed=None), picture))
     with tempfile.TemporaryDirectory() as build:
         c = CPolicy(folder, facts["inputs"], limits.n, Path(build)) if compiler() and not env.pictured else None
         for state, picture in _situations(env, policy, -(-situations // env.num_envs)):

@@ -14,8 +14,11 @@ from reachlab.robots.derive.frame import frame_of
 from reachlab.robots.robot import CATALOGUE, DERIVED, GRIPPER, Robot
 from reachlab.settings.json_form import to_json
 from reachlab.tasks import actions, observations, terms
-from reachlab.tasks.schema import SIZE, Field
+from reachlab.tasks.schema import SIZE
 from reachlab.tasks.task import TaskSetup
+
+FIELD = ("name", "unit", "shape", "low", "high", "picture")
+"""What is said of a field of the observation."""
 
 
 def describe(env: Env, policy: Policy, step: Behaviour) -> dict[str, Any]:
@@ -36,14 +39,14 @@ def describe(env: Env, policy: Policy, step: Behaviour) -> dict[str, Any]:
         "inputs": step.inputs,
         "objects": [int(scene.shape)] * scene.objects * (BODIES + "kind" in step.inputs),
         "object_size": list(scene.size),
-        "object_velocity": scene.objects > 0 and step.reads(BODIES + "velocity"),
-        "obstacle_velocity": scene.moved > 0 and step.reads(BODIES + "velocity"),
+        "object_velocity": scene.objects > 0 and step.decide.reads(BODIES + "velocity"),
+        "obstacle_velocity": scene.moved > 0 and step.decide.reads(BODIES + "velocity"),
         "goal": _goal(setup)
         | {"placed": [one.name.removeprefix("placed_") for one in step.place.outputs] if step.place else []},
         "observation": {
             "name": rules.observation,
             "pictured": [SIZE, SIZE] if design.pictured else None,
-            "fields": [_field(field) for field in policy.schema.fields],
+            "fields": [{name: getattr(field, name) for name in FIELD} for field in policy.schema.fields],
         },
         "action": {
             "name": rules.action,
@@ -112,15 +115,4 @@ def _goal(setup: TaskSetup) -> dict[str, Any]:
         "success_distance": rules.success_distance,
         "success_turn": rules.success_distance / rules.success_angle if rules.asks_orientation else 0.0,
         "asks": setup.task.asks(rules, setup.period),
-    }
-
-
-def _field(field: Field) -> dict[str, Any]:
-    return {
-        "name": field.name,
-        "unit": field.unit,
-        "shape": list(field.shape),
-        "low": list(field.low),
-        "high": list(field.high),
-        "picture": field.picture,
     }

@@ -18,7 +18,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from PIL import Image
 
-from reachlab.runs.files import read_json, remove, sync, write_json, write_whole
+from reachlab.runs.files import read_json, remove, sync, whole, write_json, write_whole
 from reachlab.settings.validation import InputError
 from reachlab.watch.video import encode_mp4
 
@@ -96,14 +96,14 @@ class Part(NamedTuple):
     Attributes:
         rows: features of all their steps, one after the other, but for those of `COUNTS`.
         lengths: steps of each episode `[E]`.
-        numbers: of each episode `[E]` in its seed's stream.
         pictures: of a feature, the pictures of each episode in turn, `[steps, size, size, 3]` uint8.
+        numbers: of each episode `[E]` in its seed's stream.
     """
 
     rows: Mapping[str, np.ndarray]
     lengths: np.ndarray
-    numbers: np.ndarray
     pictures: Callable[[str], Iterable[np.ndarray]]
+    numbers: np.ndarray
 
 
 class Written(NamedTuple):
@@ -228,19 +228,16 @@ def _write_table(path: Path, table: pa.Table) -> None:
 def _write_video(path: Path, layout: Layout, episodes: Iterable[np.ndarray]) -> list[Stats]:
     """Statistics of the pictures of each episode, which are written to a file, complete or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary, stats = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp"), []
+    stats = list[Stats]()
 
     def passing() -> Iterator[bytes]:
         for pictures in episodes:
             stats.append(_picture_stats(pictures))
             yield pictures.tobytes()
 
-    try:
+    with whole(path) as temporary:
         encode_mp4(temporary, passing(), (layout.size, layout.size), layout.fps, X264)
         sync(temporary)
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
     sync(path.parent)
     return stats
 

@@ -100,13 +100,12 @@ class LeRobotVectorEnv(VectorEnv[Any, Any, Any]):
             {"is_success": success},
         )
 
-    def call(self, name: str, *args: Any, **kwargs: Any) -> Sequence[Any]:
+    def call(self, name: str, *_: Any, **__: Any) -> Sequence[Any]:
         """What each environment answers, as a batch of single environments gives it.
 
         Raises:
             AttributeError: to a name that LeRobot's rollouts do not ask for.
         """
-        del args, kwargs
         if name == "render":
             return self.render()
         if name not in self._of_each:
@@ -123,9 +122,8 @@ class LeRobotVectorEnv(VectorEnv[Any, Any, Any]):
         """A picture for people of each of the first `FILMED` environments, `[height, width, 3]` uint8."""
         return tuple(self._env.render(self._state, index) for index in range(min(self.num_envs, FILMED)))
 
-    def close_extras(self, **kwargs: Any) -> None:
+    def close_extras(self, **_: Any) -> None:
         """Close simulator and cameras."""
-        del kwargs
         self._closed = True
         self._form.close()
         self._env.close()

@@ -91,9 +91,12 @@ class LeRobotPolicy:
             return checked_actions(action.numpy(force=True), shape)
 
         def act(
-            policy: Policy | None, state: EnvState, key: Array, mask: Array | None = None, instead: Array | None = None
+            _policy: Policy | None,
+            state: EnvState,
+            key: Array,
+            _mask: Array | None = None,
+            instead: Array | None = None,
         ) -> tuple[EnvState, Transition, Array]:
-            del policy, mask
             command = form.command(state, positions(state))
             if instead is not None:
                 command = np.where(np.isnan(instead), command, instead)

@@ -40,7 +40,13 @@ class Measurement:
 
 
 class Link(Protocol):
-    """The way between a plant and a controller."""
+    """The way between a plant and a controller.
+
+    Attributes:
+        problem: what the controller said last is wrong; empty where nothing is, or where that cannot be known.
+    """
+
+    problem: str
 
     def begin(self, q: np.ndarray) -> None:
         """Wait until the controller is ready for an arm that rests at joints `[n]`, and has no goal."""
@@ -52,10 +58,6 @@ class Link(Protocol):
 
     def receive(self) -> list[np.ndarray]:
         """The commands `[n]` that came since the last call, in their order. Never waits."""
-        ...
-
-    def problem(self) -> str:
-        """What the controller said last is wrong; empty where nothing is, or where that cannot be known."""
         ...
 
 
@@ -82,16 +84,9 @@ class Outcome:
 
     def to_json(self) -> dict[str, Any]:
         """Plain form."""
-        return {
-            "episodes": self.episodes,
-            "success_rate": self.successes / self.episodes,
-            "success_interval": wilson_interval(self.successes, self.episodes),
-            "cycles": self.cycles,
-            "in_time": self.in_time / self.cycles,
-            "broken": self.broken,
-            "rest_s": self.rest_s,
-            "problems": dict(self.problems),
-        }
+        known = {name: one for name, one in vars(self).items() if name != "successes"}
+        rate, interval = self.successes / self.episodes, wilson_interval(self.successes, self.episodes)
+        return known | {"success_rate": rate, "success_interval": interval, "in_time": self.in_time / self.cycles}
 
 
 class Plant:
@@ -102,10 +97,7 @@ class Plant:
         self._env, self._seed = Env(override(config, shaping=False), 1), seed
         self.period, self.steps = config.physics.control_period, config.rules.max_steps
         self.speed = np.array(self._env.setup.robot.commands.speed)
-        self._init, self._step = (
-            self._env.compile_whole(self._env.init_held_out),
-            self._env.compile_whole(self._env.step),
-        )
+        self._init, self._step = map(self._env.compile_whole, (self._env.init_held_out, self._env.step))
         self._objects = [None] * self._env.setup.task.scene(self._env.setup).objects
         self._idle = np.zeros((1, len(self._env.action_bounds[0])), np.float32)
         self.begin(0)
@@ -216,8 +208,8 @@ def _episode(plant: Plant, link: Link, disturbed: Disturbed, outcome: Outcome) -
                 outcome.rest_s = max(outcome.rest_s or 0.0, (step - dead + 1) * plant.period)
             command, missed = came, 0
         missed += not commands
-        if problem := link.problem():
-            outcome.problems[problem] += 1
+        if link.problem:
+            outcome.problems[link.problem] += 1
         done, success = plant.step(command)
         if done:
             break

@@ -63,14 +63,6 @@ class Recorded:
     seconds: float
 
 
-class Batch(NamedTuple):
-    """Episodes that were played together: the number of the first in its seed's stream, steps, and outcome."""
-
-    number: int
-    steps: Sequence[Step]
-    played: Episodes
-
-
 @typed
 def record(
     env: Env,
@@ -100,7 +92,7 @@ def record(
         InputError: something else is in the folder, it cannot be written, there is no such agent or camera, or none of
             many episodes is a success.
     """
-    start, out, most = time.perf_counter(), Path(out), config.episodes
+    start, out, most, steps = time.perf_counter(), Path(out), config.episodes, list[Step]()
     cameras = {f"observation.images.{choose('camera', name, CAMERAS)}": name for name in config.cameras}
     dataset, motors = _lerobot_dataset(), motors_of(env.config.robot, env.setup.robot)
     like = example_state(env)
@@ -113,13 +105,15 @@ def record(
             studio = {
                 key: stack.enter_context(closing(Studio(env, name, config.size))) for key, name in cameras.items()
             }
-            play, written = _player(env, agent, policy, config.seed), dataset.begin(out, settings)
+            runner = make_runner(env, agent, keep=lambda step: steps.append(step._replace(state=step.state.apart)))
+            written = dataset.begin(out, settings)
             number = -(-written.number // env.num_envs) * env.num_envs
             while written.episodes < most:
-                batch = play(number)
-                chosen = np.flatnonzero(batch.played.success | config.failures)[: most - written.episodes]
+                steps.clear()
+                played = run_episodes(runner, policy, config.seed, RECORD_STREAM, env.num_envs, number)
+                chosen = np.flatnonzero(played.success | config.failures)[: most - written.episodes]
                 if len(chosen):
-                    part = dataset.Part(*_part(env, motors, studio, batch, chosen))
+                    part = dataset.Part(*_part(env, motors, studio, steps, played, chosen), number + chosen)
                     written = dataset.write_part(out, layout, written, part)
                 number += env.num_envs
                 _check_patience(number - written.number, agent)
@@ -146,22 +140,6 @@ def _named(env: Env) -> tuple[str, str, float]:
     return setup.robot.name, task, int(rate) if rate.is_integer() else rate
 
 
-def _player(env: Env, agent: str | Function, policy: Policy | None, seed: int) -> Callable[[int], Batch]:
-    """Function that plays a batch of episodes, from a number on."""
-    steps: list[Step] = []
-
-    def keep(step: Step) -> None:
-        steps.append(step._replace(state=step.state.apart))
-
-    runner = make_runner(env, agent, keep=keep)
-
-    def play(number: int) -> Batch:
-        steps.clear()
-        return Batch(number, steps, run_episodes(runner, policy, seed, RECORD_STREAM, env.num_envs, number))
-
-    return play
-
-
 def _check_patience(tried: int, agent: str | Function) -> None:
     if tried >= PATIENCE:
         raise InputError(
@@ -171,12 +149,17 @@ def _check_patience(tried: int, agent: str | Function) -> None:
 
 
 def _part(
-    env: Env, motors: Motors, studio: Mapping[str, Studio], batch: Batch, chosen: np.ndarray
-) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, Callable[[str], Iterator[np.ndarray]]]:
-    """See `lerobot_dataset.Part`, of those that are `chosen [E]` of a batch."""
-    played: Episodes = jax.tree.map(lambda part: np.asarray(part)[chosen], batch.played)
-    lengths, within = np.asarray(played.steps), np.arange(len(batch.steps)) < np.asarray(played.steps)[:, None]
-    rows: Rows = jax.tree.map(lambda *parts: np.stack(parts, axis=1)[chosen][within], *map(_rows, batch.steps))
+    env: Env,
+    motors: Motors,
+    studio: Mapping[str, Studio],
+    steps: Sequence[Step],
+    played: Episodes,
+    chosen: np.ndarray,
+) -> tuple[dict[str, np.ndarray], np.ndarray, Callable[[str], Iterator[np.ndarray]]]:
+    """See `lerobot_dataset.Part`, of those episodes that are `chosen [E]` of those played together."""
+    played = jax.tree.map(lambda part: np.asarray(part)[chosen], played)
+    lengths, within = np.asarray(played.steps), np.arange(len(steps)) < np.asarray(played.steps)[:, None]
+    rows: Rows = jax.tree.map(lambda *parts: np.stack(parts, axis=1)[chosen][within], *map(_rows, steps))
     ends = np.cumsum(lengths) - 1
     done, success = np.zeros((2, len(rows.reward)), bool)
     done[ends], success[ends] = True, played.success
@@ -187,8 +170,8 @@ def _part(
         "next.done": done,
         "next.success": success,
     }
-    samples = np.asarray(env.functions.view_samples(batch.steps[0].state.key))[chosen]
-    return features, lengths, batch.number + chosen, lambda key: _draw(studio[key], samples, lengths, rows)
+    samples = np.asarray(env.functions.view_samples(steps[0].state.key))[chosen]
+    return features, lengths, lambda key: _draw(studio[key], samples, lengths, rows)
 
 
 def _rows(step: Step) -> Rows:

@@ -66,7 +66,10 @@ def _policy_node(folder: Path) -> Iterator[None]:
 
 
 class RosLink:
-    """Topics to the policy's node."""
+    """Topics to the policy's node, see `Link`."""
+
+    problem = ""
+    """What the policy's node says is in its log."""
 
     def __init__(self, node: Any, joints: list[str], topics: Topics, *, moves: bool) -> None:
         """The plant's side of a node of rclpy, whose messages come in another thread; its goals may move."""
@@ -95,8 +98,6 @@ class RosLink:
         Raises:
             InputError: it does not in time.
         """
-        from std_msgs.msg import Empty
-
         self._asked = None
         end, asked = time.monotonic() + PATIENCE, 0.0
         still = np.zeros_like(q)
@@ -104,7 +105,7 @@ class RosLink:
             if time.monotonic() - asked > ASKED_EVERY:
                 asked = time.monotonic()
                 self.receive()
-                self._resets.publish(Empty())
+                self._resets.publish(self._resets.msg_type())
             self._publish(q, still)
             time.sleep(TOLD_EVERY)
             if (commands := self.receive()) and np.abs(commands[-1] - q).max() < THERE:
@@ -125,9 +126,7 @@ class RosLink:
 
     def _felt(self, numbers: list[float]) -> Any:
         """A wrench [N, Nm] as a message."""
-        from geometry_msgs.msg import WrenchStamped
-
-        message = WrenchStamped()
+        message = self._wrenches.msg_type()
         force, torque = message.wrench.force, message.wrench.torque
         force.x, force.y, force.z, torque.x, torque.y, torque.z = numbers
         message.header.stamp = self._node.get_clock().now().to_msg()
@@ -135,9 +134,7 @@ class RosLink:
 
     def _pose(self, numbers: list[float]) -> Any:
         """A position [m], and a quaternion wxyz where there is one, as a message."""
-        from geometry_msgs.msg import PoseStamped
-
-        message = PoseStamped()
+        message = self._goals.msg_type()
         place, turn = message.pose.position, message.pose.orientation
         place.x, place.y, place.z = numbers[:3]
         if len(numbers) > 3:
@@ -146,9 +143,7 @@ class RosLink:
         return message
 
     def _publish(self, q: np.ndarray, qd: np.ndarray) -> None:
-        from sensor_msgs.msg import JointState
-
-        state = JointState(name=self._joints, position=q.tolist(), velocity=qd.tolist())
+        state = self._states.msg_type(name=self._joints, position=q.tolist(), velocity=qd.tolist())
         state.header.stamp = self._node.get_clock().now().to_msg()
         self._states.publish(state)
 
@@ -156,7 +151,3 @@ class RosLink:
         """The commands that have come."""
         commands, self._commands = self._commands, []
         return commands
-
-    def problem(self) -> str:
-        """Nothing: what the policy's node says is in its log."""
-        return ""

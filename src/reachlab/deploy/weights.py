@@ -11,7 +11,7 @@ from reachlab.agents.encoder import CELL, CHANNELS, PATCH, SHARPNESS, WHITE, Enc
 from reachlab.agents.policy import OBSERVATION_CLIP, SMALLEST_STD, Policy
 from reachlab.emit.behaviour import AFTER, MEMORY
 from reachlab.settings.validation import InputError, installing
-from reachlab.tasks.schema import GOALS, SIZE, Schema
+from reachlab.tasks.schema import SIZE, Schema
 from reachlab.tasks.task import Bounds
 
 GATES = ("reset", "keep", "new")
@@ -35,7 +35,7 @@ def named_weights(policy: Policy, bounds: Bounds) -> dict[str, np.ndarray]:
     for name in GATES if cell else ():
         weights |= {f"memory.{name}.{part}": array for part, array in getattr(cell, name)._asdict().items()}
     weights |= {"memory.kept_bias": cell.kept_bias} if cell else {}
-    named: dict[str, np.ndarray] = weights | {
+    return weights | {
         "normaliser.mean": np.asarray(plain.normaliser.mean, np.float32),
         "normaliser.scale": np.sqrt(plain.normaliser.variance, dtype=np.float32) + np.float32(SMALLEST_STD),
         "action.centre": np.asarray(plain.centre, np.float32),
@@ -43,18 +43,13 @@ def named_weights(policy: Policy, bounds: Bounds) -> dict[str, np.ndarray]:
         "action.low": bounds[0],
         "action.high": bounds[1],
     }
-    return named
 
 
 def inputs(schema: Schema) -> list[tuple[str, list[int], bool]]:
     """Inputs of the graph, as an observation holds them: name, shape of one and whether it is a picture."""
-    if schema.pictures:
-        return [(field.name, list(field.shape), field.picture) for field in schema.fields]
-    if schema.has_goals:
-        sizes = {field.name: field.shape[0] for field in schema.fields}
-        goals = [(name, [sizes.pop(name)], False) for name in GOALS]
-        return [("observation", [sum(sizes.values())], False), *goals]
-    return [("observation", [sum(field.shape[0] for field in schema.fields)], False)]
+    low, _ = schema.bounds
+    named = low if isinstance(low, dict) else {schema.fields[0].name if schema.pictures else "observation": low}
+    return [(name, list(part.shape), part.dtype == np.uint8) for name, part in named.items()]
 
 
 def onnx_model(policy: Policy, bounds: Bounds, *, clips: bool) -> Any:
@@ -93,11 +88,9 @@ def onnx_model(policy: Policy, bounds: Bounds, *, clips: bool) -> Any:
     for i in range(last):
         x = add("Tanh", [dense(x, f"actor.{i}")], f"hidden.{i}")
     x = add("Mul", [dense(x, f"actor.{last}"), "action.half"], "displaced")
+    x = add("Add", [x, "action.centre"], "unclipped" if clips else "action")
     if clips:
-        x = add("Add", [x, "action.centre"], "unclipped")
-        x = add("Min", [add("Max", [x, "action.low"], "raised"), "action.high"], "action")
-    else:
-        add("Add", [x, "action.centre"], "action")
+        add("Min", [add("Max", [x, "action.low"], "raised"), "action.high"], "action")
     used = {name for node in nodes for name in node.input}
     arrays = [
         numpy_helper.from_array(np.asarray(value), name)

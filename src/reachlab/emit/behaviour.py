@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any, cast
 
 import jax
@@ -11,10 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, ShapeDtypeStruct
 
-from reachlab.agents.policy import Memory, Policy
+from reachlab.agents.policy import Policy
 from reachlab.control.bodies import Bodies
 from reachlab.control.situation import WRENCH, Goal
-from reachlab.emit.program import Program, reads
+from reachlab.emit.program import Program
 from reachlab.emit.tracing import trace
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvFunctions, EnvState
@@ -57,15 +57,6 @@ class Behaviour:
         """All of them."""
         return [one for one in (self.decide, self.tool, self.place) if one is not None]
 
-    def reads(self, name: str) -> bool:
-        """Whether a decision depends on an input."""
-        return _reads(self.decide, name)
-
-
-def _reads(program: Program, begin: str) -> bool:
-    """Whether a program depends on an input whose name begins so."""
-    return any(one.name.startswith(begin) for statement in program.body for one in reads(statement))
-
 
 def behaviour(env: Env, policy: Policy, constants: Mapping[str, np.ndarray]) -> Behaviour:
     """Programs of a policy in an environment, whose constants are named as `constants` names them.
@@ -78,10 +69,9 @@ def behaviour(env: Env, policy: Policy, constants: Mapping[str, np.ndarray]) -> 
 
     def decide(**given: Array) -> dict[str, Array]:
         state = measured_state(functions, like, given)
-        seen = functions.observe(state, given["picture"][None] if "picture" in given else None)
-        action, memory = policy.decide(seen, state.memory)
-        action, command, _ = functions.command(state, action, None)
-        return {"action": action[0], "wanted": command[0], **memory_of(memory)}
+        picture = given["picture"][None] if "picture" in given else None
+        _, action, command, memory = decision(functions, policy, state, picture)
+        return {"action": action[0], "wanted": command[0]} | ({} if memory is None else {AFTER: memory[0]})
 
     def tool(q: Array) -> dict[str, Array]:
         return forward_kinematics(robot.chain, q[: robot.chain.n])._asdict()
@@ -93,10 +83,9 @@ def behaviour(env: Env, policy: Policy, constants: Mapping[str, np.ndarray]) -> 
         return {f"placed_{name}": getattr(placed, name)[0] for name in goal} | {"reached": reached[None]}
 
     joints = shapes["q"]
-    asked = {"position": goal["position"], "near": joints}
-    asked |= {"quaternion": goal["quaternion"]} if "quaternion" in goal else {}
+    asked = {name: goal[name] for name in ("position", "quaternion") if name in goal} | {"near": joints}
     decided = trace("decide", decide, shapes, constants)
-    if env.pictured and not _reads(decided, BODIES):  # it looks at them
+    if env.pictured and not decided.reads(BODIES):  # it looks at them
         shapes = {name: shape for name, shape in shapes.items() if not name.startswith(BODIES)}
         decided = trace("decide", decide, shapes, constants)
     return Behaviour(
@@ -114,9 +103,12 @@ def as_measured(functions: EnvFunctions) -> EnvFunctions:
     return replace(functions, setup=replace(setup, rules=seen), randomise=(), limits=None)
 
 
-def memory_of(memory: Memory) -> dict[str, Array]:
-    """What is remembered then `[1, M]` by its name as a result; nothing of a policy without memory."""
-    return {} if memory is None else {AFTER: memory[0]}
+def decision(functions: EnvFunctions, policy: Policy, state: EnvState, picture: Any) -> tuple[Any, ...]:
+    """What is observed in states `[B]` and their pictures, the actions, the commands, and what is remembered then."""
+    seen = functions.observe(state, picture)
+    action, memory = policy.decide(seen, state.memory)
+    action, command, _ = functions.command(state, action, None)
+    return seen, action, command, memory
 
 
 def example_state(env: Env, begin: Begin | None = None) -> EnvState:
@@ -141,18 +133,16 @@ def example_state(env: Env, begin: Begin | None = None) -> EnvState:
 
 def _parts(record: Any) -> Shapes:
     """Names and shapes of what a record of arrays `[B, ...]` holds, for one of the batch; what is empty is left out."""
-    parts = {field.name: getattr(record, field.name) for field in fields(record)}
-    shapes = {name: ShapeDtypeStruct(part.shape[1:], part.dtype) for name, part in parts.items()}
+    shapes = {name: ShapeDtypeStruct(part.shape[1:], part.dtype) for name, part in vars(record).items()}
     return {name: shape for name, shape in shapes.items() if 0 not in shape.shape}
 
 
 def decision_inputs(env: Env, like: EnvState) -> Shapes:
     """Names and shapes of what a decision is made of: what of goal and bodies there is in the task."""
     sizes: dict[str, int] = dict.fromkeys(("q", "qd", "command"), len(env.setup.robot.actuators))
-    sizes["last_action"] = len(env.action_bounds[0])
-    sizes |= {MEMORY: env.functions.memory} if env.functions.memory else {}
+    sizes |= {"last_action": len(env.action_bounds[0]), MEMORY: env.functions.memory}
     sizes |= {FELT: WRENCH} if env.setup.rules.wrench else {}
-    shapes = {name: ShapeDtypeStruct((size,), jnp.float32) for name, size in sizes.items()}
+    shapes = {name: ShapeDtypeStruct((size,), jnp.float32) for name, size in sizes.items() if size}
     shapes |= {GOAL + name: shape for name, shape in _parts(like.goal).items() if name != "path"}
     shapes |= {BODIES + name: shape for name, shape in _parts(like.arm.bodies).items()}
     return shapes | ({"picture": ShapeDtypeStruct((SIZE, SIZE), jnp.uint8)} if env.pictured else {})
@@ -169,8 +159,7 @@ def bodies_of(like: EnvState, given: Mapping[str, Array]) -> Bodies:
 
 
 def _filled(like: Any, begin: str, given: Mapping[str, Array]) -> Any:
-    parts = {field.name: getattr(like, field.name) for field in fields(like)}
-    nothing = {name: jnp.zeros(part.shape[1:], part.dtype) for name, part in parts.items()}
+    nothing = {name: jnp.zeros(part.shape[1:], part.dtype) for name, part in vars(like).items()}
     return type(like)(**{name: given.get(begin + name, zero)[None] for name, zero in nothing.items()})
 
 
@@ -201,8 +190,8 @@ def rows_of(state: EnvState, picture: Any, names: Iterable[str]) -> Iterator[dic
     known = {"q": state.arm.actuated, "qd": speeds, "command": state.command, "last_action": state.last_action}
     known |= {} if state.memory is None else {MEMORY: state.memory}
     known |= {} if state.arm.wrench is None else {FELT: state.arm.wrench}
-    known |= {GOAL + field.name: getattr(state.goal, field.name) for field in fields(state.goal)}
-    known |= {BODIES + field.name: getattr(state.arm.bodies, field.name) for field in fields(state.arm.bodies)}
+    known |= {GOAL + name: part for name, part in vars(state.goal).items()}
+    known |= {BODIES + name: part for name, part in vars(state.arm.bodies).items()}
     given = {name: np.asarray(picture if name == "picture" else known[name]) for name in names}
     for row in range(len(state.command)):
         yield {name: part[row] if name == "picture" else part[row].ravel().tolist() for name, part in given.items()}

@@ -71,8 +71,7 @@ def _c_table(name: str, numbers: Sequence[int]) -> str:
     return f"static const int {name}[] = {{ {', '.join(map(str, numbers))} }};"
 
 
-def _javascript_declared(kind: str, name: str, size: int | None) -> str:
-    del kind
+def _javascript_declared(_: str, name: str, size: int | None) -> str:
     return f"const {name} = new Float64Array({size})" if size else f"let {name}"
 
 
@@ -140,10 +139,10 @@ class _Printer:
             return self.atom(operand)
         return f"{self.name(operand.array)}[{index}{f' + {operand.first}' * bool(operand.first)}]"
 
-    def _declared(self, variable: Variable, name: str = "") -> str:
-        return self._language.declared(variable.kind, name or self.name(variable), variable.size)
+    def _declared(self, variable: Variable, name: str) -> str:
+        return self._language.declared(variable.kind, name, variable.size)
 
-    def _made(self, variable: Variable, name: str = "") -> Iterator[str]:
+    def _made(self, variable: Variable, name: str) -> Iterator[str]:
         """The declaration of an array, where it stands in the function."""
         line = f"{self._declared(variable, name)};"
         if self._language.hoists:
@@ -161,16 +160,19 @@ class _Printer:
     def _each(self, size: int | None, line: str, counter: str = "i") -> str:
         return f"for ({self._language.counter} {counter} = 0; {counter} < {size}; ++{counter}) {line}"
 
-    def _set(self, variable: Variable, value: Any, name: str) -> str:
-        """The assignment of an operand."""
+    def _begun(self, variable: Variable, name: str, value: Any) -> Iterator[str]:
+        """A variable under a name, with its first value."""
         if variable.size is None:
-            return f"{name} = {self.atom(value)};"
-        return self._each(variable.size, f"{name}[i] = {self._at(value)};")
+            yield f"{self._declared(variable, name)} = {self.atom(value)};"
+        else:
+            yield from self._made(variable, name)
+            yield self._each(variable.size, f"{name}[i] = {self._at(value)};")
 
     def _statement(self, one: Any) -> Iterator[str]:
-        target, name, declared = one.target, self.name(one.target), self._declared(one.target)
+        target, name = one.target, self.name(one.target)
+        declared = self._declared(target, name)
         if target.size is not None:
-            yield from self._made(target)
+            yield from self._made(target, name)
         match one:
             case Compute(operation=operation, operands=operands):
                 value = written(operation, self._language.name).format(*map(self._at, operands))
@@ -199,10 +201,7 @@ class _Printer:
     def _loop(self, loop: Loop) -> Iterator[str]:
         self._depth += 1
         for one in loop.carried:
-            declared, name = self._declared(one.variable), self.name(one.variable)
-            if one.variable.size is not None:
-                yield from self._made(one.variable)
-            yield self._set(one.variable, one.first, declared if one.variable.size is None else name)
+            yield from self._begun(one.variable, self.name(one.variable), one.first)
         lines = list(self.block(loop.before))
         if loop.rounds is None:
             lines.append(f"if (!{self.atom(loop.condition)}) break;")
@@ -216,10 +215,7 @@ class _Printer:
         """What is carried on: first all that it becomes, for one may become what another was."""
         names = {one: self.name(one.variable) for one in loop.carried}
         for one, name in names.items():
-            declared = self._declared(one.variable, f"{name}_then")
-            if one.variable.size is not None:
-                yield from self._made(one.variable, f"{name}_then")
-            yield self._set(one.variable, one.then, f"{name}_then" if one.variable.size else declared)
+            yield from self._begun(one.variable, f"{name}_then", one.then)
         for one, name in names.items():
             size = one.variable.size
             yield f"{name} = {name}_then;" if size is None else self._each(size, f"{name}[i] = {name}_then[i];")

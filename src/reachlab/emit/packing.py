@@ -88,12 +88,10 @@ class _Packer:
                 case _:
                     groups[id(one)].append(one)
         for group in groups.values():
-            if isinstance(group[0], Loop):
-                self._loops(group)
-            elif isinstance(group[0], Compute) and group[0].target.size is not None:
+            if isinstance(group[0], Compute) and group[0].target.size is not None:
                 self._computed(group)
             else:
-                self._alone(group[0])
+                self._others(*group)
 
     def _computed(self, group: list[Compute]) -> None:
         """Take operations of one kind on arrays: together, where more is saved by it than put side by side for it.
@@ -116,7 +114,8 @@ class _Packer:
         for one, end, size in zip(group, np.cumsum(sizes).tolist(), sizes, strict=True):
             self.known[one.target] = result[end - size : end]
 
-    def _alone(self, one: Any) -> None:
+    def _others(self, one: Any, *alike: Loop) -> None:
+        """Take a statement of another kind, or loops that are alike."""
         builder = self._builder
         match one:
             case Compute(operation=operation, operands=operands):
@@ -134,7 +133,7 @@ class _Packer:
                 a = objects(self._atoms(left, m * k), (m, k))
                 result = builder.product(a, objects(self._atoms(right, k * n), (k, n))).ravel().tolist()
             case _:
-                self._loops([one])
+                self._loops([one, *alike])
                 return
         self.known[one.target] = result
 

@@ -161,6 +161,10 @@ class Program:
     body: tuple[Statement, ...]
     outputs: tuple[Output, ...]
 
+    def reads(self, begin: str) -> bool:
+        """Whether it depends on an input whose name begins so."""
+        return any(one.name.startswith(begin) for statement in self.body for one in reads(statement))
+
 
 def constants_of(programs: Sequence[Program]) -> dict[str, np.ndarray]:
     """Constants of programs by name."""

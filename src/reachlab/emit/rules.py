@@ -26,28 +26,21 @@ TO_EVEN = 1
 """JAX's number for rounding to the nearest integer, of two to the even one."""
 
 
-def _whole(equation: Any) -> bool:
-    return kind_of_type(equation.invars[0].aval.dtype) == INTEGER
-
-
 # --- shapes ---------------------------------------------------------------------------------------
 
 
-def _same(tracer: Tracer, equation: Any, *given: np.ndarray) -> Values:
-    del tracer, equation
+def _same(_tracer: Tracer, _equation: Any, *given: np.ndarray) -> Values:
     return list(given)
 
 
-def _broadcast(tracer: Tracer, equation: Any, array: np.ndarray) -> np.ndarray:
-    del tracer
+def _broadcast(_: Tracer, equation: Any, array: np.ndarray) -> np.ndarray:
     sizes = [1] * len(equation.params["shape"])
     for axis, size in zip(equation.params["broadcast_dimensions"], array.shape, strict=True):
         sizes[axis] = size
     return np.broadcast_to(array.reshape(sizes), equation.params["shape"])
 
 
-def _slice(tracer: Tracer, equation: Any, array: np.ndarray) -> np.ndarray:
-    del tracer
+def _slice(_: Tracer, equation: Any, array: np.ndarray) -> np.ndarray:
     starts, ends, steps = (equation.params[name] for name in ("start_indices", "limit_indices", "strides"))
     return array[tuple(slice(*one) for one in zip(starts, ends, steps or [1] * array.ndim, strict=True))]
 
@@ -65,8 +58,7 @@ def _pad(tracer: Tracer, equation: Any, array: np.ndarray, filled: np.ndarray) -
     return padded
 
 
-def _split(tracer: Tracer, equation: Any, array: np.ndarray) -> Values:
-    del tracer
+def _split(_: Tracer, equation: Any, array: np.ndarray) -> Values:
     return np.split(array, np.cumsum(equation.params["sizes"])[:-1], equation.params["axis"])
 
 
@@ -89,12 +81,13 @@ def _choose(tracer: Tracer, equation: Any, chosen: np.ndarray, *cases: np.ndarra
     return case(tracer, chosen, cases)
 
 
-def _divide(tracer: Tracer, equation: Any, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return tracer.each("quotient_of_integers" if _whole(equation) else "divide", a, b)
+def _by_kind(of_integers: str, of_reals: str) -> Rule:
+    """The rule of an operation that is another on whole numbers."""
 
+    def rule(tracer: Tracer, equation: Any, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        return tracer.each(of_integers if kind_of_type(equation.invars[0].aval.dtype) == INTEGER else of_reals, a, b)
 
-def _remainder(tracer: Tracer, equation: Any, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return tracer.each("remainder_of_integers" if _whole(equation) else "remainder", a, b)
+    return rule
 
 
 def _integer_power(tracer: Tracer, equation: Any, array: np.ndarray) -> np.ndarray:
@@ -221,7 +214,6 @@ RULES: dict[str, Rule] = {
     "broadcast_in_dim": _broadcast,
     "reshape": lambda _, equation, array: array.reshape(equation.params["new_sizes"]),
     "squeeze": lambda _, equation, array: np.squeeze(array, tuple(equation.params["dimensions"])),
-    "expand_dims": lambda _, equation, array: np.expand_dims(array, tuple(equation.params["dimensions"])),
     "transpose": lambda _, equation, array: array.transpose(equation.params["permutation"]),
     "rev": lambda _, equation, array: np.flip(array, equation.params["dimensions"]),
     "concatenate": lambda _, equation, *arrays: np.concatenate(arrays, equation.params["dimension"]),
@@ -231,8 +223,8 @@ RULES: dict[str, Rule] = {
     "split": _split,
     "slice": _slice,
     "iota": lambda _, equation: np.indices(equation.params["shape"])[equation.params["dimension"]].astype(object),
-    "div": _divide,
-    "rem": _remainder,
+    "div": _by_kind("quotient_of_integers", "divide"),
+    "rem": _by_kind("remainder_of_integers", "remainder"),
     "gt": lambda tracer, _, a, b: tracer.each("less", b, a),
     "ge": lambda tracer, _, a, b: tracer.each("less_or_equal", b, a),
     "square": lambda tracer, _, array: tracer.each("multiply", array, array),

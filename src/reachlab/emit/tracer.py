@@ -110,17 +110,15 @@ class Tracer:
         kinds: Sequence[str],
         body: Callable[[Values], Values],
         rounds: int | None,
-        condition: Callable[[Values], np.ndarray] | None = None,
+        condition: Callable[[Values], np.ndarray] = lambda _: as_array(True),
     ) -> Values:
         """Arrays after rounds of a body: so many, or as long as a condition holds."""
         builder = self.builder
         made = [self._carried(array, kind) for array, kind in zip(first, kinds, strict=True)]
         arrays = [array for _, array in made]
-        before, asked = (), True
-        if condition is not None:
-            builder.begin()
-            asked = condition(arrays).ravel()[0]
-            before = builder.end()
+        builder.begin()
+        asked = condition(arrays).ravel()[0]
+        before = builder.end()
         firsts = [self._parts(array, each) for (each, _), array in zip(made, first, strict=True)]
         builder.begin()
         thens = [self._parts(array, each) for (each, _), array in zip(made, body(arrays), strict=True)]

@@ -88,9 +88,8 @@ class Programs(Steps):
         """See `Steps.state`."""
         return self._held.in_jax(held)[0]
 
-    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+    def __deepcopy__(self, _memo: dict[int, Any]) -> Self:
         """Itself: it holds nothing that changes."""
-        del memo
         return self
 
     def _packed(self, function: Callable[..., Any], packing: Any, packed: Any, *arguments: Any) -> Any:
@@ -118,6 +117,5 @@ def _named(env: Env) -> object:
 
 
 @functools.lru_cache(maxsize=16)
-def _compiled(config: RunConfig, num_envs: int, mode: AutoresetMode, named: object) -> Programs:
-    del named
+def _compiled(config: RunConfig, num_envs: int, mode: AutoresetMode, _named: object) -> Programs:
     return Programs(Env(config, num_envs), mode)

@@ -150,9 +150,8 @@ class PackedResults:
         self._run = first
         return jax.tree.map(alike, lowered.out_info)
 
-    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+    def __deepcopy__(self, _memo: dict[int, Any]) -> Self:
         """Itself: nothing changes after the first call."""
-        del memo
         return self
 
     def _packed(self, *arguments: Any) -> tuple[Any, ...]:
@@ -188,9 +187,8 @@ class Computed:
             self._lower(structure, given, lambda lowered: beside(lowered.compile))
         return self._programs[structure][1]
 
-    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+    def __deepcopy__(self, _memo: dict[int, Any]) -> Self:
         """Itself: what it learns is the same for all."""
-        del memo
         return self
 
     def _lower(self, structure: Any, given: list[Any], compiled: Callable[[Lowered], Callable[..., Any]]) -> None:

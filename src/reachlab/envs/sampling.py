@@ -31,9 +31,8 @@ class AllAtOnce:
         """Sampler by this function."""
         self._sample = sample_episode
 
-    def __call__(self, keys: Array, goal: Goal | None, mask: Any, held_out: bool) -> Begin:
+    def __call__(self, keys: Array, goal: Goal | None, _mask: Any, held_out: bool) -> Begin:
         """What they begin with, whatever the mask."""
-        del mask
         return self._sample(keys, goal, held_out)
 
     def ahead(self, keys: Array) -> Begin:

@@ -86,9 +86,8 @@ class ImitationState(TrainState):
     lessons: Lessons
 
 
-def _initial_state(env: Env, config: RunConfig, seed: int | Array, given: Any) -> ImitationState:
+def _initial_state(env: Env, config: RunConfig, seed: int | Array, _given: Any) -> ImitationState:
     """State before the first iteration."""
-    del given
     begun = initial_state(env, config, seed)
     empty = partial(jax.tree.map, lambda x: np.zeros((PLANS, *x.shape[1:]), x.dtype))
     q: Any = np.zeros((PLANS, LESSONS, env.setup.robot.chain.n), np.float32)
@@ -171,14 +170,13 @@ def _at_rest(setup: TaskSetup, q: Array, goal: Goal, bodies: Bodies) -> Situatio
     return Situation(q, jnp.zeros_like(q), *tool, goal, q, jnp.zeros_like(q), bodies, none, tool, none)
 
 
-def _check(config: RunConfig, resume: bool) -> None:
+def _check(config: RunConfig, _resume: bool) -> None:
     """Make sure that ways can be planned, and that what is observed can be told of an arm at rest.
 
     Raises:
         InputError: it cannot, or the policy remembers something; OMPL is not installed, or scenes are drawn as episodes
             begin.
     """
-    del resume
     rules: Any = config.rules
     if drawn_anew(rules.scene):
         raise InputError("an action 'heading' is learnt among furniture: choose --scene wall, or another.")

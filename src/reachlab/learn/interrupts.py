@@ -92,8 +92,7 @@ class Interrupts:
         for number, handler in self._before.items():
             signal.signal(number, signal.SIG_IGN if number == HANGUP == self.received else handler)
 
-    def _note(self, number: int, frame: FrameType | None) -> None:
-        del frame
+    def _note(self, number: int, _frame: FrameType | None) -> None:
         if self.received is None:
             self.received = number
             if self.at_once:
@@ -109,8 +108,7 @@ def raise_on_termination() -> None:
             signal.signal(number, _raise)
 
 
-def _raise(number: int, frame: FrameType | None) -> None:
-    del frame
+def _raise(number: int, _frame: FrameType | None) -> None:
     asked.append(number)
     if number == HANGUP:
         signal.signal(number, signal.SIG_IGN)  # the second one must not interrupt what is being put away
@@ -160,8 +158,7 @@ def end_if_deaf() -> None:
         threading.Thread(target=_end_later, args=(hearing, told), daemon=True).start()
 
 
-def _end_later(hearing: socket.socket, told: socket.socket) -> None:
-    del told  # it is held open
+def _end_later(hearing: socket.socket, _told: socket.socket) -> None:  # which is held open
     while number := hearing.recv(1)[0]:
         if number in ASKING:
             time.sleep(PATIENCE)

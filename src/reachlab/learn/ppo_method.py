@@ -47,9 +47,8 @@ Learn = Callable[[Learner, Rollout, Array], tuple[Learner, Metrics]]
 Iteration = Callable[[TrainState], tuple[TrainState, Watched]]
 
 
-def initial_state(env: Env, config: RunConfig, seed: int | Array, given: Any = None) -> TrainState:
+def initial_state(env: Env, config: RunConfig, seed: int | Array, _given: Any = None) -> TrainState:
     """State before the first iteration."""
-    del given
 
     def begin(key: Array) -> Learner:
         optimiser = make_optimiser(config, ppo.updates_per_iteration(config.ppo))

@@ -7,7 +7,7 @@ import logging
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -119,7 +119,8 @@ def _load(file: ModelFile, name: str, tool: str | None, base: str | None, grippe
     listed = known or KnownRobot(file.file, "", {})
     loads, servoed = find_loads(arm.model, arm.tool), own_servos(arm.model)
     limits, sources = _limits(file, arm, listed, loads)
-    usable = np.where(np.isinf(limits.torque), default_torques(loads, np.array(limits.speed)), limits.torque)
+    speed, torque = np.array(limits["speed"]), np.array(limits["torque"])
+    usable = np.where(np.isinf(torque), default_torques(loads, speed), torque)
     mass = float(arm.model.body_subtreemass[arm.model.jnt_bodyid[0]])
     load = payload(loads, usable, mass)
     gains = zip(arm.isolation.joints, servos(loads, usable, load), strict=True)
@@ -129,12 +130,12 @@ def _load(file: ModelFile, name: str, tool: str | None, base: str | None, grippe
         hand = file.own.drive if file.own else mounted_gripper(gripper)
         fingers = file.own.joints if file.own else [int(arm.whole.joint(slide).id) for slide in SLIDES]
         isolation = driven(isolation, arm.whole, fingers, hand)
-    places = _places(file, arm, listed, limits.speed)
+    places = _places(file, arm, listed, limits["speed"])
     notices = [*file.notices, *arm.notices, *[why] * bool(why)]
     for short, what in SHORTAGES.items():
-        needed = {i: most for i, most in short(loads, usable, np.array(limits.speed)).items() if i not in servoed}
+        needed = {i: most for i, most in short(loads, usable, speed).items() if i not in servoed}
         units = ["N" if slides else "Nm" for slides in arm.chain.slides]
-        joints = [f"{arm.names[i]} has {limits.torque[i]:.3g} of {most:.3g} {units[i]}" for i, most in needed.items()]
+        joints = [f"{arm.names[i]} has {torque[i]:.3g} of {most:.3g} {units[i]}" for i, most in needed.items()]
         notices += [f"{what}: {', '.join(joints)}."] * bool(joints)
     sources["home"] = CATALOGUE if listed.home else FILE if places.home == arm.home else DERIVED
     if arm.home and sources["home"] == DERIVED:
@@ -148,7 +149,7 @@ def _load(file: ModelFile, name: str, tool: str | None, base: str | None, grippe
         tool=arm.tool,
         joint_names=arm.names,
         chain=arm.chain,
-        **limits._asdict(),
+        **limits,
         **places._asdict(),
         mass=mass,
         payload=load,
@@ -162,19 +163,13 @@ def _load(file: ModelFile, name: str, tool: str | None, base: str | None, grippe
     return replace(robot, notices=tuple(notices))
 
 
-class _Limits(NamedTuple):
-    """Limits of each joint `[n]`, see `Robot`."""
-
-    speed: tuple[float, ...]
-    torque: tuple[float, ...]
-    acceleration: tuple[float, ...]
-    jerk: tuple[float, ...]
-
-
 def _limits(
     file: ModelFile, arm: Arm, listed: KnownRobot, loads: Loads
-) -> tuple[_Limits, dict[str, str | tuple[str, ...]]]:
-    """Limits that the catalogue lists, else those of the file, else defaults; and which it was, joint by joint."""
+) -> tuple[dict[str, Any], dict[str, str | tuple[str, ...]]]:
+    """Limits of each joint `[n]` by name, see `Robot`, and which they are, joint by joint.
+
+    Those that the catalogue lists, else those of the file, else defaults.
+    """
     n = arm.chain.n
     sources: dict[str, str | tuple[str, ...]] = {
         "position": tuple(FILE if is_limited(arm.model, joint) else DEFAULT for joint in range(n))
@@ -190,13 +185,12 @@ def _limits(
     facts = [file.joints.get(joint, JointFacts()) for joint in arm.names]
     speeds = [fact.speed or own for fact, own in zip(facts, speed_limits(arm.whole, arm.isolation.joints), strict=True)]
     speed = filled("speed", speeds, [DEFAULT_SPEED] * n)
-    held = default_torques(loads, np.array(speed)).tolist()
-    for joint in own_servos(arm.model):
-        held[joint] = float("inf")
-    torque = filled("torque", torque_limits(arm.whole, arm.isolation.joints), held)
+    held = default_torques(loads, np.array(speed))
+    held[list(own_servos(arm.model))] = np.inf
+    torque = filled("torque", torque_limits(arm.whole, arm.isolation.joints), held.tolist())
     acceleration = filled("acceleration", [None] * n, [RAMP_RATE * limit for limit in speed])
     jerk = filled("jerk", [None] * n, [JERK_RATE * limit for limit in acceleration])
-    return _Limits(speed, torque, acceleration, jerk), sources
+    return {"speed": speed, "torque": torque, "acceleration": acceleration, "jerk": jerk}, sources
 
 
 def _places(file: ModelFile, arm: Arm, listed: KnownRobot, speed: tuple[float, ...]) -> Derived:

@@ -108,7 +108,7 @@ class RayRollouts:
         return actor.remote(self._config, share)
 
     def __call__(
-        self, env: Env, policy: Policy, state: EnvState, key: Array, config: LoopConfig
+        self, _env: Env, policy: Policy, state: EnvState, key: Array, config: LoopConfig
     ) -> tuple[EnvState, Rollout]:
         """See `rollout.Collect`.
 
@@ -116,7 +116,6 @@ class RayRollouts:
             EngineError: an engine failed.
             InputError: workers are lost again and again.
         """
-        del env
         state = _sent(state)
         shared, key_data = self._ray.put(_on_host(policy)), np.asarray(jax.random.key_data(key))
         parts = [jax.tree.map(lambda x, s=share: x[s.start : s.stop], state) for share in self._shares]

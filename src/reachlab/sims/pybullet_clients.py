@@ -45,9 +45,8 @@ class Clients(Generic[W]):
             self._offset = urdf.tools[robot.tool]
             self._worlds = [open_world(bullet, urdf, index) for index in range(num_envs)]
 
-    def __deepcopy__(self, memo: dict[int, Any]) -> NoReturn:
+    def __deepcopy__(self, _memo: dict[int, Any]) -> NoReturn:
         """Refuse to be copied: what moves is in PyBullet alone."""
-        del memo
         raise InputError("an environment in 'pybullet' cannot be copied: make another, or choose another simulator.")
 
     @property
@@ -70,9 +69,8 @@ class Clients(Generic[W]):
             position += self._offset * np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], 1)
         return Pose(cast("Array", position), cast("Array", quaternion))
 
-    def render_observations(self, state: SimState, goal: Goal, views: Views, indices: np.ndarray) -> np.ndarray:
+    def render_observations(self, state: SimState, _goal: Goal, views: Views, indices: np.ndarray) -> np.ndarray:
         """See `Simulator.render_observations`; the object is drawn where it lies, and colours are PyBullet's own."""
-        del goal
         q, out = np.asarray(state.q), np.empty((len(indices), SIZE, SIZE), np.uint8)
         for i, index in enumerate(indices):
             self._open_worlds[index].set_joints(q[i])

@@ -39,9 +39,8 @@ class Drawn:
         self._painter = _painter()
         self._camera: Camera | None = None
 
-    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+    def __deepcopy__(self, _memo: dict[int, Any]) -> Self:
         """Another simulator made with the same: all that moves is in the `SimState`."""
-        del memo
         settings, named = self._made_with
         return type(self)(*settings, **named)
 
@@ -52,9 +51,8 @@ class Drawn:
         q, point = self._robot.posture(actuated), np.asarray(goal.position[index])
         return self._painter.submit(self._camera.picture, q, point, marks).result()
 
-    def render_observations(self, state: SimState, goal: Goal, views: Views, indices: np.ndarray) -> np.ndarray:
+    def render_observations(self, state: SimState, goal: Goal, views: Views, _indices: np.ndarray) -> np.ndarray:
         """See `Simulator.render_observations`."""
-        del indices
         actuated = np.concatenate([state.q, state.opening], axis=1)
         return self._observation_camera.pictures(actuated, np.asarray(goal.position), state.bodies, views)
 

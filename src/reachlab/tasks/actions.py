@@ -75,14 +75,12 @@ class Action:
     method: str | None = None
 
 
-def _tool_box(setup: TaskSetup) -> Bounds:
+def _tool_box(_setup: TaskSetup) -> Bounds:
     """The tutorial's box: x and y in ±0.4, z in -0.6 to 0.3."""
-    del setup
     return np.array([-0.4, -0.4, -0.6], np.float32), np.array([0.4, 0.4, 0.3], np.float32)
 
 
-def _unit_box(setup: TaskSetup) -> Bounds:
-    del setup
+def _unit_box(_setup: TaskSetup) -> Bounds:
     return -np.ones(3, np.float32), np.ones(3, np.float32)
 
 
@@ -93,9 +91,8 @@ def _move_tool(setup: TaskSetup, now: Situation, action: Array) -> Array:
     return ik_displace(setup.robot.chain, now.command, displacement, held)
 
 
-def _tool_towards(setup: TaskSetup, now: Situation, believed: Situation) -> Array:
+def _tool_towards(setup: TaskSetup, _now: Situation, believed: Situation) -> Array:
     """Straight line to the target at the box's full speed."""
-    del now
     wanted = (believed.goal.position - believed.tool_position) / setup.rules.tool_scale
     low, high = ACTIONS[setup.rules.action].bounds(setup)
     excess = jnp.where(wanted > 0, wanted / high, wanted / low).max(axis=-1, keepdims=True)
@@ -125,9 +122,8 @@ def _move_joints(setup: TaskSetup, now: Situation, action: Array, give_way: Give
     return jnp.clip(now.command + step, jnp.array(limits.lower), jnp.array(limits.upper))
 
 
-def _joints_towards(setup: TaskSetup, now: Situation, believed: Situation) -> Array:
+def _joints_towards(setup: TaskSetup, _now: Situation, believed: Situation) -> Array:
     """What the task's controller would do in the situation as it is believed."""
-    del now
     step = _controlled(setup, setup.task.control.controller, believed)
     return jnp.clip(step / joint_scale(setup), *_joint_box(setup))
 
@@ -184,15 +180,13 @@ def _take_heading(setup: TaskSetup, now: Situation, action: Array) -> Array:
     return _move_joints(setup, now, jnp.where(far, along, _joints_towards(setup, now, now)), hemmed)
 
 
-def _straight_heading(setup: TaskSetup, now: Situation, believed: Situation) -> Array:
+def _straight_heading(_setup: TaskSetup, _now: Situation, believed: Situation) -> Array:
     """That to the goal's joints."""
-    del setup, now
     way = believed.goal.joints - believed.q
     return way / jnp.maximum(norm(way)[:, None], AHEAD)
 
 
-def _picture_box(setup: TaskSetup) -> Bounds:
-    del setup
+def _picture_box(_setup: TaskSetup) -> Bounds:
     return -np.ones(4, np.float32), np.ones(4, np.float32)
 
 
@@ -217,9 +211,8 @@ def _seen(setup: TaskSetup, now: Situation, action: Array) -> Situation:
     return now._replace(goal=Goal.at(goal + up[:, 0]), bodies=replace(bodies, position=bodies.position + up))
 
 
-def _points_towards(setup: TaskSetup, now: Situation, believed: Situation) -> Array:
+def _points_towards(setup: TaskSetup, _now: Situation, believed: Situation) -> Array:
     """Where the goal and the foot of the object are believed to be in the picture."""
-    del now
     table = np.array([1.0, 1.0, 0.0]), np.array([0.0, 0.0, setup.robot.table_top])
     places = believed.goal.position, believed.bodies.position[:, -1]
     return jnp.concatenate([in_picture(setup.robot, place * table[0] + table[1]) for place in places], axis=-1)

@@ -33,15 +33,13 @@ def known(setup: TaskSetup, goal: Goal) -> Goal:
     return goal if setup.rules.goal_velocity else replace(goal, velocity=jnp.zeros_like(goal.velocity))
 
 
-def begin(setup: TaskSetup, errors: Errors) -> Array:
+def begin(_setup: TaskSetup, errors: Errors) -> Array:
     """Mean square of the distance `[B]` [m²]."""
-    del setup
     return jnp.square(errors.distance)
 
 
-def update(setup: TaskSetup, mean_square: Array, errors: Errors, now: Situation, clock: Array) -> Array:
+def update(setup: TaskSetup, mean_square: Array, errors: Errors, _now: Situation, clock: Array) -> Array:
     """Mean square of the distances after the settling time; until then it is that of the last one."""
-    del now
     counted = jnp.maximum(clock - setup.rules.settle_steps, 1)
     return mean_square + (jnp.square(errors.distance) - mean_square) / counted
 

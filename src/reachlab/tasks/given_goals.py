@@ -37,10 +37,9 @@ def joints_at(setup: TaskSetup, point: Array) -> tuple[Array, Array]:
 
 
 def place_free_point(
-    setup: TaskSetup, goal: Goal, position: Array, quaternion: Array, near: Array
+    setup: TaskSetup, goal: Goal, position: Array, _quaternion: Array, _near: Array
 ) -> tuple[Goal, Array]:
     """A point with joints near home that have it, see `Task.place`; exactly the point of these joints."""
-    del quaternion, near
     q, found = joints_at(setup, position)
     reached = forward_kinematics(setup.robot.chain, q[None])
     return replace(goal, position=reached.position, joints=q[None]), found & _free(setup, q)

@@ -17,15 +17,13 @@ FASTEST_OBJECT = 5.0
 """Objects are no faster along the table [m/s]."""
 
 
-def _object_way(setup: TaskSetup, now: Situation) -> Array:
+def _object_way(_setup: TaskSetup, now: Situation) -> Array:
     """From the tool to the object."""
-    del setup
     return now.bodies.position[:, -1] - now.tool_position
 
 
-def _left_all(setup: TaskSetup, now: Situation) -> Array:
+def _left_all(_setup: TaskSetup, now: Situation) -> Array:
     """From the object to the goal."""
-    del setup
     return now.goal.position - now.bodies.position[:, -1]
 
 
@@ -39,9 +37,8 @@ def _near(left: Array) -> Array:
     return left / (norm(left)[:, None] + NEAR)
 
 
-def _faces(setup: TaskSetup, now: Situation) -> Array:
+def _faces(_setup: TaskSetup, now: Situation) -> Array:
     """Sine and cosine of four times the object's yaw: the same for each face of a cube."""
-    del setup
     turn = 4 * yaw(now.bodies.quaternion[:, -1])
     return jnp.stack([jnp.sin(turn), jnp.cos(turn)], axis=-1) * ~now.bodies.round[:, -1:]
 

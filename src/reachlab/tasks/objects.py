@@ -129,9 +129,8 @@ def _place(setup: TaskSetup, key: Array) -> Array:
     return low + (high - low) * jax.random.uniform(key, (3,))
 
 
-def sample_object(setup: TaskSetup, key: Array, start: Array, goal: Goal) -> Bodies:
+def sample_object(setup: TaskSetup, key: Array, _start: Array, goal: Goal) -> Bodies:
     """The object of an episode `[1]`, at another place on the table."""
-    del start
     shape, size = FORMS[setup.rules.object_shape]
     for_yaw, *for_places = jax.random.split(key, DRAWS + 1)
     places = jnp.stack([_place(setup, one) for one in for_places])
@@ -159,9 +158,8 @@ def vary(setup: TaskSetup, key: Array, goal: Goal, bodies: Bodies) -> tuple[Goal
     return replace(goal, position=goal.position.at[2].set(lies)), bodies
 
 
-def place(setup: TaskSetup, goal: Goal, position: Array, quaternion: Array, near: Array) -> tuple[Goal, Array]:
+def place(setup: TaskSetup, goal: Goal, position: Array, _quaternion: Array, _near: Array) -> tuple[Goal, Array]:
     """The goal put at the nearest place where goals are, as high as it was where they all lie; see `Task.place`."""
-    del quaternion, near
     low, high = map(jnp.array, setup.task.goal_box(setup))
     height = jnp.where(low[2] == high[2], goal.position[0, 2], jnp.clip(position, low, high)[2])
     return replace(goal, position=jnp.clip(position, low, high).at[2].set(height)[None]), jnp.ones((), bool)
@@ -172,9 +170,8 @@ def achieved(now: Situation) -> Array:
     return now.bodies.position[:, -1]
 
 
-def errors(setup: TaskSetup, now: Situation) -> Errors:
+def errors(_setup: TaskSetup, now: Situation) -> Errors:
     """Distance from the object to the goal."""
-    del setup
     distance = now.goal.distance(achieved(now))
     return Errors(distance, jnp.zeros((len(distance), 0)))
 

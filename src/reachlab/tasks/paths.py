@@ -78,9 +78,8 @@ def _sample_line(setup: TaskSetup, key: Array, speed: Array) -> Array:
     return jnp.concatenate([speed[None], ends.ravel()])
 
 
-def _on_line(setup: TaskSetup, numbers: Array, time: Array) -> Place:
+def _on_line(_setup: TaskSetup, numbers: Array, time: Array) -> Place:
     """There and back."""
-    del setup
     speed, begin, end = numbers[0], numbers[1:4], numbers[4:7]
     way = end - begin
     length = jnp.linalg.norm(way)
@@ -115,8 +114,7 @@ def _axes(z: Array) -> Array:
     return jnp.stack([first, -jnp.copysign(1.0, mirrored[1]) * second / jnp.linalg.norm(second)], axis=1)
 
 
-def _on_circle(setup: TaskSetup, numbers: Array, time: Array) -> Place:
-    del setup
+def _on_circle(_setup: TaskSetup, numbers: Array, time: Array) -> Place:
     turn = numbers[0] * time + numbers[1]
     cos, sin = jnp.cos(turn), jnp.sin(turn)
     one, other = numbers[5:8], numbers[8:11]
@@ -148,8 +146,7 @@ def _sample_smooth(setup: TaskSetup, key: Array, speed: Array) -> Array:
     return numbers.at[0].set(speed / mean)
 
 
-def _on_smooth(setup: TaskSetup, numbers: Array, time: Array) -> Place:
-    del setup
+def _on_smooth(_setup: TaskSetup, numbers: Array, time: Array) -> Place:
     shape = (3, len(HARMONICS))
     amplitudes, phases = numbers[4 : 4 + WAVES].reshape(shape), numbers[4 + WAVES :].reshape(shape)
     rates = numbers[0] * jnp.array(HARMONICS)
@@ -166,9 +163,8 @@ def _places(setup: TaskSetup) -> int:
     return int(np.ceil(setup.rules.max_steps * setup.period / STAY)) + 1
 
 
-def _sample_jumps(setup: TaskSetup, key: Array, speed: Array) -> Array:
+def _sample_jumps(setup: TaskSetup, key: Array, _speed: Array) -> Array:
     """The places, each `goal_jump` from the one before; however fast other goals are."""
-    del speed
     low, high = _box(setup)
     for_first, for_jumps = jax.random.split(key)
 

@@ -40,9 +40,8 @@ def sample_start(setup: TaskSetup, key: Array) -> Array:
 # --- success --------------------------------------------------------------------------------------
 
 
-def pose_errors(setup: TaskSetup, now: Situation) -> Errors:
+def pose_errors(_setup: TaskSetup, now: Situation) -> Errors:
     """Errors of a tool that is asked for in a pose."""
-    del setup
     return Errors(now.goal.distance(now.tool_position), angle_between(now.tool_quaternion, now.goal.quaternion))
 
 
@@ -72,9 +71,8 @@ def begin(setup: TaskSetup, errors: Errors) -> Held | tuple[()]:
     return Held(Errors(*recent), jnp.zeros((len(errors.distance), steps), bool))
 
 
-def update(setup: TaskSetup, before: Held, errors: Errors, now: Situation, clock: Array) -> Held | tuple[()]:
+def update(setup: TaskSetup, before: Held, errors: Errors, now: Situation, _clock: Array) -> Held | tuple[()]:
     """The last steps, this one included."""
-    del clock
     if not setup.rules.holds:
         return ()
     still = jnp.abs(now.qd).max(axis=-1) < setup.rules.hold_speed

@@ -29,25 +29,22 @@ GOAL_REWARDS: dict[str, Callable[[Any, Any], Any]] = {
 """Rewards that follow from tool and goal alone, of `near` and `gap [...]` of a task's errors, in NumPy and JAX."""
 
 
-def _goal(config: Any, outcome: Outcome) -> dict[str, Array]:
+def _goal(_config: Any, outcome: Outcome) -> dict[str, Array]:
     """-1 for every step that does not end at the goal: FetchReach's and panda-gym's, for hindsight replay."""
-    del config
     return {"goal": GOAL_REWARDS["goal"](outcome.near, outcome.gap)}
 
 
-def _goal_distance(config: Any, outcome: Outcome) -> dict[str, Array]:
+def _goal_distance(_config: Any, outcome: Outcome) -> dict[str, Array]:
     """-1 for every metre between tool and target: their dense reward."""
-    del config
     return {"goal_distance": GOAL_REWARDS["goal_distance"](outcome.near, outcome.gap)}
 
 
-def _sparse(config: Any, outcome: Outcome) -> dict[str, Array]:
+def _sparse(_config: Any, outcome: Outcome) -> dict[str, Array]:
     """1 for reaching the target, -0.1 for leaving the workspace or running out of time: the tutorial's.
 
     Where the episode continues at the target, losing it costs 1 again: a difference of potentials, so that coming and
     going pays nothing (Ng, Harada and Russell, "Policy invariance under reward transformations", ICML 1999).
     """
-    del config
     return {
         "reach": SUCCESS_REWARD * outcome.gained,
         "outside": OUTSIDE_REWARD * outcome.outside,

@@ -135,16 +135,14 @@ class Sampled(NamedTuple):
 # --- what most tasks do ---------------------------------------------------------------------------
 
 
-def point_errors(setup: TaskSetup, now: Situation) -> Errors:
+def point_errors(_setup: TaskSetup, now: Situation) -> Errors:
     """Errors of a tool that is asked for at a point, in any orientation."""
-    del setup
     distance = now.goal.distance(now.tool_position)
     return Errors(distance, jnp.zeros((len(distance), 0)))
 
 
-def place_point(setup: TaskSetup, goal: Goal, position: Array, quaternion: Array, near: Array) -> tuple[Goal, Array]:
+def place_point(_setup: TaskSetup, goal: Goal, position: Array, _quaternion: Array, _near: Array) -> tuple[Goal, Array]:
     """A goal of position alone, see `Task.place`; one that moves is taken off its path."""
-    del setup, quaternion, near
     stays, path = jnp.zeros_like(goal.velocity), jnp.full_like(goal.path, jnp.nan)
     return replace(goal, position=position[None], velocity=stays, path=path), jnp.ones((), bool)
 
@@ -154,29 +152,25 @@ def within_distance(rules: Any, errors: Errors) -> Any:
     return errors.distance < rules.success_distance
 
 
-def stay(setup: TaskSetup, goal: Goal, bodies: Bodies, clock: Array) -> tuple[Goal, Bodies]:
+def stay(_setup: TaskSetup, goal: Goal, bodies: Bodies, _clock: Array) -> tuple[Goal, Bodies]:
     """Goal and bodies that do not move by themselves."""
-    del setup, clock
     return goal, bodies
 
 
-def no_bodies(setup: TaskSetup, key: Array, start: Array, goal: Goal) -> Bodies:
+def no_bodies(_setup: TaskSetup, _key: Array, _start: Array, _goal: Goal) -> Bodies:
     """Nothing beside the arm."""
-    del setup, key, start, goal
     return absent(0)
 
 
-def sample_apart(setup: TaskSetup, keys: Keys, goal: Goal | None, held_out: Array | bool) -> Sampled:
+def sample_apart(setup: TaskSetup, keys: Keys, goal: Goal | None, _held_out: Array | bool) -> Sampled:
     """An episode whose start, goal, if none is given, and bodies are drawn one after the other."""
-    del held_out
     task, start = setup.task, setup.task.sample_start(setup, keys.start)
     goal = task.sample_goal(setup, keys.goal) if goal is None else goal
     return Sampled(start, goal, task.sample_bodies(setup, keys.scene, start, goal))
 
 
-def nothing_remembered(setup: TaskSetup, errors: Errors) -> Progress:
+def nothing_remembered(_setup: TaskSetup, _errors: Errors) -> Progress:
     """Progress of a task that asks for nothing but its errors."""
-    del setup, errors
     return ()
 
 

@@ -98,8 +98,7 @@ def _action_bounds(setup: TaskSetup) -> Bounds:
     return within(np.abs(ACTIONS[setup.rules.action].bounds(setup)).max(axis=0))
 
 
-def _way(setup: TaskSetup, now: Situation) -> Array:
-    del setup
+def _way(_setup: TaskSetup, now: Situation) -> Array:
     return now.goal.position - now.tool_position
 
 
@@ -118,8 +117,7 @@ def _achieved(setup: TaskSetup, now: Situation) -> Array:
     return _posed(place, now.achieved.quaternion) if setup.rules.asks_orientation else place
 
 
-def _desired(setup: TaskSetup, now: Situation) -> Array:
-    del setup
+def _desired(_setup: TaskSetup, now: Situation) -> Array:
     return _posed(now.goal.position, now.goal.quaternion)
 
 
@@ -152,14 +150,12 @@ def axes(quaternion: Array) -> Array:
     return jnp.stack([jnp.asarray(number) for axis in turned[:2] for number in axis], axis=-1)
 
 
-def _goal_axes(setup: TaskSetup, now: Situation) -> Array:
-    del setup
+def _goal_axes(_setup: TaskSetup, now: Situation) -> Array:
     return axes(now.goal.quaternion)
 
 
-def _turn(setup: TaskSetup, now: Situation) -> Array:
+def _turn(_setup: TaskSetup, now: Situation) -> Array:
     """From the tool's orientation to the goal's: twice the sine of half the angle, times the axis."""
-    del setup
     tool, goal = (rotation_from_quaternion(*components(q)) for q in (now.tool_quaternion, now.goal.quaternion))
     return stack(rotation_error(tool, goal), now.tool_position)
 
@@ -169,8 +165,7 @@ def _turn_near(setup: TaskSetup, now: Situation) -> Array:
     return turn / (norm(turn)[..., None] + NEAR / setup.rules.angle_weight)
 
 
-def _goal_velocity(setup: TaskSetup, now: Situation) -> Array:
-    del setup
+def _goal_velocity(_setup: TaskSetup, now: Situation) -> Array:
     return now.goal.velocity
 
 
@@ -185,8 +180,7 @@ def _goal_velocity_constant(setup: TaskSetup) -> np.ndarray:
     return np.full(3, not moves)
 
 
-def _joint_way(setup: TaskSetup, now: Situation) -> Array:
-    del setup
+def _joint_way(_setup: TaskSetup, now: Situation) -> Array:
     return now.goal.joints - now.q
 
 

@@ -179,17 +179,15 @@ def _caption(env: Env, agent: str, player: Player, title: str, speed: float) -> 
 # --- files ----------------------------------------------------------------------------------------
 
 
-def _webp(out: Path, frames: Iterator[Frame], rate: float) -> None:
+def _webp(out: Path, frames: Iterator[Frame], _rate: float) -> None:
     """Animated WebP, which browsers show like a GIF; the smallest."""
-    del rate
     images, ends = _timed(frames, 1000)
     settings: dict[str, Any] = {"quality": WEBP_QUALITY, "method": 4}
     images[0].save(out, save_all=True, append_images=images[1:], duration=np.diff(ends).tolist(), loop=0, **settings)
 
 
-def _gif(out: Path, frames: Iterator[Frame], rate: float) -> None:
+def _gif(out: Path, frames: Iterator[Frame], _rate: float) -> None:
     """Animated GIF, which everything shows; 256 colours a picture."""
-    del rate
     colours = (Frame(frame.image.quantize(dither=Image.Dither.NONE), frame.seconds) for frame in frames)
     images, ends = _timed(colours, 100)
     durations = (10 * np.diff(ends)).tolist()

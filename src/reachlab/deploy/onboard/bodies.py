@@ -28,8 +28,11 @@ UNIT = 0.01
 BALL, CAPSULE, BOX = 2, 3, 6
 """Kinds of bodies."""
 
-FAR = (0.0, 0.0, -10.0)
+FAR = [0.0, 0.0, -10.0]
 """Where bodies are that are not there [m]."""
+
+ABSENT = {"position": FAR, "quaternion": [1.0, 0.0, 0.0, 0.0], "velocity": [0.0] * 6, "size": [0.0] * 3, "kind": [BALL]}
+"""Numbers of one of them."""
 
 
 FARTHEST = 1000.0
@@ -143,14 +146,10 @@ def placed(
         if abs(age) > OLD:
             when = f"more than {OLD:g} s ago" if age > 0.0 else "later than now: give times of the same clock"
             raise ValueError(f"object {number} was measured {when}")
-    parts: dict[str, list[float]] = {"position": [], "quaternion": [], "velocity": [], "size": [], "kind": []}
+    parts: dict[str, list[float]] = {name: [] for name in ABSENT}
     _add(parts, obstacles, "obstacle")
-    for _ in range(fixed - len(obstacles)):
-        parts["position"] += FAR
-        parts["quaternion"] += [1.0, 0.0, 0.0, 0.0]
-        parts["velocity"] += [0.0] * 6
-        parts["size"] += [0.0, 0.0, 0.0]
-        parts["kind"].append(BALL)
+    for name, numbers in ABSENT.items():
+        parts[name] += numbers * (fixed - len(obstacles))
     if size is not None:
         usual = {"radius": np.array(size[0])} if BALL in free else {"half": np.array(size)}
         objects = [one if {"half", "radius"} & set(one) else {**usual, **one} for one in objects]

@@ -10,6 +10,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from math import inf, isfinite
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ from reachlab.control.motion_limits import MotionLimits
 from reachlab.deploy.onboard.aiming import Aim
 from reachlab.deploy.onboard.bodies import Beside
 from reachlab.deploy.onboard.folder import FORMAT, LIMITS, read_folder
-from reachlab.deploy.onboard.log import Log, read_log
+from reachlab.deploy.onboard.log import KEPT, read_log, write_log
 from reachlab.deploy.onboard.reading import felt, in_words, read_bodies, read_numbers, read_seconds
 from reachlab.deploy.onboard.step import load_step
 from reachlab.deploy.onboard.watching import JUMP, Watch
@@ -87,7 +88,7 @@ class Controller:
         self._way = Way(facts, PlannerProcess(folder), self._tool) if plans else None
         self._watch = Watch(facts, widest)
         self.limits = MotionLimits(**limits, period=self.period)
-        self._log = Log()
+        self._log: deque[Any] = deque(maxlen=KEPT)  # of numbers as `reading` gives them, all of them its own
         self._make_anew()
 
     def reset(self, q: Any) -> None:
@@ -107,13 +108,13 @@ class Controller:
                 f" {in_words(upper[i])}: move the arm to within them, and reset there."
             )
         self._start(q)
-        self._log.add({"reset": q.tolist()})
+        self._log.append({"reset": q.tolist()})
 
     def _make_anew(self) -> None:
         """Be as a new controller, which begins at home where nothing else is measured."""
         self._start(self.home)
         self._is_new = True
-        self._log.add({"reset": None})
+        self._log.append({"reset": None})
 
     def _start(self, q: np.ndarray) -> None:
         self.motion = self.limits.at_rest(np.clip(q, self._lower, self._upper))
@@ -128,7 +129,7 @@ class Controller:
     def stop(self) -> None:
         """Brake, and stay at rest until `reset`."""
         self._stopped = "stop() was called"
-        self._log.add({"stop": True})
+        self._log.append({"stop": True})
 
     def close(self) -> None:
         """End what was started beside it."""
@@ -192,7 +193,7 @@ class Controller:
         self.motion = self.limits.advance(self.motion, wanted, self.braking)
         command = self.motion.position
         told = self._watch.waited, command, self.problem, self._way.ask(self.limits, self.motion) if self._way else None
-        self._log.add((q, qd, goal, seconds, velocity, around, things, joints, wrench, *told))
+        self._log.append((q, qd, goal, seconds, velocity, around, things, joints, wrench, *told))
         return command.copy()
 
     def _look(self, q: Any, qd: Any, seconds: float | None) -> tuple[str, bool]:
@@ -274,7 +275,7 @@ class Controller:
 
     def save_log(self, file: str | Path) -> None:
         """Write the last control steps, a line of JSON each; `replay` takes them again, if no pictures were given."""
-        self._log.save(Path(file))
+        write_log(self._log, Path(file))
 
     def replay(self, file: str | Path) -> float:
         """Take a log's control steps again, from its first `reset` on; the largest difference of a command [rad or m].

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections import deque
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -17,23 +17,12 @@ KEPT = 100_000
 """Entries that a log holds."""
 
 
-class Log:
-    """The last entries: control steps as `NOTED`, resets and stops as dicts. All of it is the log's own."""
-
-    def __init__(self) -> None:
-        """An empty one."""
-        self._entries: deque[Any] = deque(maxlen=KEPT)
-
-    def add(self, entry: Any) -> None:
-        """Add an entry, of numbers as `reading` gives them."""
-        self._entries.append(entry)
-
-    def save(self, file: Path) -> None:
-        """Write all of it, a line of JSON each."""
-        with file.open("w", encoding="utf-8") as lines:
-            for entry in self._entries:
-                named = entry if isinstance(entry, dict) else dict(zip(NOTED, entry))
-                lines.write(json.dumps(named, default=np.ndarray.tolist) + "\n")
+def write_log(entries: Iterable[Any], file: Path) -> None:
+    """Write the last entries of a log, a line of JSON each: control steps as `NOTED`, resets and stops as dicts."""
+    with file.open("w", encoding="utf-8") as lines:
+        for entry in entries:
+            named = entry if isinstance(entry, dict) else dict(zip(NOTED, entry))
+            lines.write(json.dumps(named, default=np.ndarray.tolist) + "\n")
 
 
 def read_log(file: Path) -> list[dict[str, Any]]:

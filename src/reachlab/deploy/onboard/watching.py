@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
 from time import monotonic
 from typing import Any
 
@@ -41,19 +40,6 @@ CALLS, OFF = 15, 0.25
 """Calls whose mean rate is compared with the policy's, and by what share it may differ."""
 
 
-class StopWatch:
-    """Tells the time since it was last asked [s], 0 at first, by a clock that nobody sets."""
-
-    def __init__(self) -> None:
-        """Not asked yet."""
-        self._asked: float | None = None
-
-    def __call__(self) -> float:
-        """Seconds since the last call."""
-        before, self._asked = self._asked, monotonic()
-        return 0.0 if before is None else self._asked - before
-
-
 class Watch:
     """Looks at every measurement before it is used.
 
@@ -72,7 +58,7 @@ class Watch:
         self._period = float(facts["control_period"])
         self._grace = max(GRACE, PERIODS * self._period)
         self._repeats = max(int(GRACE / self._period + 1e-6), 2)
-        self.stop_watch: Callable[[], float] = StopWatch()
+        self._asked: float | None = None
         self.waited = 0.0
         self.reset(np.array(facts["arm"]["home"], float))
 
@@ -83,6 +69,11 @@ class Watch:
         self.stood = False
         self._good, self._same, self._command, self._measured = 0.0, 0, q.copy(), False
         self._passed: deque[float] = deque(maxlen=CALLS)
+
+    def stop_watch(self) -> float:
+        """Time since it was last asked [s], 0 at first, by a clock that nobody sets."""
+        before, self._asked = self._asked, monotonic()
+        return 0.0 if before is None else self._asked - before
 
     def look(self, q: Any, qd: Any, time: float | None, command: np.ndarray) -> tuple[str, bool]:
         """What is wrong, empty where nothing is, and whether the arm has to brake for it.

@@ -34,7 +34,11 @@ PLACED, STILL = 1e-3, 0.02
 
 
 class PlannerProcess:
-    """`planner.py` of an exported folder, in a process of its own: it is asked, and answers when it has found out."""
+    """`planner.py` of an exported folder, in a process of its own: it is asked, and answers when it has found out.
+
+    Attributes:
+        close: ends it.
+    """
 
     def __init__(self, folder: Path) -> None:
         """Start it, and wait until it is ready, or has ended."""
@@ -42,31 +46,20 @@ class PlannerProcess:
         process = subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, start_new_session=True)  # noqa: S603
         self._process, self._answers, came = process, deque[dict[str, Any]](), threading.Event()
         threading.Thread(target=_read, args=(process.stdout, self._answers, came), daemon=True).start()
-        self._end = weakref.finalize(self, _end, process)
+        self.close = weakref.finalize(self, _end, process)
         if came.wait(STARTS) and "ready" in self._answers[0]:
             self._answers.popleft()
 
     def ask(self, request: dict[str, Any]) -> None:
         """Ask it; it never waits, as long as nothing else is asked before the answer has come."""
-        try:
-            self._input.write(json.dumps(request) + "\n")
-            self._input.flush()
-        except OSError:
-            pass  # an answer says that it has ended
+        with contextlib.suppress(OSError):  # an answer says that it has ended
+            print(json.dumps(request), file=self._process.stdin, flush=True)
 
     def answer(self) -> dict[str, Any] | None:
         """An answer that has come, or None. That it has ended stays its answer."""
         if not self._answers:
             return None
         return self._answers[0] if "ended" in self._answers[0] else self._answers.popleft()
-
-    @property
-    def _input(self) -> Any:
-        return self._process.stdin
-
-    def close(self) -> None:
-        """End it."""
-        self._end()
 
 
 def _read(lines: Any, answers: deque[dict[str, Any]], came: threading.Event) -> None:
@@ -81,9 +74,8 @@ def _read(lines: Any, answers: deque[dict[str, Any]], came: threading.Event) -> 
 def _end(process: subprocess.Popen[str]) -> None:
     process.kill()
     process.wait()
-    for pipe in (process.stdin, process.stdout):
-        if pipe is not None:
-            pipe.close()
+    for pipe in filter(None, (process.stdin, process.stdout)):
+        pipe.close()
 
 
 class Told:

@@ -13,7 +13,7 @@ from reachlab.robots.derive.tool import find_tools
 from reachlab.robots.files.gripper import SLIDES
 from reachlab.robots.files.model_file import ModelFile
 from reachlab.robots.files.picture_files import some
-from reachlab.robots.kinematics.chain import Chain, chain_from_model, listed, moving_joints, path_joints
+from reachlab.robots.kinematics.chain import Chain, chain_from_model, listed, moving_joints, path_joints, path_of
 from reachlab.robots.kinematics.limits import LARGEST, is_limited
 
 TURNS = 4 * np.pi
@@ -105,10 +105,7 @@ def find_arm(file: ModelFile, tool: str | None, base: str | None) -> Arm:
 
 def _standing(model: mujoco.MjModel, first: int) -> list[str]:
     """Bodies with solid shapes that stand still and hold nothing of the arm with that first joint."""
-    holding, body = set(), int(model.body_parentid[model.jnt_bodyid[first]])
-    while body:
-        holding.add(body)
-        body = int(model.body_parentid[body])
+    holding = path_of(model, int(model.body_parentid[model.jnt_bodyid[first]]))[1:]
     solid = (model.geom_contype | model.geom_conaffinity) > 0
     solid &= model.geom_type != int(mujoco.mjtGeom.mjGEOM_PLANE)
     still = [int(body) for body in np.unique(model.geom_bodyid[solid]) if not model.body_weldid[body]]

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from reachlab.robots.files.gripper import BEYOND, PAD, Place
+from reachlab.robots.kinematics.chain import path_of
 
 TIP = 0.02
 """What of a finger is so near its end is its tip [m]."""
@@ -45,12 +46,8 @@ class FoundHand:
 
     def __init__(self, model: mujoco.MjModel, arm: Sequence[int]) -> None:
         self.model, self._arm, self._last = model, arm, int(model.jnt_bodyid[arm[-1]])
-        below, self.rigid = {self._last}, {self._last}
-        for body in range(self._last + 1, model.nbody):
-            if int(model.body_parentid[body]) in below:
-                below.add(body)
-                if int(model.body_parentid[body]) in self.rigid and not model.body_jntnum[body]:
-                    self.rigid.add(body)
+        below = {body for body in range(model.nbody) if self._last in path_of(model, body)}
+        self.rigid = set(np.flatnonzero(model.body_weldid == self._last).tolist())
         sliding = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
         inside = [j for j in range(model.njnt) if int(model.jnt_bodyid[j]) in below and j not in arm]
         self.joints = [j for j in inside if model.jnt_type[j] in sliding]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -73,11 +72,11 @@ class Candidates:
         middle = (lower + upper) / 2
         lower, upper = np.maximum(lower, middle - WIDEST), np.minimum(upper, middle + WIDEST)
         sampled = np.random.default_rng(0).uniform(lower, upper, (SAMPLES, chain.n))
-        self.reach = float(np.quantile(np.linalg.norm(_posture(chain, sampled).position - base, axis=1), REACH))
+        self.reach = float(np.quantile(np.linalg.norm(_posture(chain, sampled)[1] - base, axis=1), REACH))
         self._tilt = np.repeat(tilts, SAMPLES)
         q, off = map(np.concatenate, zip(*(_turned(chain, base, sampled, tilt) for tilt in tilts), strict=True))
         if not (off < TURNED).any():  # an arm that cannot turn its tool so stays off its limits
-            q = np.tile(sampled, (len(tilts), 1))
+            q, off = np.tile(sampled, (len(tilts), 1)), np.zeros(len(off))  # and any orientation will do
         links, self._position, _ = _posture(chain, q)
         columns, _ = motions(links[:, 1:], chain.slides, self._position)
         gram = np.swapaxes(columns, 1, 2) @ columns
@@ -90,8 +89,7 @@ class Candidates:
         able[able < LEAST] = 0.0
         self._q, self._middle = q, middle
         self._worth = np.clip(to_limit.min(axis=1) / COMFORTABLE, 0.0, 1.0) * able / (1 + bent)
-        if (off < TURNED).any():  # else an arm that cannot turn its tool so: any orientation will do
-            self._worth[off >= TURNED] = 0.0
+        self._worth[off >= TURNED] = 0.0
         if self._worth[upright := hangs < HANGING * self.reach].any():
             self._worth[~upright] = 0.0
 
@@ -114,18 +112,11 @@ class Candidates:
         return self._q[self._worth.argmax()] if self._worth.any() else self._middle
 
 
-class _Posture(NamedTuple):
-    """An arm at joint vectors `[B, n]`: its links `[B, n + 1, 4, 4]`, and its tool's position and axis `[B, 3]`."""
-
-    links: np.ndarray
-    position: np.ndarray
-    axis: np.ndarray
-
-
-def _posture(chain: Chain, q: np.ndarray) -> _Posture:
+def _posture(chain: Chain, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Links `[B, n + 1, 4, 4]` of an arm at joint vectors `[B, n]`, and its tool's position and axis `[B, 3]`."""
     links = chain.links_at(q)
     tool = links[:, -1] @ chain.between[-1]
-    return _Posture(links, tool[:, :3, 3], tool[:, :3, :3] @ np.array(chain.approach))
+    return links, tool[:, :3, 3], tool[:, :3, :3] @ np.array(chain.approach)
 
 
 def _turned(chain: Chain, base: np.ndarray, q: np.ndarray, tilt: float) -> tuple[np.ndarray, np.ndarray]:
@@ -133,27 +124,26 @@ def _turned(chain: Chain, base: np.ndarray, q: np.ndarray, tilt: float) -> tuple
 
     By damped least-squares steps.
     """
-    posture = _posture(chain, q)
-    turn = _turn(posture, base, tilt)
+    links, position, axis = _posture(chain, q)
+    turn = _turn(position - base, axis, tilt)
     hinges = ~np.array(chain.slides)[:, None]
     for _ in range(TURNS):
-        axis, columns = posture.axis[:, None], hinges * posture.links[:, 1:, :3, 2]
-        columns -= (columns @ posture.axis[..., None]) * axis
+        columns = hinges * links[:, 1:, :3, 2]
+        columns -= (columns @ axis[..., None]) * axis[:, None]
         gram = np.swapaxes(columns, 1, 2) @ columns + DAMPING * np.eye(3)
         step = (columns @ np.linalg.solve(gram, turn[..., None]))[..., 0]
         step *= np.minimum(1.0, LONGEST_STEP / np.maximum(np.abs(step).max(axis=1, keepdims=True), TINY))
         q = np.clip(q + step, chain.lower, chain.upper)
-        posture = _posture(chain, q)
-        turn = _turn(posture, base, tilt)
+        links, position, axis = _posture(chain, q)
+        turn = _turn(position - base, axis, tilt)
     return q, np.linalg.norm(turn, axis=1)
 
 
-def _turn(posture: _Posture, base: np.ndarray, tilt: float) -> np.ndarray:
-    """Turn `[B, 3]` rad that brings the tool's axis to its tilt, away from the base."""
-    out = (posture.position - base)[:, :2]
-    out = out / (np.linalg.norm(out, axis=1, keepdims=True) + TINY)
+def _turn(away: np.ndarray, axis: np.ndarray, tilt: float) -> np.ndarray:
+    """Turn `[B, 3]` rad that brings the tool's axis to its tilt, outward where the tool is `away` from the base [m]."""
+    out = away[:, :2] / (np.linalg.norm(away[:, :2], axis=1, keepdims=True) + TINY)
     wanted = np.column_stack([np.sin(tilt) * out, np.full(len(out), -np.cos(tilt))])
-    across = np.cross(posture.axis, wanted)
+    across = np.cross(axis, wanted)
     sin = np.linalg.norm(across, axis=1, keepdims=True)
-    angle = np.arctan2(sin, (posture.axis * wanted).sum(axis=1, keepdims=True))
+    angle = np.arctan2(sin, (axis * wanted).sum(axis=1, keepdims=True))
     return angle * np.where(sin > TINY, across / np.maximum(sin, TINY), (1.0, 0.0, 0.0))

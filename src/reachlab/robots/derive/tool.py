@@ -8,9 +8,8 @@ from collections.abc import Sequence
 import mujoco
 
 TOOL_NAMES = (
-    *(("attachment",), ("tool0",), ("tcp",), ("tool", "center", "point"), ("ee",), ("eef",), ("end", "effector")),
-    *(("endeffector",), ("gripper", "frame"), ("grasp",), ("grasptarget",), ("grip",), ("pinch",)),
-    *(("flange",), ("tool",), ("hand",), ("gripper",)),
+    *("attachment", "tool0", "tcp", "tool center point", "ee", "eef", "end effector", "endeffector", "gripper frame"),
+    *("grasp", "grasptarget", "grip", "pinch", "flange", "tool", "hand", "gripper"),
 )
 """Words that follow each other in the name of a tool frame, the surest first: ROS-Industrial's `tool0` and `flange`,
 MuJoCo Menagerie's `attachment_site`, and what makers call theirs."""
@@ -100,8 +99,5 @@ def like_a_tool(name: str) -> bool:
 
 def _rank(name: str) -> int | None:
     """Place in `TOOL_NAMES` of the first entry whose words stand in a name."""
-    own = words(name)
-    for rank, wanted in enumerate(TOOL_NAMES):
-        if any(tuple(own[i : i + len(wanted)]) == wanted for i in range(len(own))):
-            return rank
-    return None
+    own = f" {' '.join(words(name))} "
+    return next((rank for rank, wanted in enumerate(TOOL_NAMES) if f" {wanted} " in own), None)

@@ -85,16 +85,12 @@ def _narrow(joint: Element, limit: Element, noted: dict[str, list[str]]) -> None
         for end in ("lower", "upper"):
             limit.attrib.pop(end, None)
         return
-    for end, value in (("lower", low), ("upper", high)):  # one that is not given is 0
-        limit.set(end, repr(value))
-    soft = joint.find("safety_controller")
-    if soft is None:
-        return
-    soft_low, soft_high = number(soft, "soft_lower_limit", low), number(soft, "soft_upper_limit", high)
-    if (soft_low > low or soft_high < high) and (soft_low or soft_high):  # both 0 is how URDF says that there are none
-        limit.set("lower", repr(max(low, soft_low)))
-        limit.set("upper", repr(min(high, soft_high)))
-        noted[SOFT].append(joint.get("name", ""))
+    for soft in joint.findall("safety_controller")[:1]:
+        soft_low, soft_high = number(soft, "soft_lower_limit", low), number(soft, "soft_upper_limit", high)
+        if (soft_low > low or soft_high < high) and (soft_low or soft_high):  # both 0 is how URDF says: there are none
+            low, high = max(low, soft_low), min(high, soft_high)
+            noted[SOFT].append(joint.get("name", ""))
+    limit.attrib |= {"lower": repr(low), "upper": repr(high)}  # one that is not given is 0
 
 
 def _rewrite_compiler(root: Element) -> str:

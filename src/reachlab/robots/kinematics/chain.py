@@ -114,7 +114,7 @@ def path_joints(model: mujoco.MjModel, tool: str, base: int = 0) -> list[int]:
     Raises:
         ValueError: no such site or body, or it is not moved by the body's joints.
     """
-    first, *path = _path(model, tool_body(model, tool)[0], base)
+    first, *path = path_of(model, tool_body(model, tool)[0], base)
     if first != base:
         raise ValueError(f"tool {tool!r} is not held by base {model.body(base).name!r}")
     free = int(mujoco.mjtJoint.mjJNT_FREE)
@@ -126,7 +126,7 @@ def path_joints(model: mujoco.MjModel, tool: str, base: int = 0) -> list[int]:
 
 def moving_joints(model: mujoco.MjModel, body: int) -> set[int]:
     """Numbers of the joints that move a body."""
-    return {joint for one in _path(model, body) for joint in _joints(model, one)}
+    return {joint for one in path_of(model, body) for joint in _joints(model, one)}
 
 
 def chain_from_model(model: mujoco.MjModel, tool: str) -> Chain:
@@ -138,7 +138,7 @@ def chain_from_model(model: mujoco.MjModel, tool: str) -> Chain:
     last, tip = tool_body(model, tool)
     frames, slides, limits = [], [], []
     transform = np.eye(4)
-    for body in _path(model, last)[1:]:
+    for body in path_of(model, last)[1:]:
         transform = transform @ _transform(model.body_pos[body], model.body_quat[body])
         for joint in _joints(model, body):
             kind = mujoco.mjtJoint(model.jnt_type[joint])
@@ -157,7 +157,7 @@ def chain_from_model(model: mujoco.MjModel, tool: str) -> Chain:
     return Chain(tuple(map(_constants, frames)), tuple(slides), lower, upper, _approach(frames, slides[-1]))
 
 
-def _path(model: mujoco.MjModel, body: int, base: int = 0) -> list[int]:
+def path_of(model: mujoco.MjModel, body: int, base: int = 0) -> list[int]:
     """Bodies from a base, or the world where that does not hold it, to a body."""
     path = [body]
     while path[0] not in (0, base):

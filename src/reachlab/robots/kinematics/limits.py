@@ -100,18 +100,16 @@ def speed_limits(model: mujoco.MjModel, joints: Sequence[int]) -> Limits:
 
 def torque_limits(model: mujoco.MjModel, joints: Sequence[int]) -> Limits:
     """Torque limits of joints [Nm or N]: of the joint itself, else what its actuators can give together."""
-    torques: dict[int, float | None] = dict.fromkeys(map(int, joints))
-    for actuator in range(model.nu):
+    torques = dict.fromkeys(map(int, joints), 0.0)
+    for actuator in np.flatnonzero(np.isin(model.actuator_trntype, ON_JOINTS)):
         joint = int(model.actuator_trnid[actuator, 0])
-        if model.actuator_trntype[actuator] not in ON_JOINTS:
-            continue
-        if joint in torques and (most := _most(model, actuator)):
-            torques[joint] = (torques[joint] or 0.0) + most
+        if joint in torques:
+            torques[joint] += _most(model, int(actuator))
     for joint, given in torques.items():
         if model.jnt_actfrclimited[joint]:
             own = _either_way(model.jnt_actfrcrange[joint])
             torques[joint] = min(own, given or own)
-    return tuple(torques.values())
+    return tuple(most or None for most in torques.values())
 
 
 def force_limit(model: mujoco.MjModel, leads: Sequence[int], slopes: Mapping[int, float]) -> float | None:
@@ -125,14 +123,14 @@ def force_limit(model: mujoco.MjModel, leads: Sequence[int], slopes: Mapping[int
     way = np.zeros(model.nv)
     way[model.jnt_dofadr[list(slopes)]] = list(slopes.values())
     gear = np.abs(model.actuator_gear[:, 0])
-    given = sum((_most(model, i) or 0.0) / gear[i] * abs(moment[i] @ way) for i in range(model.nu))
+    given = sum(_most(model, i) / gear[i] * abs(moment[i] @ way) for i in range(model.nu))
     limited = [j for j in leads if j in slopes and model.jnt_actfrclimited[j]]
     let = sum(_either_way(model.jnt_actfrcrange[j]) * abs(slopes[j]) for j in limited)
     return min((float(force) for force in (given, let) if force > 0), default=None)
 
 
-def _most(model: mujoco.MjModel, actuator: int) -> float | None:
-    """Largest torque of an actuator: its force range, else a motor's control range; times its gear."""
+def _most(model: mujoco.MjModel, actuator: int) -> float:
+    """Largest torque of an actuator: its force range, else a motor's control range; times its gear; 0 of another."""
     gear = abs(float(model.actuator_gear[actuator, 0]))
     if model.actuator_forcelimited[actuator]:
         return gear * _either_way(model.actuator_forcerange[actuator])
@@ -140,7 +138,7 @@ def _most(model: mujoco.MjModel, actuator: int) -> float | None:
     if motor and model.actuator_ctrllimited[actuator]:
         gain = abs(float(model.actuator_gainprm[actuator, 0]))
         return gear * gain * _either_way(model.actuator_ctrlrange[actuator])
-    return None
+    return 0.0
 
 
 def _either_way(ends: np.ndarray) -> float:

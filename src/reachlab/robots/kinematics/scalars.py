@@ -9,6 +9,7 @@ turns pays nothing for them.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from typing import NamedTuple, TypeVar
 
@@ -63,10 +64,7 @@ def sub(a: Scalar, b: Scalar) -> Scalar:
 
 def total(terms: Sequence[Scalar]) -> Scalar:
     """Sum of the terms, folded."""
-    result: Scalar = 0.0
-    for term in terms:
-        result = add(result, term)
-    return result
+    return functools.reduce(add, terms, 0.0)
 
 
 class Vec(NamedTuple):

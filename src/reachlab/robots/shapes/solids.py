@@ -95,11 +95,8 @@ SOLID = {*SHAPES, mujoco.mjtGeom.mjGEOM_MESH}
 
 def links_of_bodies(model: mujoco.MjModel) -> np.ndarray:
     """Number of the link to which each body belongs `[nbody]`, of a robot's model; see `Chain.links_at`."""
-    link_of = np.zeros(model.nbody, int)
-    for body in range(1, model.nbody):  # bodies follow those that hold them
-        joints = model.body_jntadr[body] + model.body_jntnum[body]
-        link_of[body] = joints if model.body_jntnum[body] else link_of[model.body_parentid[body]]
-    return link_of
+    moved = (model.body_jntadr + model.body_jntnum).clip(0)  # up to the last joint of each; without one -1 + 0
+    return moved[model.body_weldid]
 
 
 def solid_geoms(model: mujoco.MjModel, n: int) -> list[list[int]]:

@@ -43,9 +43,8 @@ def sample_bodies(setup: TaskSetup, key: Array, start: Array, goal: Goal) -> Bod
     return draw(setup, key, start, goal)
 
 
-def move(setup: TaskSetup, goal: Goal, bodies: Bodies, clock: Array) -> tuple[Goal, Bodies]:
+def move(setup: TaskSetup, goal: Goal, bodies: Bodies, _clock: Array) -> tuple[Goal, Bodies]:
     """The goal as it is, and bodies a control period later."""
-    del clock
     return goal, after(bodies, setup.period) if scene(setup).moved else bodies
 
 
