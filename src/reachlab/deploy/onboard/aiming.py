@@ -30,6 +30,13 @@ THERE = 0.01
 TURNED = 0.05
 """How far from it the tool may be turned at them [rad]."""
 
+BESIDE, BESIDE_TURN = 0.05, 0.2
+"""How far from a goal the next may be, and how far turned, for the joints of the one to count until those of the other
+are found [m, rad]. What measures a goal gives a new one in every step."""
+
+DROPPED = 10
+"""Goals in a row that went further before their joints were found: then that is a problem."""
+
 Goal = dict[str, Any]
 """Numbers by name: `position [3]` m and, as needed, `quaternion [4]` wxyz, `velocity [3]` m/s and `joints [n]`."""
 
@@ -41,7 +48,7 @@ class Aim:
     """What the tool is asked to do.
 
     Attributes:
-        goal: the goal; None where there is none, or its joints are still looked for.
+        goal: the goal, or the last one beside it whose joints are found; None where there is none.
         box: lower and upper corner `[2, 3]` of the goals that were trained [m].
         poses: goals are poses.
         hides: a goal may not be seen at times.
@@ -59,8 +66,9 @@ class Aim:
         """Have no goal."""
         self.goal: Goal | None = None
         self._given: tuple[Any, ...] | None = None
+        self._sought: np.ndarray | None = None
         self._search: Generator[None, None, Any] | None = None
-        self._refused = ""
+        self._refused, self._dropped = "", 0
         self._seen: tuple[np.ndarray, float, float, np.ndarray] | None = None
 
     def take(self, goal: Any, time: float, velocity: Any, joints: Any, near: np.ndarray) -> str:
@@ -75,7 +83,8 @@ class Aim:
         """
         if goal is None:
             hidden = self.goal is not None and self.hides
-            self.goal, self._given, self._seen = UNSEEN if hidden else None, None, None
+            self.clear()
+            self.goal = UNSEEN if hidden else None
             return ""
         joints = joints if self._facts["joints"] else None
         given = tuple(one if one is None or isinstance(one, str) else one.tobytes() for one in (goal, joints))
@@ -87,9 +96,26 @@ class Aim:
             self.goal = {"position": goal[:3].tolist(), "velocity": known.tolist()}
             return ""
         if given != self._given:
-            self._given, self._search, self._refused = given, None, ""
-            self.goal = self._set(goal, joints, near)
+            self._change(given, goal, joints, near)
         return self._look_for_joints()
+
+    def _change(self, given: tuple[Any, ...], goal: np.ndarray, joints: np.ndarray | None, near: np.ndarray) -> None:
+        """Aim at another goal; at one beside the one before, once the joints of that one are found."""
+        beside = joints is None and self._is_beside(goal)
+        if beside and self._search:
+            return
+        if not beside:
+            self._dropped += self._search is not None
+            self.goal, self._search, self._refused = None, None, ""
+        self._given, self._sought = given, goal
+        near = near if self.goal is None else np.array(self.goal.get("joints", near))
+        self.goal = self._set(goal, joints, near) or self.goal
+
+    def _is_beside(self, goal: np.ndarray) -> bool:
+        before = self._sought
+        if before is None or np.linalg.norm(goal[:3] - before[:3]) > BESIDE:
+            return False
+        return not self.poses or abs(float(goal[3:] @ before[3:])) >= cos(BESIDE_TURN / 2)
 
     def _wrong(self, goal: Any, velocity: Any, joints: Any) -> str:
         wanted = {
@@ -156,11 +182,14 @@ class Aim:
         """Take some rounds of the search, and give why the goal is refused where it ends without joints."""
         if self._search is None:
             return self._refused
+        if self._dropped > DROPPED:
+            self._refused = f"the goal moves by more than {BESIDE:g} m before joints are found at which the tool is there"
         try:
             for _ in range(ROUNDS_OF_POSES if self.poses else ROUNDS_A_STEP):
                 next(self._search)
         except StopIteration as ended:
             self._search, placed = None, dict(zip(self._facts["placed"], ended.value))
+            self.goal, self._refused, self._dropped = None, "", 0
             if placed.pop("reached")[0]:
                 self.goal = placed
             else:

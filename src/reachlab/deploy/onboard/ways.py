@@ -32,6 +32,9 @@ LATE = 1.5
 PLACED, STILL = 1e-3, 0.02
 """A command rests where a plan begins within the first [rad or m], and slower than the second [rad/s or m/s]."""
 
+ALIKE = 2e-3
+"""Goals whose joints are within this are one [rad or m]: what measures them gives another in every step."""
+
 
 class PlannerProcess:
     """`planner.py` of an exported folder, in a process of its own: it is asked, and answers when it has found out.
@@ -121,7 +124,7 @@ class Way:
     def clear(self) -> None:
         """Have nothing to do, and forget what was."""
         self._told: dict[str, Any] | None = None
-        self._goal: Any = None
+        self._goal: np.ndarray | None = None
         self._motion: Trajectory | None = None
         self._seconds, self._came, self._before = np.inf, 0.0, None
         self._forget(trust=True)
@@ -142,8 +145,9 @@ class Way:
         scene = {name: given["bodies_" + name] for name in ("kind", "position", "quaternion", "size")}
         if seconds < self._seconds:  # the clock has run back, or begins
             self._since = self._came = seconds
-        if goal["joints"] != self._goal:
-            self._goal = goal["joints"]
+        joints = np.array(goal["joints"])
+        if self._goal is None or np.abs(joints - self._goal).max() > ALIKE:
+            self._goal = joints
             self._forget(trust=True)
         elif self._mode == "follow" and not 0.0 < seconds - self._seconds <= LATE * self._period:
             self._forget(trust=False)
@@ -227,7 +231,7 @@ class Way:
             return told
         if self._mode == "ask" and self._moved:
             self._mode, self._start = "wait", limits.rest(motion)
-            self._send({"start": self._start.tolist(), "goal": self._goal, "policy": self._trust})
+            self._send({"start": self._start.tolist(), "goal": self._goal.tolist(), "policy": self._trust})
         elif self._mode == "follow" and self._scene != self._checked:
             self._send({"step": self._step})
         return told
