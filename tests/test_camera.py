@@ -28,7 +28,7 @@ from reachlab.evaluation.report import evaluate
 from reachlab.learn.learner import make_initial_policy
 from reachlab.learn.rollout import host_collector
 from reachlab.learn.train import train
-from reachlab.render import observation_camera
+from reachlab.render import offscreen
 from reachlab.render.observation_camera import ObservationCamera
 from reachlab.render.view_randomisation import SAMPLES, SHIFT, TURN, Views, make_views
 from reachlab.robots.loading import load_robot
@@ -241,7 +241,7 @@ def test_without_opengl_one_sentence_says_what_to_install(monkeypatch: pytest.Mo
     def none(*_: object) -> None:
         raise InputError("pictures need OpenGL (egl), which does not start here. apt install libegl1")
 
-    monkeypatch.setattr(observation_camera, "gl_context", none)
+    monkeypatch.setattr(offscreen, "gl_context", none)
     env = Env(configure(observation="image"), 1)
     state = env.init(env_keys(0, 1))
     with pytest.raises(InputError, match="apt install libegl1"):

@@ -299,7 +299,7 @@ WRONG = {
     "eval of an empty folder": ("eval taken", "config.json' is missing"),
     "eval of an unknown agent": ("eval taken --agent tained", "Did you mean 'trained'"),
     "eval of no episodes": ("eval run --agent ik --episodes 0", "episodes must be at least 1 and .*, got 0"),
-    "video to an unknown ending": ("video run --out film.avi", "video format '.avi' is not one of: .gif, .mp4"),
+    "video to an unknown ending": ("video run --out film.avi", "'film.avi': name a file that ends in .webp or .gif"),
     "video into no folder": ("video run --out no/film.gif", "cannot be written to 'no/film.gif'"),
     "video of no pictures a second": ("video run --fps 0", "fps must be above 0"),
     "video of too few pictures": ("video run --agent ik --fps 1e-6", "a picture would stand for 1e.06 s"),

@@ -33,7 +33,7 @@ from reachlab.sims.mujoco_model import physics_model
 from reachlab.tasks.observations import observe
 from reachlab.tasks.scenes.balls import CLEAR, LONG, RADIUS, SIDE, THIN
 from reachlab.tasks.task import Scene, TaskSetup
-from reachlab.watch.player import TOUCHED, Player, target_box
+from reachlab.watch.player import TOUCHED, Player
 from situations import begin, swept
 from situations import situation as situation_of
 from test_contacts import capsule_ends, scene
@@ -402,23 +402,23 @@ def test_an_obstacle_is_moved_by_hand_while_an_agent_plays() -> None:
     player.step("ik", None)
     tool = player.moment.tool
     player.move_body(0, tool)
-    np.testing.assert_allclose(player.moment.blocks[0].position, tool, atol=1e-6)
+    np.testing.assert_allclose(env.shown.blocks(player.state)[0].position, tool, atol=1e-6)
     player.step("ik", None)
     assert player.failed == TOUCHED
     assert player.over
     assert player.episodes == 0
     player.follow(True)
     player.proceed()
-    np.testing.assert_allclose(player.moment.blocks[0].position, tool, atol=1e-6)
+    np.testing.assert_allclose(env.shown.blocks(player.state)[0].position, tool, atol=1e-6)
     player.move_body(0, np.array([5.0, 5.0, 5.0]))
-    np.testing.assert_allclose(player.moment.blocks[0].position, env.setup.robot.workspace[1])
+    np.testing.assert_allclose(env.shown.blocks(player.state)[0].position, env.setup.robot.workspace[1])
     env.close()
 
 
 def test_the_target_that_is_moved_by_hand_has_joints_again() -> None:
     env = Env(configure("clutter", obstacles=(0, 0), randomise=()), 1)
     player = Player(env, 1)
-    place = target_box(env.setup).mean(axis=0)
+    place = np.mean(env.setup.task.goal_box(env.setup), axis=0)
     assert player.move_target(place)
     for _ in range(120):
         player.step("ik", None)

@@ -15,7 +15,7 @@ from reachlab.cli.console import note, print_reports, say, task_and_success
 from reachlab.cli.deploy_command import _by_kind
 from reachlab.cli.eval_command import _means
 from reachlab.cli.eval_subjects import Subject
-from reachlab.cli.progress import EvalDisplay, TrainDisplay, explained, parts_of_time, train_line
+from reachlab.cli.progress import Bar, TrainDisplay, explained, parts_of_time, train_line
 from reachlab.envs.presets import configure
 from reachlab.evaluation.intervals import mean_report
 from reachlab.learn.loop import Progress
@@ -196,11 +196,11 @@ def test_what_a_task_asks_for_follows_from_its_settings(distance: float, said: s
 
 
 def test_the_end_of_an_evaluation_is_told_once(capsys: pytest.CaptureFixture[str]) -> None:
-    with EvalDisplay(100) as display:
+    with Bar() as display:
         for agent in ("trained", "ik"):
-            display.begin(agent, "kinematic")
+            display.expect(f"{agent} in kinematic", 100)
             for ended in (8, 96, 100, 100, 100):
-                display(ended)
+                display.count(ended)
     lines = capsys.readouterr().err.splitlines()
     assert [line.partition(":")[0] for line in lines] == ["trained in kinematic", "ik in kinematic"]
 

@@ -20,7 +20,7 @@ from reachlab.evaluation.episodes import make_runner, run_episodes
 from reachlab.learn.learner import make_initial_policy
 from reachlab.tasks.observations import OBSERVATIONS
 from reachlab.watch.moment import TRAIL_STEP
-from reachlab.watch.player import LATE, LEFT, Player, target_box
+from reachlab.watch.player import LATE, LEFT, Player
 
 FAR, NEAR = np.array([0.6, 0.2, -0.0083]), np.array([0.4, -0.2, -0.0083])
 
@@ -217,7 +217,7 @@ def test_every_agent_plays(agent: str) -> None:
 
 def test_the_box_of_targets_is_flat_in_the_tutorial() -> None:
     setup = make_setup(configure())
-    low, high = target_box(setup)
+    low, high = setup.task.goal_box(setup)
     np.testing.assert_allclose([low[:2], high[:2]], np.array(setup.robot.workspace)[:, :2], atol=0.02)
     assert low[2] == high[2] == np.float32(setup.rules.target_height)
 
@@ -269,9 +269,9 @@ def test_a_target_that_is_moved_and_turned_by_hand_is_reached(poses: Player) -> 
         play(poses)
         assert poses.moment.reached
         assert np.linalg.norm(poses.moment.tool - place) < 0.002
-        assert angle(poses.moment.orientation, wanted) < 0.02
+        assert angle(np.asarray(poses.state.arm.tool_quaternion)[0], wanted) < 0.02
         assert poses.moment.angle == pytest.approx(
-            angle(poses.moment.orientation, poses.moment.target_orientation), abs=1e-3
+            angle(np.asarray(poses.state.arm.tool_quaternion)[0], poses.moment.target_orientation), abs=1e-3
         )
 
 
@@ -297,7 +297,7 @@ def test_the_arm_stays_near_its_joints_when_the_target_is_turned_a_little(poses:
 
 def test_a_target_that_is_put_where_the_arm_cannot_be_stays_as_it_was(poses: Player) -> None:
     before, goal = poses.moment, poses.state.goal
-    assert not poses.move_target(np.array([2.0, 0.0, 0.5]), before.orientation)
+    assert not poses.move_target(np.array([2.0, 0.0, 0.5]), before.target_orientation)
     assert poses.state.goal is goal
     assert poses.moment is before
 
@@ -306,7 +306,7 @@ def test_a_target_that_is_put_where_the_arm_cannot_be_stays_as_it_was(poses: Pla
 def test_a_target_that_is_moved_keeps_its_structure_so_that_nothing_is_compiled_anew(task: str) -> None:
     player = player_under_dynamics(task)
     before = player.state
-    assert player.move_target(player.moment.target, player.moment.orientation)
+    assert player.move_target(player.moment.target, np.asarray(player.state.arm.tool_quaternion)[0])
     assert jax.tree.structure(player.state) == jax.tree.structure(before)
     for one, other in zip(jax.tree.leaves(player.state), jax.tree.leaves(before), strict=True):
         assert (one.shape, one.dtype) == (other.shape, other.dtype)

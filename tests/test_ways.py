@@ -261,7 +261,9 @@ def test_a_log_is_taken_again_to_the_last_bit(folder: Path, controller: Controll
     for _ in range(150):
         arm.step()
     controller.save_log(tmp_path / "log.jsonl")
-    answers = [entry["planned"] for entry in read_log(tmp_path / "log.jsonl") if entry.get("planned")]
+    answers = [
+        entry["planned"] for entry in read_log(tmp_path / "log.jsonl", controller._policy) if entry.get("planned")
+    ]
     assert any("q" in answer for answer in answers)
     again = Controller(folder)
     assert again.replay(tmp_path / "log.jsonl") == 0.0

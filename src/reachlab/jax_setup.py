@@ -99,7 +99,11 @@ def keep_compiled() -> None:
     And not what is traced: who calls from Python may have changed what a kept trace does not know of.
     """
     folder = cache_folder() / "jax"
-    if jax.config.values[CACHE] is None and not _folder_refused(folder):
+    if jax.config.values[CACHE] is not None:
+        return
+    with contextlib.suppress(OSError):
+        folder.mkdir(parents=True, exist_ok=True)
+    if folder.is_dir() and os.access(folder, os.W_OK):
         jax.config.update(CACHE, str(folder))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
         _remove_empty(folder)
@@ -111,14 +115,6 @@ def _remove_empty(folder: Path) -> None:
         for entry in os.scandir(folder):
             if entry.is_file() and not entry.stat().st_size:
                 Path(entry).unlink()
-
-
-def _folder_refused(folder: Path) -> bool:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError:
-        return True
-    return not os.access(folder, os.W_OK)
 
 
 def dispatch_inline() -> None:

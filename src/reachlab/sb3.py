@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from reachlab.settings.validation import InputError, installing
+from reachlab.settings.validation import InputError, needing
 
 if TYPE_CHECKING:
     from reachlab.envs.sb3_vector import ReachVecEnv
@@ -47,10 +47,8 @@ def make_vec_env(
         )
     if not isinstance(env_kwargs, dict | None):
         raise InputError(f"env_kwargs must be a dict of settings, got {env_kwargs!r}.")
-    try:
+    with needing("ReachVecEnv needs Stable-Baselines3: {}.", "sb3"):
         from reachlab.envs.sb3_vector import ReachVecEnv
-    except ModuleNotFoundError:
-        raise InputError(f"ReachVecEnv needs Stable-Baselines3: {installing('sb3')}.") from None
     env = ReachVecEnv(env_id, n_envs, **{**(env_kwargs or {}), **settings})
     env.seed(seed)
     return env

@@ -8,7 +8,6 @@ import functools
 import hashlib
 import itertools
 import json
-import os
 import platform
 import sys
 from collections.abc import Callable, Sequence
@@ -22,6 +21,7 @@ from jax import export
 
 from reachlab.settings.cache import package
 from reachlab.settings.extensions import extended
+from reachlab.settings.reading import write_cached
 
 _folder: list[Path] = []
 
@@ -159,12 +159,8 @@ def _read(file: Path, arguments: Any) -> tuple[export.Exported, Any] | None:
 def _write(file: Path, program: export.Exported, form: Any) -> None:
     """Keep an entry, if the disk allows it."""
     content = json.dumps(form).encode() + b"\n" + bytes(program.serialize())
-    part = file.with_suffix(f".{os.getpid()}.part")
-    with contextlib.suppress(OSError), contextlib.ExitStack() as put_away:
-        put_away.callback(part.unlink, missing_ok=True)
-        file.parent.mkdir(parents=True, exist_ok=True)
-        part.write_bytes(hashlib.sha256(content).digest() + content)
-        part.replace(file)
+    write_cached(file, hashlib.sha256(content).digest() + content)
+    with contextlib.suppress(OSError):
         for old in sorted(file.parent.glob("*.traced"), key=lambda entry: -entry.stat().st_mtime_ns)[MOST:]:
             old.unlink(missing_ok=True)
 

@@ -19,7 +19,7 @@ from reachlab.control.planning.plans import Plans
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState, Transition
 from reachlab.jax_setup import jit
-from reachlab.settings.validation import InputError, installing
+from reachlab.settings.validation import InputError, needing
 from reachlab.tasks import WORDS
 
 
@@ -30,12 +30,10 @@ def plans_for(env: Env) -> Plans:
         InputError: the arm has no shapes, or OMPL is not installed.
     """
     setup = env.setup
-    try:
+    with needing("agent 'planner' needs OMPL: {}.", "planner"):
         arm, limits = arm_of(setup.robot, setup.lag, setup.period), env.functions.limits
         arm = arm.within(limits) if limits else arm
         return Plans(arm, setup.task.scene(setup).bodies, turns=setup.rules.asks_orientation)
-    except ModuleNotFoundError:
-        raise InputError(f"agent 'planner' needs OMPL: {installing('planner')}.") from None
 
 
 class Following:

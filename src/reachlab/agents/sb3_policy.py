@@ -21,7 +21,7 @@ from reachlab.envs.earlier_configs import from_json
 from reachlab.envs.gymnasium_shared import SETTINGS
 from reachlab.settings.config import RunConfig
 from reachlab.settings.reading import MOST_MODEL, read_regular
-from reachlab.settings.validation import InputError, installing
+from reachlab.settings.validation import InputError, needing
 
 log = logging.getLogger(__name__)
 
@@ -87,10 +87,8 @@ def load_model(file: Path, normaliser: Path | None = None) -> SavedModel:
     Raises:
         InputError: Stable-Baselines3 is not installed, or a file cannot be read.
     """
-    try:
+    with needing("models of Stable-Baselines3 need it: {}.", "sb3"):
         from stable_baselines3.common.save_util import load_from_pkl, load_from_zip_file
-    except ModuleNotFoundError:
-        raise InputError(f"models of Stable-Baselines3 need it: {installing('sb3')}.") from None
     with _loading(file, "a model"):
         content = read_regular(file, MOST_MODEL)[0]
         digest = hashlib.sha256(content).hexdigest()

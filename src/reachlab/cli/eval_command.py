@@ -17,7 +17,7 @@ from reachlab.settings.json_form import flatten, to_json
 from reachlab.settings.validation import InputError, choose
 
 if TYPE_CHECKING:
-    from reachlab.cli.progress import EvalDisplay
+    from reachlab.cli.progress import Bar
 
 
 def evaluate(arguments: Eval) -> None:
@@ -32,7 +32,7 @@ def evaluate(arguments: Eval) -> None:
         choose("agent", agent, AGENTS)
     prepare()
     from reachlab.cli.console import note
-    from reachlab.cli.progress import EvalDisplay
+    from reachlab.cli.progress import Bar
     from reachlab.envs.core import Env
     from reachlab.envs.setup import in_evaluation
     from reachlab.sims import SIMULATORS
@@ -57,7 +57,7 @@ def evaluate(arguments: Eval) -> None:
             failed.append(name)
 
     try:
-        with EvalDisplay(arguments.episodes) as display:
+        with Bar() as display:
             for name in names if several else ():  # found before minutes are spent on the others
                 with attempt(name):
                     Env(configs[name][0], 1).close()
@@ -78,7 +78,7 @@ def evaluate(arguments: Eval) -> None:
 
 
 def _reports(
-    arguments: Eval, subject: Subject, config: RunConfig, agents: Sequence[str], display: EvalDisplay
+    arguments: Eval, subject: Subject, config: RunConfig, agents: Sequence[str], display: Bar
 ) -> Iterator[dict[str, Any]]:
     """Report of each agent in one simulator; where it cannot be saved in the run a warning has been printed.
 
@@ -95,10 +95,10 @@ def _reports(
     name, episodes, run = config.sim, arguments.episodes, subject.run
     num_envs = 1 if arguments.gui else min(episodes, SIMULATORS[name].most_envs or BATCH)
     with contextlib.closing(Env(config, num_envs)) as env:
-        given: dict[str, Any] = {"seed": arguments.seed, "episodes": episodes, "watch": display}
+        given: dict[str, Any] = {"seed": arguments.seed, "episodes": episodes, "watch": display.count}
         for agent in agents:
             acting, policy, checkpoint = subject.acting(env, agent)
-            display.begin(agent, name)
+            display.expect(f"{agent} in {name}", episodes)
             result, played = examine(env, acting, policy, **given, checkpoint=checkpoint)
             report = result.to_json()
             if run and not is_shipped(run) and not other_goals(arguments):

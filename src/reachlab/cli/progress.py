@@ -74,9 +74,9 @@ def _in_words(ended: Counter[str], config: RunConfig) -> str:
 
 
 class Bar(Progress):
-    """A progress bar while the context is open; on a terminal only."""
+    """Progress while the context is open: a bar on a terminal, plain lines of episodes elsewhere."""
 
-    def __init__(self, description: str) -> None:
+    def __init__(self, description: str = "") -> None:
         """Bar whose total is not known yet."""
         super().__init__(
             SpinnerColumn(),
@@ -239,23 +239,3 @@ def parts_of_time(first: TrainProgress, last: TrainProgress, train_s: float) -> 
         f" {busy:.1f} s of training ({(last.steps - first.steps) / busy:,.0f} steps/s),"
         f" {looped - busy:.1f} s of validations and saving"
     )
-
-
-# --- evaluation -----------------------------------------------------------------------------------
-
-
-class EvalDisplay(Bar):
-    """Shows the progress of evaluations: a bar on a terminal, plain lines elsewhere."""
-
-    def __init__(self, episodes: int) -> None:
-        """Display of evaluations of so many episodes each; it shows nothing yet."""
-        super().__init__("")
-        self._of_each = episodes
-
-    def begin(self, agent: str, sim: str) -> None:
-        """Show that an evaluation begins."""
-        self.expect(f"{agent} in {sim}", self._of_each)
-
-    def __call__(self, ended: int) -> None:
-        """Show how many of its episodes have ended."""
-        self.count(ended)

@@ -22,7 +22,7 @@ def record(arguments: Record) -> None:
     agent = choose("agent", arguments.agent, AGENTS)
     prepare()
     from reachlab.cli.console import say
-    from reachlab.cli.progress import EvalDisplay
+    from reachlab.cli.progress import Bar
     from reachlab.deploy.record import PART
     from reachlab.deploy.record import record as write
     from reachlab.envs.core import Env
@@ -38,11 +38,11 @@ def record(arguments: Record) -> None:
     config = in_evaluation(known, arguments.sim or known.sim, randomise=checked, **other_goals(arguments))
     config = override(config, randomise=varied)
     num_envs = min(SIMULATORS[config.sim].most_envs or PART, PART)
-    with EvalDisplay(settings.episodes) as display, closing(Env(config, num_envs)) as env:
+    with Bar() as display, closing(Env(config, num_envs)) as env:
         acting, policy, checkpoint = subject.acting(env, agent)
-        display.begin(agent, config.sim)
+        display.expect(f"{agent} in {config.sim}", settings.episodes)
         try:
-            made = write(env, acting, policy, arguments.out, settings, checkpoint=checkpoint, watch=display)
+            made = write(env, acting, policy, arguments.out, settings, checkpoint=checkpoint, watch=display.count)
         except KeyboardInterrupt as interruption:
             interruption.args = (f"interrupted; the same command goes on in '{arguments.out}'.",)
             raise

@@ -5,13 +5,12 @@ from __future__ import annotations
 import json as jsonlib
 import math
 import shlex
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from reachlab.cli.flags import ShowRobot
 from reachlab.cli.preparation import prepare
 from reachlab.envs.presets import preset
-from reachlab.runs.files import written
+from reachlab.runs.files import check_place, written
 from reachlab.settings.config import RunConfig
 from reachlab.settings.json_form import override
 from reachlab.settings.validation import InputError, choose
@@ -47,7 +46,7 @@ def robot(arguments: ShowRobot) -> None:
     if arguments.task:
         choose("task", arguments.task, TASKS)
     if arguments.out:
-        _check_picture(arguments.out)
+        check_place("the picture", arguments.out, (".png",))
     from reachlab.cli.console import note, say
     from reachlab.robots.loading import load_robot
 
@@ -217,13 +216,6 @@ def _next(arguments: ShowRobot) -> str:
     return shlex.join([*words, *(["--package", *arguments.package] if arguments.package else [])])
 
 
-def _check_picture(out: Path) -> None:
-    if out.suffix.lower() != ".png":
-        raise InputError(f"the picture cannot be written to '{out}': name a file that ends in .png.")
-    if not out.parent.is_dir():
-        raise InputError(f"the picture cannot be written to '{out}': there is no folder '{out.parent}'.")
-
-
 def _print(facts: dict[str, Any]) -> None:
     from reachlab.cli.console import note, print_table, say
     from reachlab.robots.derive.frame import Frame
@@ -271,7 +263,7 @@ def _print_gripper(hand: dict[str, Any]) -> None:
         ways = [f"{joint['name']} {joint['closed']:.3g} to {joint['open']:.3g}" for joint in hand["joints"]]
         say(f"  Its joints, closed to open [rad or m]: {', '.join(ways)}.")
     for notice in hand["notices"]:
-        note(f"Note: {notice}")
+        note(f"Note, with the gripper: {notice}")
 
 
 def _row(joint: dict[str, Any]) -> tuple[str, ...]:

@@ -14,6 +14,7 @@ from reachlab.agents import AGENTS
 from reachlab.cli.eval_subjects import check_trust, find_subject, is_model, only_subject, other_goals
 from reachlab.cli.flags import Plot, Video, View
 from reachlab.cli.preparation import prepare
+from reachlab.runs.files import check_place
 from reachlab.settings.validation import InputError, choose
 
 if TYPE_CHECKING:
@@ -28,22 +29,22 @@ def video(arguments: Video) -> None:
     """Run `reachlab video`."""
     prepare()
     from reachlab.cli.console import say
-    from reachlab.cli.progress import EvalDisplay
+    from reachlab.cli.progress import Bar
     from reachlab.envs.core import Env
+    from reachlab.envs.setup import in_evaluation
     from reachlab.runs.shipped import is_shipped
-    from reachlab.watch.page.shown import settings_shown
     from reachlab.watch.video import write_video
 
     agent = choose("agent", arguments.agent, AGENTS)
     subject = only_subject(arguments, (agent,))
-    config, run = settings_shown(subject.config, arguments.sim, **other_goals(arguments)), subject.run
+    config, run = in_evaluation(subject.config, arguments.sim, **other_goals(arguments)), subject.run
     own = run is not None and not is_shipped(run)
     usual = run.path / "video.webp" if run and own else Path(f"{Path(config.robot).stem}-{config.task}.webp")
     given = {name: vars(arguments)[name] for name in ("seed", "episodes", "fps", "speed")}
-    with closing(Env(config, 1)) as env, EvalDisplay(arguments.episodes) as display:
+    with closing(Env(config, 1)) as env, Bar() as display:
         acting, policy, _ = subject.acting(env, agent)
-        display.begin(f"film of {agent}", config.sim)
-        clip = write_video(env, acting, policy, arguments.out or usual, **given, watch=display)
+        display.expect(f"film of {agent} in {config.sim}", arguments.episodes)
+        clip = write_video(env, acting, policy, arguments.out or usual, **given, watch=display.count)
     if arguments.json:
         print(jsonlib.dumps(vars(clip)))
     else:
@@ -77,9 +78,9 @@ def _write_page(arguments: View, out: Path) -> None:
     check_trust(arguments)
     prepare()
     from reachlab.cli.console import note, say
-    from reachlab.watch.page.page import check_folder, write_page
+    from reachlab.watch.page.page import ENDINGS, write_page
 
-    check_folder(out)
+    check_place("the page", out, ENDINGS)
     shown = _load(arguments)
     for one in shown:
         if one.why:
@@ -99,7 +100,8 @@ def _load(arguments: View) -> list[Shown]:
 
 def _shown_of(arguments: View, path: Path | None) -> Iterator[Shown]:
     from reachlab.envs.core import Env
-    from reachlab.watch.page.shown import load_shown, settings_shown, shown_in
+    from reachlab.envs.setup import in_evaluation
+    from reachlab.watch.page.shown import load_shown, shown_in
 
     given: dict[str, Any] = {name: getattr(arguments, name) for name in ("sim", "agent", "seed")}
     agent, changed = choose("agent", arguments.agent, AGENTS), other_goals(arguments)
@@ -113,7 +115,7 @@ def _shown_of(arguments: View, path: Path | None) -> Iterator[Shown]:
         raise InputError(
             f"'{path}' does not say in which environment it was trained: show it from Python, with `reachlab.view`."
         )
-    env = Env(settings_shown(subject.config, arguments.sim, **changed), 1)
+    env = Env(in_evaluation(subject.config, arguments.sim, **changed), 1)
     acting, _, _ = subject.acting(env, agent)
 
     def trained(observation: Any, begins: Any) -> Any:

@@ -13,6 +13,8 @@ from jax import ShapeDtypeStruct
 
 from reachlab.control.motion_limits import Motion, MotionLimits
 from reachlab.deploy.c_library import OWN
+from reachlab.deploy.onboard.aiming import NEARBY
+from reachlab.deploy.onboard.controller import ASIDE
 from reachlab.emit.behaviour import AFTER, Behaviour
 from reachlab.emit.braced import c_declarations, c_function, c_numbers
 from reachlab.emit.program import Program
@@ -69,6 +71,7 @@ def c_sources(facts: dict[str, Any], limits: MotionLimits, step: Behaviour) -> d
         "home": ", ".join(map(repr, facts["arm"]["home"])),
         "rested": c_numbers(np.full(limits.n, limits.steps)),
         "checked": " && ".join(f"all_finite(input->{one.name}, {one.size})" for one in inputs if one.kind == "real"),
+        "aside": repr(ASIDE),
         "decided": ", ".join(decided),
         "memory": f"\n    reachlab_real memory[{memory}];" if memory else "",
         "remembers": ", next.memory" if memory else "",
@@ -77,6 +80,7 @@ def c_sources(facts: dict[str, Any], limits: MotionLimits, step: Behaviour) -> d
         "refused": _refused([one.name for one in inputs if one.name not in READ]),
         "goal": "\n".join(" " * 8 + line for line in _example([one.name for one in inputs])),
     }
+    text |= _outside(facts["goal"], [one.name for one in inputs])
     text |= _placing(step.place) if step.place else {"place": "", "placing": ""}
     return {name: _filled(name, text) for name in FILES}
 
@@ -93,6 +97,28 @@ def _placing(place: Program) -> dict[str, str]:
     passed += [one.name.replace("placed_", "input->goal_") for one in place.outputs]  # and `reached` as it is
     body = f"    int reached[1];\n    place({', '.join(passed)});\n    return reached[0];"
     return {"place": f"{head};\n", "placing": f"{head}\n{{\n{body}\n}}"}
+
+
+def _outside(goal: dict[str, Any], names: Sequence[str]) -> dict[str, str]:
+    """What the step does with a goal that is none of the policy's, and how the header says it; nothing without one.
+
+    Of a policy whose goal may not be seen the place is that of the tool then.
+    """
+    if "goal_position" not in names or goal["hidden"]:
+        return {"outside": "", "asked": ""}
+    low, high = np.array(goal["low"]) - NEARBY, np.array(goal["high"]) + NEARBY
+    between = " to ".join("(" + ", ".join(f"{one:.3f}" for one in corner) + ")" for corner in (low, high))
+    return {
+        "asked": f",\n * or the goal is not in the box from {between} m",
+        "outside": (
+            "    if (problem == REACHLAB_OK && !brake) {\n"
+            f"        static const real low[3] = {c_numbers(low)}, high[3] = {c_numbers(high)};\n"
+            "        for (int i = 0; i < 3; ++i)\n"
+            "            if (input->goal_position[i] < low[i] || input->goal_position[i] > high[i])"
+            " problem = REACHLAB_OUTSIDE;\n"
+            "    }\n"
+        ),
+    }
 
 
 def _refused(names: Sequence[str]) -> str:

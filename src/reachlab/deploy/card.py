@@ -119,6 +119,8 @@ def evaluated_with(facts: dict[str, Any]) -> str:
     if other := facts.get("evaluated_with"):
         was = [" ".join(map(str, (name, *np.atleast_1d(one)))) for name, one in other.items()]
         parts.append(f"not of what is asked for here: with {', '.join(was)}")
+    if not facts["settings"]["physics"]["shaping"]:
+        parts.append("without the limits of acceleration and jerk that the controller keeps")
     return ", and ".join(parts) if facts["held_out"] else ""
 
 
@@ -150,9 +152,9 @@ def _limits(facts: dict[str, Any]) -> list[str]:
         (
             f"Commands are {1 / facts['control_period']:.4g} Hz joint positions, and keep these limits whatever is"
             " measured or asked; a `default` was chosen by reachlab and is not the maker's. These are the limits that"
-            " were exported. Those that hold are `limits` in `policy.json`, and stand nowhere else: lower them there,"
-            " for a careful first run. Limits that are wider than these, any other change of `policy.json`, and files"
-            " of another export are refused when the folder is loaded."
+            " were exported. Those that `controller.py` keeps are `limits` in `policy.json`: lower them there, for a"
+            " careful first run. The C source has those of the export compiled in. Limits that are wider than these,"
+            " any other change of `policy.json`, and files of another export are refused when the folder is loaded."
         ),
         "",
         "| joint | position | speed [/s] | acceleration [/s²] | jerk [/s³] |",

@@ -21,6 +21,7 @@ from reachlab.envs.earlier_configs import from_json
 from reachlab.envs.setup import in_evaluation
 from reachlab.robots.catalogue import find_model_file
 from reachlab.settings.config import RunConfig
+from reachlab.settings.json_form import override
 from reachlab.settings.validation import InputError
 
 READY = "ready"
@@ -92,7 +93,7 @@ def settings_of(folder: Path, sim: str | None) -> RunConfig:
             f"'{folder}' was exported for another arm: robot file '{file.file}', or a file that it names, has changed"
             " since. Restore it, or train and export again."
         )
-    return in_evaluation(config, sim or config.sim)
+    return override(in_evaluation(config, sim), control_period=facts["control_period"])
 
 
 def check(folder: Path, *, sim: str | None, episodes: int, seed: int, faults: Faults) -> Outcome:

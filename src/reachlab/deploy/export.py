@@ -26,7 +26,9 @@ from reachlab.deploy.c_library import OWN, CPolicy, compiler
 from reachlab.deploy.c_source import c_sources
 from reachlab.deploy.card import model_card
 from reachlab.deploy.facts import describe
+from reachlab.deploy.onboard.aiming import NEARBY
 from reachlab.deploy.onboard.folder import fingerprint, read_folder
+from reachlab.deploy.onboard.reading import in_words
 from reachlab.deploy.onboard.step import load_step
 from reachlab.deploy.onnx_network import OnnxNetwork
 from reachlab.deploy.weights import named_weights, onnx_model
@@ -223,6 +225,7 @@ def compare(folder: Path, env: Env, policy: Policy, situations: int = SITUATIONS
     with tempfile.TemporaryDirectory() as build:
         c = CPolicy(folder, facts["inputs"], limits.n, Path(build)) if compiler() and not env.pictured else None
         for state, picture in _situations(env, policy, -(-situations // env.num_envs)):
+            _check_goals(facts["goal"], np.asarray(state.goal.position))
             seen, actions, commands, memory = jax.tree.map(np.asarray, decide(state, picture))
             computed, after = onnx.decide(seen, state.memory)
             note("ONNX Runtime", (computed - actions) / size)
@@ -230,7 +233,8 @@ def compare(folder: Path, env: Env, policy: Policy, situations: int = SITUATIONS
             for row, given in enumerate(rows_of(state, picture, facts["inputs"])):
                 action, wanted, *after = map(np.array, printed(**given))
                 note("step.py", wanted - commands[row])
-                note("step.py", 0.0 if memory is None else after[0] - memory[row])
+                for one in after:  # what a policy with a memory remembers then
+                    note("step.py", one - np.asarray(memory)[row])
                 if c is not None:
                     motion = limits.at_rest(np.array(given.pop("command")))
                     kept = {name: given.pop(name) for name in OWN[1:] if name in given}
@@ -239,8 +243,20 @@ def compare(folder: Path, env: Env, policy: Policy, situations: int = SITUATIONS
                     note("reachlab_policy.c", c.step()[0] - limits.advance(motion, wanted).position)
                     # One step from rest is as long as limits allow, whatever is wanted: the action says what is.
                     note("reachlab_policy.c", (np.array(c.state.last_action) - action) / size)
-                    note("reachlab_policy.c", 0.0 if memory is None else np.array(c.state.memory) - after[0].ravel())
+                    for one in after:
+                        note("reachlab_policy.c", np.array(c.state.memory) - one.ravel())
     return dict(worst)
+
+
+def _check_goals(goal: dict[str, Any], places: np.ndarray) -> None:
+    """Refuse an export whose controller would refuse goals `[B, 3]` m of its own task."""
+    low, high = np.array(goal["low"]) - NEARBY, np.array(goal["high"]) + NEARBY
+    if (outside := ((places < low) | (places > high)).any(axis=1)).any():
+        box = f"{in_words(np.array(goal['low']))} to {in_words(np.array(goal['high']))}"
+        raise InputError(
+            f"a goal of the task is at {in_words(places[outside][0])} m, out of its `goal_box`, {box} m, by more than"
+            f" {NEARBY:g} m, where a controller brakes: make the box larger."
+        )
 
 
 def _situations(env: Env, policy: Policy, steps: int) -> Any:

@@ -17,7 +17,7 @@ from reachlab.envs.earlier_configs import from_json
 from reachlab.envs.presets import configure
 from reachlab.settings.config import RunConfig
 from reachlab.settings.reading import MOST_MODEL, MOST_TEXT, read_regular
-from reachlab.settings.validation import InputError, installing
+from reachlab.settings.validation import InputError, needing
 from reachlab.tasks.schema import Observed
 
 FACTS = "policy.json"
@@ -45,10 +45,8 @@ class OnnxNetwork:
         Raises:
             InputError: ONNX Runtime is not installed, or a file cannot be read.
         """
-        try:
+        with needing("a policy in ONNX needs the extra 'deploy': {}.", "deploy"):
             import onnxruntime
-        except ModuleNotFoundError:
-            raise InputError(f"a policy in ONNX needs the extra 'deploy': {installing('deploy')}.") from None
         self.file = path / "policy.onnx" if path.is_dir() else path
         try:
             content = read_regular(self.file, MOST_MODEL)[0]

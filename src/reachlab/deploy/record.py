@@ -27,7 +27,7 @@ from reachlab.render import CAMERAS
 from reachlab.settings.arguments import typed
 from reachlab.settings.config import RecordConfig
 from reachlab.settings.json_form import flatten, to_json
-from reachlab.settings.validation import InputError, choose, installing
+from reachlab.settings.validation import InputError, choose, needing
 
 PART = 100
 """Episodes that are tried at a time, and whose steps are in one file. LeRobot tells pictures apart by times in single
@@ -126,11 +126,9 @@ def record(
 
 
 def _lerobot_dataset() -> Any:
-    try:
+    with needing("a LeRobot dataset needs pyarrow and imageio-ffmpeg: {}.", "lerobot", ImportError):
         import_module("imageio_ffmpeg")
         return import_module("reachlab.deploy.lerobot_dataset")
-    except ImportError:
-        raise InputError(f"a LeRobot dataset needs pyarrow and imageio-ffmpeg: {installing('lerobot')}.") from None
 
 
 def _named(env: Env) -> tuple[str, str, float]:

@@ -16,7 +16,7 @@ from reachlab.deploy.check import read_facts, start_controller
 from reachlab.deploy.markers import from_markers
 from reachlab.deploy.seen import RECENT, seen
 from reachlab.deploy.topics import Topics
-from reachlab.settings.validation import InputError, installing
+from reachlab.settings.validation import InputError, needing
 
 EARLY = 0.25
 """Share of a control period by which a measurement may come before its time and still begins a control step."""
@@ -45,12 +45,8 @@ def ros2() -> Iterator[Any]:
         InputError: it is not installed.
     """
     os.environ.setdefault(RANGE, "LOCALHOST")
-    try:
+    with needing("this needs ROS 2's Python: source its setup, or {} for tests on one machine.", "ros2"):
         import rclpy
-    except ModuleNotFoundError:
-        raise InputError(
-            f"this needs ROS 2's Python: source its setup, or {installing('ros2')} for tests on one machine."
-        ) from None
     rclpy.init(args=[])
     try:
         yield rclpy

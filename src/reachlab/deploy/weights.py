@@ -10,7 +10,7 @@ import numpy as np
 from reachlab.agents.encoder import CELL, CHANNELS, PATCH, SHARPNESS, WHITE, Encoder, Keypoints, middles
 from reachlab.agents.policy import OBSERVATION_CLIP, SMALLEST_STD, Policy
 from reachlab.emit.behaviour import AFTER, MEMORY
-from reachlab.settings.validation import InputError, installing
+from reachlab.settings.validation import needing
 from reachlab.tasks.schema import SIZE, Schema
 from reachlab.tasks.task import Bounds
 
@@ -58,10 +58,8 @@ def onnx_model(policy: Policy, bounds: Bounds, *, clips: bool) -> Any:
     Raises:
         InputError: onnx is not installed.
     """
-    try:
+    with needing("an export to ONNX needs the extra 'deploy': {}.", "deploy"):
         from onnx import TensorProto, checker, helper, numpy_helper
-    except ModuleNotFoundError:
-        raise InputError(f"an export to ONNX needs the extra 'deploy': {installing('deploy')}.") from None
 
     weights, nodes = named_weights(policy, bounds), []
     constants = {"clip.high": np.float32(OBSERVATION_CLIP), "clip.low": np.float32(-OBSERVATION_CLIP)}

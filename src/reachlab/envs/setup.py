@@ -92,13 +92,13 @@ def on_arm(rules: TaskSettings, robot: Robot) -> TaskSettings:
     return dataclasses.replace(rules, **lengths)
 
 
-def in_evaluation(trained: RunConfig, sim: str, **changed: Any) -> RunConfig:
-    """Settings of a run in a simulator for an evaluation: without what varied in training, but for what is `changed`.
+def in_evaluation(trained: RunConfig, sim: str | None, **changed: Any) -> RunConfig:
+    """Settings of a run for an evaluation, by default in its own simulator: nothing varies but what is `changed`.
 
     Raises:
         InputError: no such simulator, or a setting without effect there.
     """
-    config = in_simulator(trained, choose("simulator", sim, [*SIMULATORS, "all"]))
+    config = in_simulator(trained, choose("simulator", sim or trained.sim, [*SIMULATORS, "all"]))
     plain = override(config, gui=False, slow=False, randomise=())
     for name in changed:
         if sentence := of_other_tasks(name, plain):

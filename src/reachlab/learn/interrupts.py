@@ -9,7 +9,7 @@ import socket
 import threading
 import time
 from collections.abc import Iterator
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import Any, Self
 
 HANGUP = getattr(signal, "SIGHUP", None)
@@ -83,9 +83,7 @@ class Interrupts:
         _entered.append(self)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *raised: object) -> None:
         """Put the handlers back that were there; a terminal that was closed is heard once."""
         if self.at_once:
             _entered.remove(self)

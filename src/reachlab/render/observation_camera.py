@@ -15,7 +15,7 @@ import numpy as np
 from reachlab.control.bodies import Bodies
 from reachlab.control.planning.workers import cores
 from reachlab.render.marks import FIXED, OBJECT, WAITING
-from reachlab.render.offscreen import gl_context
+from reachlab.render.offscreen import Offscreen
 from reachlab.render.scene import add_table, drawn_spec
 from reachlab.render.view_randomisation import ARM_GREYS, BODY, DARKEST, LUMA, Views
 from reachlab.render.view_randomisation import TARGET as TARGET_GREY
@@ -124,28 +124,21 @@ class ObservationCamera:
         self._pools, self._painters = [], []
 
 
-class _Painter:
+class _Painter(Offscreen):
     """One thread's share: a scene, and an OpenGL context of its own."""
 
     def __init__(self, robot: Robot, objects: bool, size: int, colour: bool) -> None:
         # Mesa's software renderer would start threads of its own for each context.
         os.environ.setdefault("LP_NUM_THREADS", "0")
-        self._context = gl_context(size, size)
-        self._context.make_current()
+        super().__init__(_model(robot, objects=objects, size=size, colour=colour), size, size, BESIDE)
         self._robot, self._objects, self._tints = robot, objects, COLOUR if colour else GREY
-        self._model = _model(robot, objects=objects, size=size, colour=colour)
-        self._data = mujoco.MjData(self._model)
         parts = [self._model.geom(name).id for name in (TABLE, GROUND)]
         self._table, self._ground = parts
         self._target = np.flatnonzero(self._model.geom_bodyid == self._model.body(TARGET).id)
         self._arm = np.setdiff1d(np.arange(self._model.ngeom), [*parts, *self._target])
         self._colours = self._model.geom_rgba[self._arm, :3].copy()
-        self._scene = mujoco.MjvScene(self._model, maxgeom=self._model.ngeom + BESIDE)
         self._scene.flags[:] = 0
         self._scene.flags[mujoco.mjtRndFlag.mjRND_CULL_FACE] = 1
-        self._draw = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_50)
-        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._draw)
-        self._option, self._view = mujoco.MjvOption(), mujoco.MjvCamera()
         self._option.sitegroup[:] = 0
         self._view.type, self._view.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, 0
 
@@ -157,10 +150,9 @@ class _Painter:
         self._context.make_current()
         quaternions = Rotation.from_matrix(views.rotation).as_quat(scalar_first=True)
         arm, places, beside = self._arm_colours(views.arm), np.array(goal), _shapes(bodies)
-        size, tints = out.shape[1], self._tints
+        tints = self._tints
         if self._objects:
             places[:, 2] -= np.asarray(bodies.extent)[:, -1, 2]  # the mark lies under the object
-        viewport, pixels = mujoco.MjrRect(0, 0, size, size), np.empty((size, size, 3), np.uint8)
         for i, picture in enumerate(out):
             model.cam_pos[0], model.cam_quat[0] = views.position[i], quaternions[i]
             model.light_dir[0], model.light_diffuse[0] = views.lamp_direction[i], views.lamp[i]
@@ -174,24 +166,18 @@ class _Painter:
             data.mocap_pos[0] = places[i]
             mujoco.mj_kinematics(model, data)
             mujoco.mj_camlight(model, data)
-            mujoco.mjv_updateScene(model, data, self._option, None, self._view, mujoco.mjtCatBit.mjCAT_ALL, scene)
+            self._update()
             for number, shape in enumerate(beside[i], 1):
                 tint = tints.moved if self._objects and number == len(beside[i]) else tints.fixed
                 colour = np.minimum([*views.body[i] * tint, 1.0], 1.0).astype(np.float32)
                 mujoco.mjv_initGeom(scene.geoms[scene.ngeom], *shape, colour)
                 scene.ngeom += 1
-            mujoco.mjr_render(viewport, scene, self._draw)
-            mujoco.mjr_readPixels(pixels, None, viewport, self._draw)
-            picture[:] = pixels[::-1] if out.ndim > 3 else pixels[::-1, :, 0]  # OpenGL begins below
+            pixels = self._read()
+            picture[:] = pixels if out.ndim > 3 else pixels[..., 0]
 
     def _arm_colours(self, added: np.ndarray) -> np.ndarray:
         """Colours of the arm's shapes `[m, shapes, 3]`."""
         return np.clip(self._colours + added[:, np.arange(len(self._arm)) % ARM_GREYS, None], DARKEST, 1.0)
-
-    def close(self) -> None:
-        """Free the OpenGL context."""
-        self._draw.free()
-        self._context.free()
 
 
 def _shapes(bodies: Bodies) -> list[list[tuple[Any, ...]]]:

@@ -44,7 +44,41 @@ BESIDE = 2000
 """Shapes that a picture may hold beside those of the scene; paths that need more of them are cut short."""
 
 
-class Camera:
+class Offscreen:
+    """Draws a model off screen, in an OpenGL context of its own, which belongs to the thread that makes it."""
+
+    def __init__(self, model: mujoco.MjModel, width: int, height: int, beside: int) -> None:
+        """Pictures of a model have `height` × `width` pixels, and room for so many shapes beside those of the model.
+
+        Raises:
+            InputError: there is no OpenGL to draw with.
+        """
+        self._context = gl_context(width, height)
+        self._model, self._data = model, mujoco.MjData(model)
+        self._scene = mujoco.MjvScene(model, maxgeom=model.ngeom + model.nsite + beside)
+        self._draw = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_50)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._draw)
+        self._option, self._view = mujoco.MjvOption(), mujoco.MjvCamera()
+        self._viewport, self._pixels = mujoco.MjrRect(0, 0, width, height), np.empty((height, width, 3), np.uint8)
+
+    def _update(self) -> None:
+        """Put what the data says into the scene."""
+        every = mujoco.mjtCatBit.mjCAT_ALL
+        mujoco.mjv_updateScene(self._model, self._data, self._option, None, self._view, every, self._scene)
+
+    def _read(self) -> np.ndarray:
+        """Picture of the scene `[height, width, 3]` uint8, until the next one is drawn."""
+        mujoco.mjr_render(self._viewport, self._scene, self._draw)
+        mujoco.mjr_readPixels(self._pixels, None, self._viewport, self._draw)
+        return self._pixels[::-1]  # OpenGL begins below
+
+    def close(self) -> None:
+        """Free the OpenGL context."""
+        self._draw.free()
+        self._context.free()
+
+
+class Camera(Offscreen):
     """Draws a robot and its target off screen."""
 
     def __init__(self, robot: Robot, width: int = WIDTH, height: int = HEIGHT) -> None:
@@ -53,19 +87,11 @@ class Camera:
         Raises:
             InputError: there is no OpenGL to draw with.
         """
-        self._shape = (height, width, 3)
-        self._context = gl_context(width, height)
-        self._context.make_current()
         spec = scene_spec(robot)
         spec.visual.global_.offwidth, spec.visual.global_.offheight = width, height
-        self._model = spec.compile()
-        self._data = mujoco.MjData(self._model)
+        super().__init__(spec.compile(), width, height, BESIDE)
         self._joints, self._scale = self._model.jnt_qposadr, robot.scale
         self._target, self._near = (self._model.geom(name).id for name in ("target", "near"))
-        self._scene = mujoco.MjvScene(self._model, maxgeom=self._model.ngeom + self._model.nsite + BESIDE)
-        self._draw = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_150)
-        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._draw)
-        self._option, self._view = mujoco.MjvOption(), mujoco.MjvCamera()
         self._view.azimuth, self._view.elevation = AZIMUTH + np.degrees(front(robot)), ELEVATION
         self._view.lookat[:] = in_front(robot, LOOKS_AT)
         around, up = np.radians([self._view.azimuth, self._view.elevation])
@@ -83,9 +109,7 @@ class Camera:
         self._view.distance = max(self._distance, self._needed(np.asarray(target)[None]))
         mujoco.mj_forward(self._model, self._data)
         self._context.make_current()
-        mujoco.mjv_updateScene(
-            self._model, self._data, self._option, None, self._view, mujoco.mjtCatBit.mjCAT_ALL, self._scene
-        )
+        self._update()
         for geom in self._scene.geoms[: self._scene.ngeom]:
             if geom.objtype == EDGE or (geom.objtype == GEOM and geom.objid == self._near):
                 geom.category = DECORATION
@@ -96,12 +120,7 @@ class Camera:
             self._show_axes(axes)
         self._show_path(marks.path, PATH_RADIUS, (*PATH, 1.0))
         self._show_path(marks.trail, TRAIL_RADIUS, (*TRAIL, TRAIL_OPACITY))
-        height, width, _ = self._shape
-        viewport = mujoco.MjrRect(0, 0, width, height)
-        mujoco.mjr_render(viewport, self._scene, self._draw)
-        pixels = np.empty(self._shape, np.uint8)
-        mujoco.mjr_readPixels(pixels, None, viewport, self._draw)
-        return np.flipud(pixels).copy()
+        return self._read().copy()
 
     def _show_target(self, marks: Marks) -> None:
         model, radius = self._model, TARGET_RADIUS * self._scale
@@ -142,11 +161,6 @@ class Camera:
         mujoco.mjv_connector(line, mujoco.mjtGeom.mjGEOM_CYLINDER, radius * self._scale, start, end)
         line.category = DECORATION
         scene.ngeom += 1
-
-    def close(self) -> None:
-        """Free the OpenGL context."""
-        self._draw.free()
-        self._context.free()
 
 
 def portrait(robot: Robot, width: int, height: int) -> np.ndarray:

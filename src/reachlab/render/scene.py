@@ -8,7 +8,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from reachlab.render.marks import BALL_OPACITY, TARGET_RADIUS, WAITING
+from reachlab.render.marks import TARGET_RADIUS, WAITING
 from reachlab.robots.robot import TUTORIAL_WORKSPACE, Robot
 from reachlab.robots.shapes.solids import SHOWN_GROUPS
 from reachlab.tasks.camera import FIELD_OF_VIEW
@@ -35,11 +35,11 @@ EDGE_RADIUS, EDGE_COLOUR = 0.002, (0.33, 0.37, 0.44, 1.0)
 """Radius [m] and colour of the workspace's drawn edges: wider than half a pixel, and darker than sky and table."""
 
 
-def scene_spec(robot: Robot, success_distance: float | None = None) -> mujoco.MjSpec:
+def scene_spec(robot: Robot) -> mujoco.MjSpec:
     """The robot on a table, with a target (mocap body `target`), the workspace's edges and light.
 
-    The target's geoms are `target`, and `near`, the translucent ball in which the tool is near enough, where that is
-    the larger one; without a success distance [m] it is not.
+    The target's geoms are `target`, and `near`, the translucent ball in which the tool is near enough; until a camera
+    sizes them this one is not seen.
     """
     spec = drawn_spec(robot)
     world, visual = spec.worldbody, spec.visual
@@ -69,11 +69,9 @@ def scene_spec(robot: Robot, success_distance: float | None = None) -> mujoco.Mj
     for start, end in robot.workspace_edges():
         world.add_site(type=capsule, fromto=[*start, *end], size=[EDGE_RADIUS * robot.scale, 0, 0], rgba=EDGE_COLOUR)
     target = world.add_body(name="target", mocap=True)
-    core = TARGET_RADIUS * robot.scale
-    near = core if success_distance is None else success_distance
-    target.add_geom(name="target", type=sphere, size=[min(near, core), 0, 0], rgba=[*WAITING, 1], **drawn)
-    opacity = BALL_OPACITY * (near > core)
-    target.add_geom(name="near", type=sphere, size=[near, 0, 0], rgba=[*WAITING, opacity], **drawn)
+    size = [TARGET_RADIUS * robot.scale, 0, 0]
+    for name, opacity in (("target", 1), ("near", 0)):
+        target.add_geom(name=name, type=sphere, size=size, rgba=[*WAITING, opacity], **drawn)
     return spec
 
 
@@ -113,10 +111,8 @@ def distance_needed(points: np.ndarray, ahead: np.ndarray, field: float, aspect:
         field: from the picture's lower to its upper edge [deg].
         aspect: its width over its height.
     """
-    right, tall = (
-        np.array([ahead[1], -ahead[0], 0.0]) / np.linalg.norm(ahead[:2]),
-        FILLED * np.tan(np.radians(field / 2)),
-    )
+    right = np.array([ahead[1], -ahead[0], 0.0]) / np.linalg.norm(ahead[:2])
+    tall = FILLED * np.tan(np.radians(field / 2))
     sideways, upright = np.abs(points @ right) / (tall * aspect), np.abs(points @ np.cross(right, ahead)) / tall
     return float((np.maximum(sideways, upright) - points @ ahead).max())
 

@@ -48,26 +48,6 @@ SHADE = 0.3
 GRAIN = 8.0
 """Random views: spread of the grain that lies on every surface, at most [of 255]. It stands for their textures."""
 
-SAMPLED = {
-    "shift": 3,
-    "turn": 3,
-    "ambient": 1,
-    "lamp": 1,
-    "lamp_direction": 3,
-    "table": 1,
-    "ground": 1,
-    "target": 1,
-    "arm": ARM_GREYS,
-    "shade": 2,
-    "grain": 1,
-    "grain_corner": 2,
-    "body": 1,
-}
-"""What varies in a random view, and how many random numbers each takes, in the order in which they are sampled."""
-
-SAMPLES = sum(SAMPLED.values())
-"""Random numbers of a view."""
-
 
 class Views(NamedTuple):
     """Views of `B` environments.
@@ -99,34 +79,39 @@ class Views(NamedTuple):
     body: np.ndarray
 
 
+NUMBERS = (*(3, 3), *(1, 1, 3), *(1, 1, 1, ARM_GREYS), *(2, 1, 2), 1)
+"""Random numbers that each field of `Views` takes in a random view, in their order."""
+
+SAMPLES = sum(NUMBERS)
+"""Random numbers of a view."""
+
+
 def make_views(samples: np.ndarray, robot: Robot, *, objects: bool = False, angles: tuple[float, ...] = ()) -> Views:
     """Views on a robot of `samples [B, SAMPLES]` in -1 to 1; zeros are that of `camera_pose`, or see `pose_around`."""
     from scipy.spatial.transform import Rotation
 
-    ends = np.cumsum(list(SAMPLED.values()))
-    parts = np.split(np.asarray(samples, np.float64), ends[:-1], axis=1)
-    sampled = dict(zip(SAMPLED, parts, strict=True))
-    single = {name: part[:, 0] for name, part in sampled.items() if SAMPLED[name] == 1}
+    parts = np.split(np.asarray(samples, np.float64), np.cumsum(NUMBERS)[:-1], axis=1)
+    varied = Views(*(part[:, 0] if part.shape[1] == 1 else part for part in parts))
     position, rotation = pose_around(robot, *angles) if angles else camera_pose(robot, objects=objects)
-    turn = Rotation.from_rotvec(TURN * sampled["turn"], degrees=True).as_matrix()
+    turn = Rotation.from_rotvec(TURN * varied.rotation, degrees=True).as_matrix()
 
-    def grey(nominal: tuple[float, float], name: str) -> np.ndarray:
-        return np.clip(nominal[0] + nominal[1] * single[name], DARKEST, 1.0)
+    def grey(nominal: tuple[float, float], share: np.ndarray) -> np.ndarray:
+        return np.clip(nominal[0] + nominal[1] * share, DARKEST, 1.0)
 
     return Views(
-        position=position + SHIFT * robot.scale * sampled["shift"],
+        position=position + SHIFT * robot.scale * varied.position,
         rotation=turn @ rotation,
-        ambient=AMBIENT + AMBIENT_SPREAD * single["ambient"],
-        lamp=LAMP + LAMP_SPREAD * single["lamp"],
-        lamp_direction=np.array(LAMP_DIRECTION) + LAMP_TILT * sampled["lamp_direction"],
-        table=grey(TABLE, "table"),
-        ground=grey(GROUND, "ground"),
-        target=grey(TARGET, "target"),
-        arm=ARM_SPREAD * sampled["arm"],
-        shade=SHADE * sampled["shade"],
-        grain=GRAIN * np.abs(single["grain"]),
-        grain_corner=((sampled["grain_corner"] + 1) / 2 * SIZE).astype(int),
-        body=grey(BODY, "body"),
+        ambient=AMBIENT + AMBIENT_SPREAD * varied.ambient,
+        lamp=LAMP + LAMP_SPREAD * varied.lamp,
+        lamp_direction=np.array(LAMP_DIRECTION) + LAMP_TILT * varied.lamp_direction,
+        table=grey(TABLE, varied.table),
+        ground=grey(GROUND, varied.ground),
+        target=grey(TARGET, varied.target),
+        arm=ARM_SPREAD * varied.arm,
+        shade=SHADE * varied.shade,
+        grain=GRAIN * np.abs(varied.grain),
+        grain_corner=((varied.grain_corner + 1) / 2 * SIZE).astype(int),
+        body=grey(BODY, varied.body),
     )
 
 

@@ -18,6 +18,7 @@ from reachlab.robots.derive.servos import LAG, Loads, default_torques, find_load
 from reachlab.robots.derive.workspace import Derived, derive, orientation
 from reachlab.robots.files.gripper import GRASP, SLIDES
 from reachlab.robots.files.model_file import ModelFile, with_gripper, with_own_gripper
+from reachlab.robots.files.picture_files import some
 from reachlab.robots.files.urdf import JointFacts
 from reachlab.robots.kinematics.limits import is_limited, own_servos, speed_limits, torque_limits
 from reachlab.robots.robot import CATALOGUE, DEFAULT, DERIVED, FILE, JERK_RATE, RAMP_RATE, Robot
@@ -43,6 +44,9 @@ SHORTAGES = {
 """What becomes of joints whose torque limit is less than what they need, by what finds them."""
 
 logger = logging.getLogger(__name__)
+
+FAST = 50.0
+"""Speed limit of a hinge that seems to be in degrees [rad/s]: joints of arms turn by a tenth of it."""
 
 HUGE = 10.0
 """Size of a workspace, in those of the tutorial's arm, of which lengths seem to be in millimetres."""
@@ -137,6 +141,10 @@ def _load(file: ModelFile, name: str, tool: str | None, base: str | None, grippe
         units = ["N" if slides else "Nm" for slides in arm.chain.slides]
         joints = [f"{arm.names[i]} has {torque[i]:.3g} of {most:.3g} {units[i]}" for i, most in needed.items()]
         notices += [f"{what}: {', '.join(joints)}."] * bool(joints)
+    fast = [
+        name for name, slow in zip(arm.names, np.array(arm.chain.slides) | (speed <= FAST), strict=True) if not slow
+    ]
+    notices += [f"Speed limits above {FAST:g} rad/s (are they in degrees?): {some(fast)}."] * bool(fast)
     sources["home"] = CATALOGUE if listed.home else FILE if places.home == arm.home else DERIVED
     if arm.home and sources["home"] == DERIVED:
         notices.append("the file's home is not used: from there little can be reached on straight ways.")

@@ -56,7 +56,6 @@ class RunDirectory:
         self.robot_file = path / checkpoint.ROBOT
         self.metrics_file = path / "metrics.jsonl"
         self.report_file = path / "report.json"
-        self.curve_file = path / "curve.png"
         self.offending_file = path / "not_finite.safetensors"
         self.checkpoints = path / "checkpoints"
         self.reports = path / "reports"

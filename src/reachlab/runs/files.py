@@ -8,7 +8,7 @@ import os
 import secrets
 import shutil
 import stat
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -79,6 +79,18 @@ def written(what: str, path: Path) -> Iterator[Path]:
             yield part
     except OSError as error:
         raise InputError(f"{what} cannot be written to '{path}': {error.strerror or error}.") from None
+
+
+def check_place(what: str, path: Path, endings: Collection[str]) -> None:
+    """Make sure, before it is made, that what is named by its ending can be written.
+
+    Raises:
+        InputError: it has none of these endings, or its folder is not there.
+    """
+    if path.suffix.lower() not in endings:
+        raise InputError(f"{what} cannot be written to '{path}': name a file that ends in {' or '.join(endings)}.")
+    if not path.parent.is_dir():
+        raise InputError(f"{what} cannot be written to '{path}': there is no folder '{path.parent}'.")
 
 
 def write_synced(path: Path, data: bytes) -> None:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 from filelock import FileLock, Timeout
@@ -23,26 +23,22 @@ POLL_S = 0.01
 """Time between two attempts to lock a folder that another holds [s]."""
 
 
-@contextmanager
-def locked(folder: Path) -> Iterator[None]:
-    """Hold a run directory for this process.
+def locked(folder: Path) -> AbstractContextManager[object]:
+    """Hold a run directory for this process, until the context ends.
 
     Raises:
         InputError: another process holds it, or it cannot be locked.
     """
-    with _acquire(folder, _write_holder):
-        yield
+    return _acquire(folder, _write_holder)
 
 
-@contextmanager
-def in_turn(folder: Path) -> Iterator[None]:
-    """Hold a folder for this thread, after whoever holds it now.
+def in_turn(folder: Path) -> AbstractContextManager[object]:
+    """Hold a folder for this thread while the context is open, after whoever holds it now.
 
     Raises:
         OSError: it cannot be locked.
     """
-    with FileLock(folder / NAME, poll_interval=POLL_S, preserve_lock_file=True):
-        yield
+    return FileLock(folder / NAME, poll_interval=POLL_S, preserve_lock_file=True)
 
 
 def refuse_if_held(folder: Path) -> None:

@@ -8,7 +8,6 @@ import logging
 import os
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from types import TracebackType
 from typing import Any, BinaryIO, Self
 
 from reachlab.runs.files import open_plain
@@ -39,7 +38,7 @@ class Metrics:
         try:
             self._descriptor = open_plain(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
         except (OSError, InputError) as error:
-            raise InputError(f"'{path}' cannot be written: {_reason(error)}.") from None
+            raise InputError(f"'{path}' cannot be written: {getattr(error, 'strerror', None) or error}.") from None
         try:
             for name, sink in (sinks or {}).items():
                 sink.open(path.parent)
@@ -82,9 +81,7 @@ class Metrics:
         """The sink itself."""
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *raised: object) -> None:
         """Close the file, and the sinks that are open."""
         self._close()
 
@@ -114,7 +111,7 @@ def read_metrics(path: Path) -> list[dict[str, Any]]:
         why = f"holds no {path.name}: train one with `reachlab train --out {path.parent}`"
         raise InputError(f"run directory '{path.parent}' {why}.") from None
     except (OSError, InputError) as error:
-        raise InputError(f"'{path}' cannot be read: {_reason(error)}.") from None
+        raise InputError(f"'{path}' cannot be read: {getattr(error, 'strerror', None) or error}.") from None
 
 
 def cut_metrics(path: Path, steps: int) -> None:
@@ -135,7 +132,7 @@ def cut_metrics(path: Path, steps: int) -> None:
     except FileNotFoundError:
         return
     except (OSError, InputError) as error:
-        raise InputError(f"'{path}' cannot be cut: {_reason(error)}.") from None
+        raise InputError(f"'{path}' cannot be cut: {getattr(error, 'strerror', None) or error}.") from None
 
 
 def _rows(file: BinaryIO) -> Iterator[dict[str, Any]]:
@@ -148,7 +145,3 @@ def _rows(file: BinaryIO) -> Iterator[dict[str, Any]]:
         if not isinstance(row, dict):
             return
         yield row
-
-
-def _reason(error: Exception) -> str:
-    return (error.strerror or str(error)) if isinstance(error, OSError) else str(error)

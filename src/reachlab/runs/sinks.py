@@ -19,15 +19,12 @@ class Sink(Protocol):
         Raises:
             InputError: it cannot be used.
         """
-        ...
 
     def write(self, row: Mapping[str, Any]) -> None:
         """Take a row of numbers by name; its `steps` are environment steps."""
-        ...
 
     def close(self, result: Mapping[str, Any] | None) -> None:
         """End, with what training came to; None if it did not end by itself."""
-        ...
 
 
 SINKS: dict[str, Lazy] = {

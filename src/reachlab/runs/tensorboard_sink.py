@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from reachlab.runs.directory import RunDirectory
-from reachlab.settings.validation import InputError, installing
+from reachlab.settings.validation import needing
 
 
 class TensorBoard:
@@ -19,10 +19,8 @@ class TensorBoard:
         Raises:
             InputError: tensorboardX is not installed.
         """
-        try:
+        with needing("--tensorboard needs tensorboardX: {}.", "tensorboard", ImportError):
             from tensorboardX import SummaryWriter
-        except ImportError:
-            raise InputError(f"--tensorboard needs tensorboardX: {installing('tensorboard')}.") from None
         self._make_writer = SummaryWriter
 
     def open(self, folder: Path) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 from reachlab.runs.files import read_json
 from reachlab.runs.metrics import read_metrics
-from reachlab.settings.validation import InputError, installing
+from reachlab.settings.validation import InputError, needing
 
 PROJECT = "reachlab"
 """W&B project, where the user names none."""
@@ -36,10 +36,8 @@ class WeightsAndBiases:
         Raises:
             InputError: wandb is not installed; or online, there is no key that its server takes.
         """
-        try:
+        with needing("--wandb needs wandb: {}.", "wandb", ImportError):
             import wandb
-        except ImportError:
-            raise InputError(f"--wandb needs wandb: {installing('wandb')}.") from None
         self._wandb = wandb
         try:
             self._settings = wandb.setup().settings

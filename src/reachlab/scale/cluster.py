@@ -8,7 +8,7 @@ import socket
 import warnings
 from typing import Any
 
-from reachlab.settings.validation import InputError, installing
+from reachlab.settings.validation import InputError, needing
 
 LOCAL = "127.0.0.1"
 """Where a Ray that is started here listens: no other machine reaches it."""
@@ -27,21 +27,6 @@ QUIET = {
 """What Ray is told in the environment: to send nothing anywhere, and not to warn."""
 
 
-def load_ray() -> Any:
-    """The module `ray`.
-
-    Raises:
-        InputError: it is not installed.
-    """
-    for name, value in QUIET.items():
-        os.environ.setdefault(name, value)
-    try:
-        import ray
-    except ModuleNotFoundError:
-        raise InputError(f"engine 'ray' needs Ray: {installing('ray')}.") from None
-    return ray
-
-
 class Cluster:
     """A connection to Ray.
 
@@ -57,7 +42,11 @@ class Cluster:
         Raises:
             InputError: Ray is not installed, nothing answers at the address, or it has too few CPUs.
         """
-        self.ray = load_ray()
+        for name, value in QUIET.items():
+            os.environ.setdefault(name, value)
+        with needing("engine 'ray' needs Ray: {}.", "ray"):
+            import ray
+        self.ray: Any = ray
         if address:
             _knock(address)
         self._mine = not self.ray.is_initialized()

@@ -29,7 +29,6 @@ class Engine(Protocol):
 
     def start(self, *order: Any) -> Any:
         """Begin a training, or continue it, see `training.run_training`; what is given names it below."""
-        ...
 
     def running(self, training: Any) -> bool:
         """Whether its process has not ended yet."""
@@ -37,11 +36,9 @@ class Engine(Protocol):
 
     def stop(self, training: Any) -> None:
         """Ask a training to end, with everything saved."""
-        ...
 
     def close(self) -> None:
         """End all that run, with everything saved if it can be."""
-        ...
 
 
 class LocalEngine:

@@ -6,7 +6,6 @@ import itertools
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from types import TracebackType
 from typing import Any, NamedTuple, Self, TypeVar
 
 import jax
@@ -125,10 +124,8 @@ class RayRollouts:
             rows = [one.rollout for one in gathered if one.failure and one.rollout is not None]
             raise EngineError(failure, rows[0] if rows else None)
         after = _joined([one.state for one in gathered], axis=0)
-        return (
-            replace(after, key=jax.random.wrap_key_data(after.key)),
-            _joined([one.rollout for one in gathered], axis=1),
-        )
+        rollout = _joined([one.rollout for one in gathered], axis=1)
+        return replace(after, key=jax.random.wrap_key_data(after.key)), rollout
 
     def _gather(self, submit: Callable[[Any, int], Any]) -> list[Gathered]:
         """What the workers give, in their order; those that die are replaced."""
@@ -157,9 +154,7 @@ class RayRollouts:
         """Itself."""
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *raised: object) -> None:
         """End the workers."""
         for worker in self._workers:
             self._ray.kill(worker)

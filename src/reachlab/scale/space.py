@@ -110,9 +110,3 @@ def _choice(name: str, choice: Any, config: RunConfig) -> Any:
 def label(choice: Any) -> str:
     """A choice as the study writes it down."""
     return json.dumps(choice)
-
-
-def settings_of(drawn: Mapping[str, Any], space: list[Dimension]) -> dict[str, Any]:
-    """Settings, of the values that the study has drawn."""
-    named = {one.name: {label(choice): choice for choice in one.choices} for one in space}
-    return {name: named[name].get(value, value) for name, value in drawn.items()}

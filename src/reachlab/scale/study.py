@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from reachlab.scale.goals import Goal
-from reachlab.scale.space import Dimension, label, settings_of
+from reachlab.scale.space import Dimension, label
 from reachlab.settings.config import RunConfig
 from reachlab.settings.json_form import flatten, to_json
-from reachlab.settings.validation import InputError, installing
+from reachlab.settings.validation import InputError, needing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -142,7 +142,8 @@ class Study:
 
     def settings(self, trial: Any) -> dict[str, Any]:
         """Settings of a trial that vary."""
-        return settings_of(trial.params, self._space)
+        named = {one.name: {label(choice): choice for choice in one.choices} for one in self._space}
+        return {name: named[name].get(value, value) for name, value in trial.params.items()}
 
     def is_poor(self, trial: Any, validations: Mapping[int, float]) -> bool:
         """Whether a new validation of a trial, by its number, is poorer than half of the others; all are noted."""
@@ -222,10 +223,8 @@ def load_optuna() -> Any:
     Raises:
         InputError: it is not installed.
     """
-    try:
+    with needing("sweep needs Optuna: {}.", "sweep"):
         import optuna
-    except ModuleNotFoundError:
-        raise InputError(f"sweep needs Optuna: {installing('sweep')}.") from None
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     return optuna
 

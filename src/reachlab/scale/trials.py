@@ -111,10 +111,8 @@ class Trials:
             if deaths == DEATHS:
                 log = path.with_suffix(".log")
                 raise InputError(f"its process died {DEATHS} times without a newer checkpoint: see '{log}'.")
-            training, running = (
-                self._engine.start(str(path), to_json(config), settings.goal, settings.validations),
-                True,
-            )
+            training = self._engine.start(str(path), to_json(config), settings.goal, settings.validations)
+            running = True
             while running:
                 rows = run.read_metrics() if run.metrics_file.exists() else []
                 self.shares[path.name] = rows[-1]["steps"] / config.loop.total_steps if rows else 0.0

@@ -6,12 +6,11 @@ import contextlib
 import functools
 import hashlib
 import json
-import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
-from reachlab.settings.reading import cache_folder
+from reachlab.settings.reading import cache_folder, write_cached
 
 Record = TypeVar("Record")
 
@@ -44,11 +43,7 @@ def kept(
         known = _shipped().get(f"{folder}/{name}") or json.loads(file.read_text())
         return make(**{name: _tuples(value) for name, value in known.items()})
     found = find()
-    with contextlib.suppress(OSError):
-        file.parent.mkdir(parents=True, exist_ok=True)
-        part = file.with_suffix(f".{os.getpid()}.part")
-        part.write_text(json.dumps(dict(fields(found))))
-        part.replace(file)
+    write_cached(file, json.dumps(dict(fields(found))).encode())
     return found
 
 

@@ -7,14 +7,13 @@ import functools
 import hashlib
 import importlib.util
 import json
-import os
 import sys
 from collections.abc import Iterable
 from importlib.machinery import ModuleSpec
 from importlib.metadata import entry_points
 from pathlib import Path
 
-from reachlab.settings.reading import MOST_TEXT, cache_folder, read_regular
+from reachlab.settings.reading import MOST_TEXT, cache_folder, read_regular, write_cached
 from reachlab.settings.validation import InputError
 
 GROUP = "reachlab.extensions"
@@ -94,18 +93,14 @@ def import_of_runs(words: Iterable[str]) -> None:
 
 def _found(name: str) -> ModuleSpec:
     """Where an extension lies."""
-    path = Path(name)
-    if path.suffix == ".py":
-        if not path.is_file():
-            raise InputError(f"extension '{name}' is not there: name a module, or its file, with --import.")
+    path, found = Path(name), None
+    if path.suffix != ".py":
+        _look_in(Path.cwd())  # as `python -m` does
+        with contextlib.suppress(ImportError, ValueError):
+            found = importlib.util.find_spec(name)
+    elif path.is_file():
         _look_in(path.absolute().parent)  # as `python mytask.py` does
         found = importlib.util.spec_from_file_location(path.stem, path.absolute())
-    else:
-        _look_in(Path.cwd())  # as `python -m` does
-        try:
-            found = importlib.util.find_spec(name)
-        except (ImportError, ValueError):
-            found = None
     if found is None or found.origin is None or not found.has_location:
         raise InputError(f"extension '{name}' is not there: name a module, or its file, with --import.")
     return found
@@ -159,10 +154,4 @@ def _known() -> dict[str, str]:
 
 def _remember(spec: ModuleSpec) -> None:
     known = _known() | {_hash(spec): str(spec.origin)}
-    try:
-        _file().parent.mkdir(parents=True, exist_ok=True)
-        part = _file().with_suffix(f".{os.getpid()}.part")
-        part.write_text(json.dumps(known))
-        part.replace(_file())
-    except OSError:
-        return  # it has to be named again the next time
+    write_cached(_file(), json.dumps(known).encode())  # where it is not kept it has to be named again the next time

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import stat
 from pathlib import Path
@@ -17,6 +18,16 @@ def cache_folder() -> Path:
     """The user's folder for what can be computed again; a relative `XDG_CACHE_HOME` is none, as its rules say."""
     chosen = Path(os.environ.get("XDG_CACHE_HOME", ""))
     return (chosen if chosen.is_absolute() else Path.home() / ".cache") / "reachlab"
+
+
+def write_cached(file: Path, content: bytes) -> None:
+    """Keep a file in the user's folder, as a whole; where that cannot be, as on a full disk, it is not kept."""
+    part = file.with_suffix(f".{os.getpid()}.part")
+    with contextlib.suppress(OSError), contextlib.ExitStack() as put_away:
+        put_away.callback(part.unlink, missing_ok=True)
+        file.parent.mkdir(parents=True, exist_ok=True)
+        part.write_bytes(content)
+        part.replace(file)
 
 
 def read_regular(file: Path, most: int, head: int | None = None) -> tuple[bytes, int]:

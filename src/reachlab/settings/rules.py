@@ -63,6 +63,26 @@ class TaskSettings(Checked):
     goal_speed = (0.0, 0.2)
     """Least and largest speed of such a goal [m/s]."""
 
+    # Tasks have others in their place: attributes, or properties where they follow from settings.
+    gives = frozenset[str]()
+    """Words for all there is to observe and to control by beside a point that stays: see `reachlab.tasks.WORDS`."""
+    mounts = ""
+    """Gripper that is mounted at the tool frame; none by default."""
+    grips = False
+    """Whether the gripper's fingers are driven."""
+    holds = False
+    """Whether the goal has to be held for a while, rather than touched."""
+    hides_goal = False
+    """Whether the goal is not seen at times."""
+    ends_outside = False
+    """Whether leaving the workspace ends an episode."""
+    ends_on_contact = False
+    """Whether touching anything ends an episode."""
+    ends_at_goal = False
+    """Whether success ends an episode."""
+    rests_at_goal = False
+    """Whether the joint command stays while the tool is at the goal."""
+
     @classmethod
     def task(cls) -> Any:
         """The task itself, a `reachlab.tasks.task.Task`; what it is made of is imported here."""
@@ -73,56 +93,11 @@ class TaskSettings(Checked):
         return None
 
     @property
-    def gives(self) -> frozenset[str]:
-        """Words for all there is to observe and to control by beside a point that stays: see `reachlab.tasks.WORDS`."""
-        return frozenset()
-
-    @property
     def asks_orientation(self) -> bool:
         """Whether the tool's orientation is asked for."""
         return "orientation" in self.gives
 
     @property
-    def mounts(self) -> str:
-        """Gripper that is mounted at the tool frame; none by default."""
-        return ""
-
-    @property
-    def grips(self) -> bool:
-        """Whether the gripper's fingers are driven."""
-        return False
-
-    @property
     def moves(self) -> bool:
         """Whether the goal moves."""
         return "velocity" in self.gives
-
-    @property
-    def holds(self) -> bool:
-        """Whether the goal has to be held for a while, rather than touched."""
-        return False
-
-    @property
-    def hides_goal(self) -> bool:
-        """Whether the goal is not seen at times."""
-        return False
-
-    @property
-    def ends_outside(self) -> bool:
-        """Whether leaving the workspace ends an episode."""
-        return False
-
-    @property
-    def ends_on_contact(self) -> bool:
-        """Whether touching anything ends an episode."""
-        return False
-
-    @property
-    def ends_at_goal(self) -> bool:
-        """Whether success ends an episode."""
-        return False
-
-    @property
-    def rests_at_goal(self) -> bool:
-        """Whether the joint command stays while the tool is at the goal."""
-        return False

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import difflib
 import functools
@@ -10,7 +11,7 @@ import operator
 import reprlib
 import types
 import typing
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -58,6 +59,19 @@ def installing(extra: str) -> str:
     folder = origin.get("dir_info")
     place = "reachlab" if folder is None else unquote(urlsplit(origin["url"]).path)
     return f"pip install {'-e ' * bool(folder and folder.get('editable'))}'{place}[{extra}]'"
+
+
+@contextlib.contextmanager
+def needing(sentence: str, extra: str, missing: type[ImportError] = ModuleNotFoundError) -> Iterator[None]:
+    """Refuse where a package is missing inside: a sentence, its `{}` the command that installs an extra.
+
+    Raises:
+        InputError: one is.
+    """
+    try:
+        yield
+    except missing:
+        raise InputError(sentence.format(installing(extra))) from None
 
 
 LARGEST = 1e12

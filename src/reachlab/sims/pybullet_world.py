@@ -15,7 +15,7 @@ import numpy as np
 
 from reachlab.render.view_randomisation import FAR, NEAR, Views, greys
 from reachlab.robots.robot import PybulletModel, Robot
-from reachlab.settings.validation import InputError, installing
+from reachlab.settings.validation import InputError, needing
 from reachlab.tasks.camera import FIELD_OF_VIEW
 from reachlab.tasks.schema import SIZE
 
@@ -167,14 +167,10 @@ def _connect(bullet: ModuleType, *, gui: bool) -> Any:
 
 def import_pybullet() -> ModuleType:
     """The module; it prints its build time on standard output when imported, which is kept from there."""
-    try:
-        with _quiet_stdout():
-            import pybullet
-    except ImportError:
-        raise InputError(
-            f"simulator 'pybullet' needs PyBullet: {installing('pybullet')} (its wheels end at Python 3.11,"
-            f" this is {platform.python_version()}; with a newer one use a 3.11 environment)."
-        ) from None
+    newer = f"this is {platform.python_version()}; with a newer one use a 3.11 environment"
+    sentence = f"simulator 'pybullet' needs PyBullet: {{}} (its wheels end at Python 3.11, {newer})."
+    with needing(sentence, "pybullet", ImportError), _quiet_stdout():
+        import pybullet
     return pybullet
 
 

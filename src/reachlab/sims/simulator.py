@@ -146,7 +146,6 @@ class Simulator(Protocol):
 
     def close(self) -> None:
         """Give back what the engine holds. May be called twice."""
-        ...
 
 
 def chosen(mask: BatchArray | None, new: Any, old: Any) -> Any:

@@ -130,10 +130,8 @@ class Clutter(Precise):
             return "goals among obstacles are in a box: set targets to 'box'."
         return super().contradiction()
 
-    @property
-    def gives(self) -> frozenset[str]:
-        """What there is to observe and to control by."""
-        return frozenset({"joints", "bodies"})
+    gives = frozenset({"joints", "bodies"})
+    """What there is to observe and to control by."""
 
     @property
     def ends_on_contact(self) -> bool:

@@ -38,7 +38,5 @@ class ClutterPose(Clutter):
             needs=among.needs | {"turning"},
         )
 
-    @property
-    def gives(self) -> frozenset[str]:
-        """What there is to observe and to control by."""
-        return super().gives | {"orientation"}
+    gives = Clutter.gives | {"orientation"}
+    """What there is to observe and to control by."""

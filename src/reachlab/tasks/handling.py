@@ -88,7 +88,5 @@ class Handling(TaskSettings):
         """Gripper that is mounted."""
         return self.gripper
 
-    @property
-    def holds(self) -> bool:
-        """The object has to rest at the goal."""
-        return True
+    holds = True
+    """The object has to rest at the goal."""

@@ -31,7 +31,5 @@ class Lift(Handling):
             needs=frozenset({"objects", "gripping"}),
         )
 
-    @property
-    def grips(self) -> bool:
-        """The fingers are driven."""
-        return True
+    grips = True
+    """The fingers are driven."""

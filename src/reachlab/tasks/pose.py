@@ -69,7 +69,5 @@ class Pose(Precise):
             needs=frozenset({"turning"}),
         )
 
-    @property
-    def gives(self) -> frozenset[str]:
-        """What there is to observe and to control by."""
-        return frozenset({"orientation", "joints"})
+    gives = frozenset({"orientation", "joints"})
+    """What there is to observe and to control by."""

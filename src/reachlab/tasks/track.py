@@ -105,10 +105,8 @@ class Track(TaskSettings):
             )
         return None
 
-    @property
-    def gives(self) -> frozenset[str]:
-        """What there is to observe and to control by."""
-        return frozenset({"velocity"})
+    gives = frozenset({"velocity"})
+    """What there is to observe and to control by."""
 
 
 def _asks(rules: Track, period: float) -> str:

@@ -6,8 +6,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from reachlab.render.marks import Block
-
 PATH_POINTS, PATH_STEP, TRAIL_STEP = 300, 0.004, 0.01
 """Points of a path at most, and their least distance [m]; and that of the points of a target's trail."""
 
@@ -18,19 +16,17 @@ class Moment:
 
     Attributes:
         q: joints `[n]` [rad or m].
-        tool, orientation: of the tool, `[3]` [m] and `[4]` wxyz.
+        tool: where it is `[3]` [m].
         target, target_orientation: `[3]` [m] and `[4]` wxyz, `[0]` where any will do.
         distance, angle: from tool to target [m] and [rad], None where any orientation will do.
         error: root mean square of the distance so far [m]; None where it does not count, or not yet.
         reached: the tool is near enough now and, where the task asks for it, was held.
         path: points `[k, 3]` [m] through which the tool came.
         trail: points `[k, 3]` [m] at which a target that moves by itself has been.
-        blocks: bodies beside the arm.
     """
 
     q: np.ndarray
     tool: np.ndarray
-    orientation: np.ndarray
     target: np.ndarray
     target_orientation: np.ndarray
     distance: float
@@ -39,7 +35,6 @@ class Moment:
     reached: bool
     path: np.ndarray
     trail: np.ndarray
-    blocks: tuple[Block, ...]
 
 
 @dataclass

@@ -20,7 +20,7 @@ from reachlab.envs.functions import EnvState, Transition
 from reachlab.envs.given_goal import make_place
 from reachlab.envs.random_streams import AGENT_STREAM, REPORT_STREAM, episode_keys
 from reachlab.jax_setup import jit
-from reachlab.tasks.task import Errors, TaskSetup
+from reachlab.tasks.task import Errors
 from reachlab.watch.moment import PATH_STEP, TRAIL_STEP, Moment, Trace
 
 Advance = Callable[[Policy | None, EnvState, Array, bool, np.ndarray], tuple[EnvState, Transition, Array]]
@@ -211,7 +211,6 @@ class Player:
         self.moment = Moment(
             q=setup.robot.posture(np.concatenate([_row(arm.q), _row(arm.opening)])),
             tool=tool,
-            orientation=_row(arm.tool_quaternion),
             target=target,
             target_orientation=_row(goal.quaternion),
             distance=float(_row(errors.distance)),
@@ -220,7 +219,6 @@ class Player:
             reached=self._env.shown.reached(self.state),
             path=self._path.add(tool),
             trail=self._trail.add(target) if rules.moves else self._trail.points,
-            blocks=self._env.shown.blocks(self.state),
         )
 
 
@@ -272,8 +270,3 @@ def knows_home_alone(env: Env) -> bool:
     """Whether all episodes of a policy's training began at home, so that it knows no way from anywhere else."""
     rules = env.setup.rules
     return not (rules.holds or rules.start_noise or env.config.loop.chained_starts)
-
-
-def target_box(setup: TaskSetup) -> np.ndarray:
-    """Lower and upper corner `[2, 3]` of the task's goals [m]."""
-    return np.stack(setup.task.goal_box(setup))

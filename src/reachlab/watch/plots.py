@@ -9,7 +9,7 @@ from typing import Any, cast
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
-from reachlab.runs.files import written
+from reachlab.runs.files import check_place, written
 from reachlab.settings.validation import InputError
 from reachlab.watch.curves import draw_learning
 from reachlab.watch.errors import Evaluated, draw_errors, error_lines
@@ -46,9 +46,7 @@ def plot(runs: str | Path | Sequence[str | Path], out: str | Path) -> list[str]:
         InputError: no run, one without metrics, or an ending that cannot be drawn.
     """
     out = Path(out)
-    if out.suffix not in ENDINGS:
-        endings = " or ".join(ENDINGS)
-        raise InputError(f"the picture cannot be written to '{out}': name a file that ends in {endings}.")
+    check_place("the picture", out, ENDINGS)
     named = [runs] if isinstance(runs, str | Path) else list(runs)
     if not named:
         raise InputError("runs are drawn, and none is named: name at least one.")

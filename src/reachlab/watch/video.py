@@ -19,9 +19,9 @@ from reachlab.agents import AGENTS
 from reachlab.agents.acting import Function, name_of
 from reachlab.agents.policy import Policy
 from reachlab.envs.core import Env
-from reachlab.runs.files import written
+from reachlab.runs.files import check_place, written
 from reachlab.settings.arguments import typed
-from reachlab.settings.validation import LAST_SEED, InputError, choose, installing, whole_number
+from reachlab.settings.validation import LAST_SEED, InputError, choose, needing, whole_number
 from reachlab.watch.captions import Caption, captioned, inset
 from reachlab.watch.player import Player, played
 
@@ -99,7 +99,8 @@ def write_video(
     """
     _check_numbers(seed, episodes, fps, speed)
     out = Path(out)
-    encode = _encoder(out)
+    check_place("the video", out, ENCODERS)
+    encode = ENCODERS[out.suffix.lower()]
     name = name_of(agent) if callable(agent) else choose("agent", agent, AGENTS)
     period, player = env.config.physics.control_period, Player(env, seed)
     speed = speed or _slow_enough(player, agent, policy, period, episodes)
@@ -127,13 +128,6 @@ def write_video(
         encode(part, film(), 1 / interval)
     seconds = tally["milliseconds"] / 1000
     return Clip(str(out), episodes, tally["successes"], tally["frames"], seconds, out.stat().st_size)
-
-
-def _encoder(out: Path) -> Callable[..., None]:
-    encode = ENCODERS[choose("video format", out.suffix.lower(), ENCODERS)]
-    if not out.parent.is_dir():
-        raise InputError(f"the video cannot be written to '{out}': there is no folder '{out.parent}'.")
-    return encode
 
 
 def _check_numbers(seed: int, episodes: int, fps: float, speed: float) -> None:
@@ -181,23 +175,20 @@ def _caption(env: Env, agent: str, player: Player, title: str, speed: float) -> 
 
 def _webp(out: Path, frames: Iterator[Frame], _rate: float) -> None:
     """Animated WebP, which browsers show like a GIF; the smallest."""
-    images, ends = _timed(frames, 1000)
-    settings: dict[str, Any] = {"quality": WEBP_QUALITY, "method": 4}
-    images[0].save(out, save_all=True, append_images=images[1:], duration=np.diff(ends).tolist(), loop=0, **settings)
+    _animate(out, frames, 1, quality=WEBP_QUALITY, method=4)
 
 
 def _gif(out: Path, frames: Iterator[Frame], _rate: float) -> None:
     """Animated GIF, which everything shows; 256 colours a picture."""
-    colours = (Frame(frame.image.quantize(dither=Image.Dither.NONE), frame.seconds) for frame in frames)
-    images, ends = _timed(colours, 100)
-    durations = (10 * np.diff(ends)).tolist()
-    images[0].save(out, save_all=True, append_images=images[1:], duration=durations, loop=0)
+    _animate(out, (Frame(one.image.quantize(dither=Image.Dither.NONE), one.seconds) for one in frames), 10)
 
 
-def _timed(frames: Iterator[Frame], ticks: int) -> tuple[list[Image.Image], np.ndarray]:
-    """Images, and the times of their changes in ticks of a second, rounded so that no error adds up."""
+def _animate(out: Path, frames: Iterator[Frame], tick: int, **settings: Any) -> None:
+    """Write images that change at whole ticks [ms], the times rounded so that no error adds up."""
     images, seconds = zip(*((frame.image, frame.seconds) for frame in frames), strict=True)
-    return list(images), np.rint(ticks * np.cumsum([0.0, *seconds])).astype(int)
+    ends = np.rint(1000 // tick * np.cumsum([0.0, *seconds])).astype(int)
+    durations = (tick * np.diff(ends)).tolist()
+    images[0].save(out, save_all=True, append_images=images[1:], duration=durations, loop=0, **settings)
 
 
 def _mp4(out: Path, frames: Iterator[Frame], rate: float) -> None:
@@ -237,12 +228,8 @@ def encode_mp4(out: Path, pictures: Iterable[bytes], size: tuple[int, int], rate
 
 
 def _ffmpeg() -> str:
-    try:
+    with needing("MP4 needs ffmpeg: {}, or name a file that ends in .webp or .gif.", "video", ImportError):
         from imageio_ffmpeg import get_ffmpeg_exe
-    except ImportError:
-        raise InputError(
-            f"MP4 needs ffmpeg: {installing('video')}, or name a file that ends in .webp or .gif."
-        ) from None
     return get_ffmpeg_exe()
 
 

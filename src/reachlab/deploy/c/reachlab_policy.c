@@ -46,6 +46,8 @@ int reachlab_reset(reachlab_state *state, const real q[REACHLAB_COMMANDS])
     static const real lower[REACHLAB_COMMANDS] = {{lower}}, upper[REACHLAB_COMMANDS] = {{upper}};
     static const reachlab_state rest = { .stop_step = {{rested}} };
     if (!all_finite(q, REACHLAB_COMMANDS)) return REACHLAB_NOT_FINITE;
+    for (int i = 0; i < REACHLAB_COMMANDS; ++i)
+        if (q[i] < lower[i] - R({{aside}}) || q[i] > upper[i] + R({{aside}})) return REACHLAB_OUTSIDE;
     *state = rest;
     for (int i = 0; i < REACHLAB_COMMANDS; ++i)
         state->position[i] = q[i] < lower[i] ? lower[i] : q[i] > upper[i] ? upper[i] : q[i];
@@ -59,7 +61,7 @@ int reachlab_step(reachlab_state *state, const reachlab_input *input, int brake,
     int problem = REACHLAB_OK, stops[1] = { brake != 0 };
     for (int i = 0; i < REACHLAB_COMMANDS; ++i) wanted[i] = state->position[i];
     if (!({{checked}})) problem = REACHLAB_NOT_FINITE;
-    if (problem == REACHLAB_OK && !brake) {
+{{outside}}    if (problem == REACHLAB_OK && !brake) {
         decide({{decided}}, next.last_action, wanted{{remembers}});
         if (!all_finite(wanted, REACHLAB_COMMANDS) || !all_finite(next.last_action, {{actions}}){{remembered}}) {
             problem = REACHLAB_NOT_FINITE;

@@ -35,16 +35,17 @@ typedef struct {
     reachlab_real last_action[{{actions}}];{{memory}}
 } reachlab_state;
 
-enum { REACHLAB_OK = 0, REACHLAB_NOT_FINITE = 1 };
+enum { REACHLAB_OK = 0, REACHLAB_NOT_FINITE = 1, REACHLAB_OUTSIDE = 2 };
 
-/* Begins anew with an arm that rests at joints q; beyond a limit the limit is taken. Where a number is not finite
- * REACHLAB_NOT_FINITE is returned, and the state stays as it is: command nothing then. */
+/* Begins anew with an arm that rests at joints q. Where a number is not finite REACHLAB_NOT_FINITE is returned, and where a
+ * joint is more than {{aside}} beyond a limit REACHLAB_OUTSIDE; the state stays as it is: command nothing then. */
 int reachlab_reset(reachlab_state *state, const reachlab_real q[REACHLAB_COMMANDS]);
 
 /* The next command, within the limits of position, speed, acceleration and jerk that were exported.
  *
- * If brake is not 0, or a number of the input or of the policy's command is not finite, the arm is brought to rest on a way
- * that keeps the limits; in the last two cases REACHLAB_NOT_FINITE is returned. */
+ * They are compiled in: limits that are lowered in policy.json are those of controller.py alone. If brake is not 0, or a
+ * number of the input or of the policy's command is not finite{{asked}},
+ * the arm is brought to rest on a way that keeps the limits; REACHLAB_NOT_FINITE or REACHLAB_OUTSIDE is returned then. */
 int reachlab_step(reachlab_state *state, const reachlab_input *input, int brake, reachlab_real command[REACHLAB_COMMANDS]);
 {{place}}
 #ifdef __cplusplus

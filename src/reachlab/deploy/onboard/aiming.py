@@ -130,8 +130,11 @@ class Aim:
                 return f"the {name} must be {size} finite numbers, got {in_words(numbers)}"
         low, high = self.box.tolist()
         if not all(a - NEARBY <= one <= b + NEARBY for one, a, b in zip(goal.tolist(), low, high)):
-            near = f"{in_words(self.box[0])} to {in_words(self.box[1])} m"
+            near = f"{in_words(self.box[0])} to {in_words(self.box[1])} m, by more than {NEARBY:g} m"
             return f"the goal {in_words(goal[:3])} is out of the workspace, {near}"
+        if self._facts["moves"] and velocity is not None and np.linalg.norm(velocity) > self._facts["fastest"]:
+            fastest = f"{self._facts['fastest']:g} m/s at most"
+            return f"the goal's velocity is {in_words(velocity)} m/s, and the policy knows {fastest}: is it in mm/s?"
         if self.poses and abs(np.linalg.norm(goal[3:]) - 1) > UNIT:
             return f"the goal's quaternion must have length 1, got {in_words(goal[3:])}"
         return ""
@@ -183,7 +186,7 @@ class Aim:
         if self._search is None:
             return self._refused
         if self._dropped > DROPPED:
-            self._refused = f"the goal moves by more than {BESIDE:g} m before joints are found at which the tool is there"
+            self._refused = f"the goal moves by more than {BESIDE:g} m before its joints are found, again and again"
         try:
             for _ in range(ROUNDS_OF_POSES if self.poses else ROUNDS_A_STEP):
                 next(self._search)

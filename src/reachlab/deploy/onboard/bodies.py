@@ -35,8 +35,8 @@ ABSENT = {"position": FAR, "quaternion": [1.0, 0.0, 0.0, 0.0], "velocity": [0.0]
 """Numbers of one of them."""
 
 
-FARTHEST = 1000.0
-"""Largest number of a body [m or m/s]: far beyond it squares are none in single precision."""
+FARTHEST = 100.0
+"""Largest number of a body [m or m/s], as in scenes of one's own; millimetres are larger."""
 
 FASTEST = 1.0
 """Speed from which on an obstacle counts as another than the one that was in its place of the list [m/s]."""
@@ -84,13 +84,17 @@ class Beside:
         """By its facts."""
         self._room = facts["inputs"].get("bodies_kind", [0])[0]
         self._objects = facts.get("objects", []), facts.get("object_size")
-        self._moving = bool(facts.get("object_velocity", False))
+        self._moving, self._sees = bool(facts.get("object_velocity", False)), bool(facts["observation"]["pictured"])
         self._followed = Followed() if facts.get("obstacle_velocity", False) else None
 
     def clear(self) -> None:
         """Forget what was."""
         if self._followed:
             self._followed.clear()
+
+    def unknown(self, obstacles: Any) -> str:
+        """Whether obstacles are given to a policy that knows of none, and has no picture of them either."""
+        return "" if self._room or self._sees or not obstacles else "the policy knows of no obstacles: it meets them"
 
     def numbers(self, obstacles: Any, objects: Any, seconds: float) -> dict[str, list[float]]:
         """Inputs of the printed step, of what `read_bodies` gives; none of a policy that does not observe bodies.
@@ -184,9 +188,11 @@ def _wrong_body(body: dict[str, Any], what: str) -> str:
         if not all(map(isfinite, plain)):
             return f"must have a {name} of {max(sum(SHAPES[name]), 1)} finite numbers, got {in_words(numbers)}"
         if name != "time" and max(map(abs, plain)) > FARTHEST:
-            return f"must have a {name} within {FARTHEST:g} m or m/s, got {in_words(numbers)}"
+            unit = "m/s" if name == "velocity" else "m"
+            return f"must have a {name} within {FARTHEST:g} {unit}, got {in_words(numbers)}: is it in m{unit}?"
         if name in ("half", "radius") and min(plain) < 0.0:
             return f"must have a {name} of at least 0 m, got {in_words(numbers)}"
         if name == "quaternion" and not abs(hypot(*plain) - 1.0) <= UNIT:
             return f"must have a quaternion of length 1, got {in_words(numbers)}"
-    return ""
+    sized = what != "obstacle" or {"half", "radius"} & set(body)
+    return "" if sized else "has no size: give its radius, or its half lengths"

@@ -22,7 +22,7 @@ from reachlab.deploy.onboard.aiming import Aim
 from reachlab.deploy.onboard.bodies import Beside
 from reachlab.deploy.onboard.folder import FORMAT, LIMITS, read_folder
 from reachlab.deploy.onboard.log import KEPT, read_log, write_log
-from reachlab.deploy.onboard.reading import felt, in_words, read_bodies, read_numbers, read_seconds
+from reachlab.deploy.onboard.reading import felt, in_words, of_units, read_bodies, read_numbers, read_seconds
 from reachlab.deploy.onboard.step import load_step
 from reachlab.deploy.onboard.watching import JUMP, Watch
 from reachlab.deploy.onboard.ways import PlannerProcess, Told, Way
@@ -78,7 +78,7 @@ class Controller:
         self.joints = [joint["name"] for joint in joints]
         self.home, self.period = np.array(facts["arm"]["home"], float), float(facts["control_period"])
         self._lower, self._upper, self._inputs = limits["lower"], limits["upper"], facts["inputs"]
-        self._beside = Beside(facts)
+        self._beside, self._policy = Beside(facts), str(facts["sha256"])
         step = load_step(folder)
         self._decide, self._tool = step["decide"], step["tool"]
         self._aim = Aim(facts["goal"], (self._lower, self._upper), step)
@@ -99,13 +99,14 @@ class Controller:
         """
         q, lower, upper = read_numbers(q), self._lower, self._upper
         if not isinstance(q, np.ndarray) or q.shape != lower.shape or not np.isfinite(q).all():
-            raise ValueError(f"reset takes {len(lower)} measured joints, got {in_words(q)}.")
+            got = f"something {q}" if isinstance(q, str) else in_words(q)
+            raise ValueError(f"reset takes {len(lower)} measured joints, got {got}.")
         outside = (q < lower - ASIDE) | (q > upper + ASIDE)
         if outside.any():
             i = int(outside.argmax())
             raise ValueError(
                 f"joint {self.joints[i]!r} is at {in_words(q[i])}, out of its limits {in_words(lower[i])} to"
-                f" {in_words(upper[i])}: move the arm to within them, and reset there."
+                f" {in_words(upper[i])}: move the arm to within them, and reset there{of_units(q, lower, upper) or '.'}"
             )
         self._start(q)
         self._log.append({"reset": q.tolist()})
@@ -168,13 +169,13 @@ class Controller:
                 were measured earlier: without them, or with old ones, the arm brakes.
             picture: the camera's, for a policy that gets one, `[84, 84]` uint8.
             joints: joints at which the tool is at the goal, where they are known; by default they are looked for.
-            wrench: for a policy that observes it, force and torque at the wrist `[6]` [N, Nm]: that with which all that
-                the last joint holds acts on the arm, so that the weight of a hand points down, in the frame of the last
-                moving link. Without it the arm brakes.
+            wrench: for a policy that observes it, force and torque `[6]` [N, Nm] with which all that the last joint
+                holds acts on the arm, in the frame of the last moving link. Without it the arm brakes.
         """
         q, qd, goal, velocity, joints, wrench = map(read_numbers, (q, qd, goal, velocity, joints, wrench))
         seconds, around, things = read_seconds(time), read_bodies(obstacles), read_bodies(objects)
         problem, brake = self._look(q, qd, seconds)
+        problem = problem or self._beside.unknown(around)
         before = self.motion.position
         wanted, refused = before, self._stopped
         was = self.braking and not bool((self.motion.stop_step >= self.limits.steps).all())
@@ -275,7 +276,7 @@ class Controller:
 
     def save_log(self, file: str | Path) -> None:
         """Write the last control steps, a line of JSON each; `replay` takes them again, if no pictures were given."""
-        write_log(self._log, Path(file))
+        write_log(self._log, Path(file), self._policy)
 
     def replay(self, file: str | Path) -> float:
         """Take a log's control steps again, from its first `reset` on; the largest difference of a command [rad or m].
@@ -286,7 +287,7 @@ class Controller:
         worst, told = 0.0, Told()
         if self._way:
             self._way.planner = told
-        for entry in read_log(Path(file)):
+        for entry in read_log(Path(file), self._policy):
             told.next, waited = entry.pop("planned", None), entry.pop("waited", inf)
             self._watch.stop_watch = lambda waited=waited: waited
             if "reset" in entry:

@@ -7,6 +7,9 @@ from typing import Any
 
 import numpy as np
 
+TURN = 2 * math.pi
+"""Beyond a limit by so much no joint is [rad or m]."""
+
 UNREADABLE = "not made of numbers"
 """What stands for a value that is not made of numbers; a log holds it as it is."""
 
@@ -28,6 +31,7 @@ def read_numbers(value: Any) -> Any:
 def read_seconds(value: Any) -> float | None:
     """A finite time [s], or None."""
     try:
+        value = value.item() if isinstance(value, np.ndarray) and value.shape == () else value
         seconds = float(value) if isinstance(value, (int, float, np.floating, np.integer)) else math.nan
     except Exception:  # as above: an int may be too large for a float
         return None
@@ -58,6 +62,11 @@ def felt(wrench: Any, inputs: dict[str, list[int]]) -> dict[str, list[float]]:
     if isinstance(wrench, str) or list(wrench.shape) != inputs["wrench"] or not np.isfinite(wrench).all():
         raise ValueError(f"{asked}, got {in_words(wrench)}")
     return {"wrench": wrench.tolist()}
+
+
+def of_units(q: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> str:
+    """A question about the units of joints `[n]`, where one is further out of its limits than any joint can be."""
+    return ", or are they not in rad and m?" if (np.abs(q - np.clip(q, lower, upper)) > TURN).any() else ""
 
 
 def in_words(numbers: Any) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from reachlab.deploy.onboard.reading import in_words
+from reachlab.deploy.onboard.reading import in_words, of_units
 
 GRACE = 0.06
 """Time for which the last good measurement is used where none comes that can be [s]; then the arm brakes."""
@@ -38,6 +38,9 @@ DRIFTED = 0.0005
 
 CALLS, OFF = 15, 0.25
 """Calls whose mean rate is compared with the policy's, and by what share it may differ."""
+
+UNFIT = 0.1
+"""How far, beside as far as it went, measured speeds may lead from where a joint is in as many calls [rad or m]."""
 
 
 class Watch:
@@ -69,6 +72,8 @@ class Watch:
         self.stood = False
         self._good, self._same, self._command, self._measured = 0.0, 0, q.copy(), False
         self._passed: deque[float] = deque(maxlen=CALLS)
+        self._way = np.zeros_like(q)
+        self._ways: deque[tuple[np.ndarray, np.ndarray]] = deque(maxlen=CALLS)
 
     def stop_watch(self) -> float:
         """Time since it was last asked [s], 0 at first, by a clock that nobody sets."""
@@ -95,7 +100,7 @@ class Watch:
         elif time <= before:
             self._good = time
             self._passed.clear()
-            return f"the clock runs back or stands still, at {time:g} s after {before:g} s", True
+            return f"the clock runs back or stands still, {before - time:.3g} s before the last step", True
         wrong = self._wrong(q, qd, command, time - self._good)
         frozen = ""
         if not wrong:
@@ -107,7 +112,8 @@ class Watch:
         if frozen:
             return frozen, True
         rate, too_fast = ("", False) if before is None else self._off_rate(passed)
-        return wrong or rate, too_fast or (bool(wrong) and time - self._good >= self._grace - 1e-9)
+        late = not self._measured or time - self._good >= self._grace - 1e-9
+        return wrong or rate or self._unfit(passed), too_fast or (bool(wrong) and late)
 
     def _off_rate(self, passed: float) -> tuple[str, bool]:
         """What is wrong with the rate of calls, and whether they are too many: commands then leave limits of speed."""
@@ -118,10 +124,22 @@ class Watch:
         rates = f"step is called at {1 / mean:.3g} Hz, and the policy's rate is {1 / self._period:.3g} Hz"
         return f"{rates}: call it every {self._period:g} s", mean < self._period
 
+    def _unfit(self, passed: float) -> str:
+        """Whether measured speeds are those of the measured joints, over the last calls."""
+        self._way = self._way + self.qd * passed
+        self._ways.append((self.q, self._way))
+        moved, told = self.q - self._ways[0][0], self._way - self._ways[0][1]
+        unfit = np.abs(told - moved) > UNFIT + np.abs(moved)
+        if not unfit.any():
+            return ""
+        return f"the speed of joint {self._names[int(unfit.argmax())]!r} does not fit where it is: unit, sign or order?"
+
     def _wrong(self, q: Any, qd: Any, command: np.ndarray, since: float) -> str:
         """What is wrong with a measurement that comes so long [s] after the last good one."""
-        if q is None or qd is None:
+        if q is None:
             return "no measurement has come"
+        if qd is None:
+            return "no speeds of the joints have come: give (q - the last q) / period where none are measured"
         if isinstance(q, str) or isinstance(qd, str):
             return "the measurement is not made of numbers"
         if q.shape != self.q.shape or qd.shape != self.q.shape:
@@ -138,6 +156,7 @@ class Watch:
             return (
                 f"joint {self._names[i]!r} is measured at {in_words(q[i])}, and commands begin at"
                 f" {in_words(self.q[i])}: call reset with the joints at which the arm is measured to rest"
+                f"{of_units(q, self._lower, self._upper)}"
             )
         for wrong, what in (
             ((q < self._lower) | (q > self._upper), "measured out of its limits"),

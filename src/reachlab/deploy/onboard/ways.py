@@ -124,7 +124,7 @@ class Way:
     def clear(self) -> None:
         """Have nothing to do, and forget what was."""
         self._told: dict[str, Any] | None = None
-        self._goal: np.ndarray | None = None
+        self._goal: Any = None
         self._motion: Trajectory | None = None
         self._seconds, self._came, self._before = np.inf, 0.0, None
         self._forget(trust=True)

@@ -72,7 +72,8 @@ class Candidates:
         middle = (lower + upper) / 2
         lower, upper = np.maximum(lower, middle - WIDEST), np.minimum(upper, middle + WIDEST)
         sampled = np.random.default_rng(0).uniform(lower, upper, (SAMPLES, chain.n))
-        self.reach = float(np.quantile(np.linalg.norm(_posture(chain, sampled)[1] - base, axis=1), REACH))
+        distance = np.linalg.norm(_posture(chain, sampled)[1] - base, axis=1)
+        self.reach = max(float(np.quantile(distance, REACH)), TINY)
         self._tilt = np.repeat(tilts, SAMPLES)
         q, off = map(np.concatenate, zip(*(_turned(chain, base, sampled, tilt) for tilt in tilts), strict=True))
         if not (off < TURNED).any():  # an arm that cannot turn its tool so stays off its limits

@@ -95,8 +95,9 @@ def find_loads(model: mujoco.MjModel, tool: str) -> Loads:
 
 
 def default_torques(loads: Loads, speed: np.ndarray) -> np.ndarray:
-    """Torque limits `[n]` of joints of which none are known [Nm or N], for speed limits `[n]`."""
-    accelerating = np.maximum(ACCELERATION * loads.inertia.max(axis=0), LEAST_TORQUE)
+    """Torque limits `[n]` of joints of which none are known [Nm or N], for speed limits `[n]`: none overshoots."""
+    rate = np.maximum(ACCELERATION, SHORT_OF_BRAKING * speed / LAG)
+    accelerating = np.maximum(rate * loads.inertia.max(axis=0), LEAST_TORQUE)
     return np.maximum(HOLDING * loads.gravity.max(axis=0), accelerating) + loads.resistance(speed)
 
 

@@ -146,7 +146,7 @@ def inverse_kinematics(
     chain: Chain,
     target: Pose,
     start: ArrayLike,
-    key: Array,
+    key: Array | int,
     *,
     restarts: int = 40,
     iterations: int = 25,
@@ -164,7 +164,7 @@ def inverse_kinematics(
         chain: the arm.
         target: positions `[..., 3]` m and quaternions `[..., 4]`.
         start: first joint vectors, broadcast to `[..., n]`.
-        key: random key of the restarts; equal keys give equal solutions.
+        key: random key of the restarts, or a seed; equal keys give equal solutions.
         restarts: attempts after the first.
         iterations: steps an attempt.
         position_tolerance: largest position error [m] of a converged pose.
@@ -173,8 +173,8 @@ def inverse_kinematics(
     Raises:
         InputError: a quaternion is not of length 1, or there are not as many joints as the chain's.
     """
-    target = _unit(target)
-    shape = (max(restarts, 1), chain.n)
+    target, shape = _unit(target), (max(restarts, 1), chain.n)
+    key = jax.random.key(key) if isinstance(key, int) else key
     seeds = jax.random.uniform(key, shape, minval=np.array(chain.lower), maxval=np.array(chain.upper))
     start = jnp.broadcast_to(joint_vectors(chain, start), (*target.position.shape[:-1], chain.n))
 

@@ -30,7 +30,8 @@ class Arm {
     this.axes = run.facts.goal.orientation ? this.added(this.makeAxes(marks.tool_axes)) : null;
     this.path = this.added(polyline(marks.path));
     this.trail = this.added(polyline(marks.trail));
-    this.frames = this.links.map((link) => this.makeFrame(link));
+    this.frames = this.links.map(() => Object.assign(this.makeAxes(FRAME), { visible: false })); // shown on demand
+    this.frames.forEach((frame, i) => this.links[i].add(frame));
   }
 
   added(one, settings = {}) {
@@ -53,13 +54,13 @@ class Arm {
 
   /** The goal: a ball, around it the one in which the tool is near enough, and axes to turn it by if it has any. */
   makeGoal(run) {
-    const near = run.rules.success_distance, core = Math.min(near, this.marks.radius * this.size);
+    const near = run.rules.success_distance, core = Math.min(near, this.marks.target_radius * this.size);
     const goal = new THREE.Group();
     goal.add(ball(core, 1));
-    if (near > core) goal.add(ball(near, this.marks.opacity));
+    if (near > core) goal.add(ball(near, this.marks.ball_opacity));
     this.balls = goal.children.map((one) => one.material);
     if (!run.facts.goal.orientation) return goal;
-    const axes = this.makeAxes(this.marks.goal_axes), length = this.marks.goal_axes[0] * this.size;
+    const axes = this.makeAxes(this.marks.target_axes), length = this.marks.target_axes[0] * this.size;
     this.marks.axes.forEach((colour, i) => {
       const knob = new THREE.Mesh(new THREE.SphereGeometry(KNOB * this.size, SIDES, SIDES / 2), shaded(colour));
       knob.position.setComponent(i, length);
@@ -67,13 +68,6 @@ class Arm {
     });
     goal.add(axes);
     return goal;
-  }
-
-  /** Axes of a link, which are shown on demand. */
-  makeFrame(link) {
-    const frame = Object.assign(this.makeAxes(FRAME), { visible: false });
-    link.add(frame);
-    return frame;
   }
 
   /** Red, green and blue rods along x, y and z, of a length and a radius [m] for the tutorial's arm. */

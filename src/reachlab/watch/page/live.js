@@ -96,7 +96,7 @@ class Live {
   things() {
     const { episode, run } = this.player;
     if (!episode || run.facts.record) return [];
-    const { low, high, orientation } = run.facts.goal, { goal_axes: [length], axes } = this.marks, { size } = this.drawing.arms[0];
+    const { low, high, orientation } = run.facts.goal, { target_axes: [length], axes } = this.marks, { size } = this.drawing.arms[0];
     // An object at the goal is taken at its middle, and the goal around it.
     const radius = run.rules.success_distance * (run.facts.objects ? AROUND : 1), turn = episode.state.goal_quaternion;
     const move = (place, turned = turn) => this.together().forEach((player) => player.moveGoal(place, turned));
@@ -155,7 +155,7 @@ class Live {
     const due = Math.floor(this.owed / period);
     this.owed -= due * period;
     this.players.forEach((player, i) => {
-      for (let k = 0; k < due && !player.over && player.ready; k++) this.step(i);
+      for (let k = 0; k < due && !player.over && !player.busy; k++) this.step(i);
       this.rests[i] = player.over ? this.rests[i] - elapsed : PAUSE;
       if (this.rests[i] <= 0) this.next(i);
     });
@@ -164,7 +164,7 @@ class Live {
 
   /** Take as many control steps as fit into a picture, one episode after the other. */
   hurry() {
-    for (const end = performance.now() + FASTEST; performance.now() < end && this.player.ready; ) {
+    for (const end = performance.now() + FASTEST; performance.now() < end && !this.player.busy; ) {
       this.players.forEach((player, i) => {
         if (player.over) this.next(i);
         if (!player.over) this.step(i);

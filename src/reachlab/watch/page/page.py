@@ -7,13 +7,11 @@ import zlib
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from reachlab.emit.braced import JAVASCRIPT_HEAD, javascript_function
 from reachlab.emit.program import Program
 from reachlab.render import marks
-from reachlab.runs.files import write_whole
-from reachlab.settings.validation import InputError
+from reachlab.runs.files import check_place, written
 from reachlab.watch.page.document import page_head, part_of, text_of
 from reachlab.watch.page.remote import Message, record
 from reachlab.watch.page.shapes import scene
@@ -22,11 +20,20 @@ from reachlab.watch.page.shown import ENGINES, Shown, facts_of
 EPISODES = 5
 """Episodes of a recording."""
 
+ENDINGS = (".html", ".htm")
+"""Of a page's file."""
+
 SCRIPTS = (
     *("vectors", "physics", "episode", "player", "remote", "solids", "light", "bodies"),
     *("arm", "drawing", "view", "hand", "panel", "perturb", "joints", "chart", "live"),
 )
 """The page's scripts, each after those that it needs when it is read."""
+
+MARKS = (
+    *("WAITING", "REACHED", "PATH", "TRAIL", "FIXED", "GLASS", "OBJECT", "AXES"),
+    *("TOOL_AXES", "TARGET_AXES", "TARGET_RADIUS", "BALL_OPACITY"),
+)
+"""Colours and lengths of `render.marks` that the scripts know, by their names in lower case."""
 
 
 def write_page(shown: Sequence[Shown], out: Path, episodes: int = EPISODES) -> int:
@@ -35,7 +42,7 @@ def write_page(shown: Sequence[Shown], out: Path, episodes: int = EPISODES) -> i
     Raises:
         InputError: an agent cannot act, or the file cannot be written.
     """
-    check_folder(out)
+    check_place("the page", out, ENDINGS)
     records = [None if one.functions else record(one, episodes) for one in shown]
     return write_parts(shown, page_body(shown, records), out)
 
@@ -48,23 +55,9 @@ def write_parts(shown: Sequence[Shown], body: str, out: Path) -> int:
     """
     engine = any(one.env.config.sim == ENGINES[1] for one in shown if one.functions)
     page = (page_head(f"{shown[0].title} · {shown[0].env.config.task}", engine=engine) + body).encode()
-    try:
-        write_whole(out, page)
-    except OSError as error:
-        raise InputError(f"page '{out}' cannot be written: {error.strerror}.") from None
+    with written("the page", out) as part:
+        part.write_bytes(page)
     return len(page)
-
-
-def check_folder(out: Path) -> None:
-    """Make sure that a page can be written.
-
-    Raises:
-        InputError: its folder is not there, or its name is that of no page.
-    """
-    if out.suffix.lower() not in (".html", ".htm"):
-        raise InputError(f"the page cannot be written to '{out}': name a file that ends in .html.")
-    if not out.parent.is_dir():
-        raise InputError(f"page '{out}' cannot be written: there is no folder '{out.parent}'.")
 
 
 def page_body(shown: Sequence[Shown], records: Sequence[list[list[Message]] | None] = ()) -> str:
@@ -78,7 +71,7 @@ def page_body(shown: Sequence[Shown], records: Sequence[list[list[Message]] | No
             for one, label, moments in zip(shown, labels, records or [None] * len(shown), strict=True)
         ],
         "scenes": {one.scene: scene(one.env.setup.robot) for one in shown},
-        "marks": _marks(),
+        "marks": {name.lower(): vars(marks)[name] for name in MARKS},
     }
     packed = {
         "facts": json.dumps(facts, separators=(",", ":")).encode(),
@@ -100,20 +93,3 @@ def printed(one: Sequence[Program]) -> str:
     """A function of a run's constants that gives its printed functions by name."""
     names = ", ".join(program.name for program in one)
     return f"(CONSTANTS) => {{\n{''.join(map(javascript_function, one))}return {{ {names} }};\n}}"
-
-
-def _marks() -> dict[str, Any]:
-    return {
-        "waiting": marks.WAITING,
-        "reached": marks.REACHED,
-        "path": marks.PATH,
-        "trail": marks.TRAIL,
-        "fixed": marks.FIXED,
-        "glass": marks.GLASS,
-        "object": marks.OBJECT,
-        "axes": marks.AXES,
-        "tool_axes": marks.TOOL_AXES,
-        "goal_axes": marks.TARGET_AXES,
-        "radius": marks.TARGET_RADIUS,
-        "opacity": marks.BALL_OPACITY,
-    }

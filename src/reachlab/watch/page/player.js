@@ -22,11 +22,6 @@ class Player {
     this.begin();
   }
 
-  /** Whether it takes another step now. */
-  get ready() {
-    return true;
-  }
-
   /** Begin a new episode, or one that began before. */
   begin(first = this.run.draw()) {
     this.first = first;

@@ -49,8 +49,9 @@ class Remote extends Listener {
     Object.assign(this, { asked: { steps: 0 }, waits: false, refused: failed, looked: -Infinity, barred: 0 });
   }
 
-  get ready() {
-    return Boolean(this.episode) && this.asked.steps < MOST_STEPS;
+  /** Whether it takes no other step now. */
+  get busy() {
+    return !this.episode || this.asked.steps >= MOST_STEPS;
   }
 
   begin() {
@@ -107,10 +108,6 @@ class Recording extends Listener {
     super(run);
     Object.assign(this, { record: run.facts.record, number: -1 });
     this.begin();
-  }
-
-  get ready() {
-    return true;
   }
 
   begin() {

@@ -68,22 +68,13 @@ def read_asked(text: bytes) -> Asked:
     """What a page asks for in its message.
 
     Raises:
-        InputError: it is no JSON, names something else, or holds a value that is not allowed.
+        InputError: it is no JSON, names something else, or holds a value or a number of values that is not allowed.
     """
     try:
         data = json.loads(text)
     except (ValueError, RecursionError):
         raise InputError("what is asked for is no JSON.") from None
     asked = build(Asked, data, "what is asked for")
-    return checked(asked)
-
-
-def checked(asked: Asked) -> Asked:
-    """What is asked for, if it has as many numbers as it needs.
-
-    Raises:
-        InputError: it has not.
-    """
     for name, sizes in {"goal": (0, 3, 7), "body": (0, 4)}.items():
         if (count := len(getattr(asked, name))) not in sizes:
             allowed = " or ".join(map(str, sizes[1:]))
@@ -149,7 +140,7 @@ class Remote:
             InputError: it does not.
         """
         choose("agent", asked.agent, {*AGENTS, self._shown.agent_name})
-        bodies, joints = len(self.player.moment.blocks), len(self._shown.env.setup.robot.actuators)
+        bodies, joints = self.player.state.arm.bodies.kind.shape[1], len(self._shown.env.setup.robot.actuators)
         if asked.body and asked.body[0] not in range(bodies):
             raise InputError(f"body must begin with a number below {bodies}, got {asked.body[0]:g}.")
         if asked.command and len(asked.command) != joints:

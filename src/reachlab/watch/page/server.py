@@ -21,7 +21,6 @@ from dataclasses import dataclass, field, replace
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from socketserver import TCPServer
-from types import TracebackType
 from typing import Any, Self, cast
 
 from reachlab.settings.validation import InputError
@@ -86,9 +85,7 @@ class PageServer:
         """Use it until it is closed."""
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *raised: object) -> None:
         """Stop listening."""
         with self._grown:
             self._closed = True

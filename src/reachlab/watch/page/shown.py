@@ -22,11 +22,9 @@ from reachlab.envs.setup import in_evaluation
 from reachlab.learn.load import load_policy
 from reachlab.robots.catalogue import ROBOTS
 from reachlab.runs.directory import RunDirectory
-from reachlab.runs.saved_reports import read_reports
 from reachlab.runs.shipped import find_run
 from reachlab.settings.config import RunConfig
 from reachlab.settings.validation import InputError, choose
-from reachlab.sims import SIMULATORS
 from reachlab.sims.simulator import Begin
 from reachlab.tasks.observations import OBSERVATIONS
 from reachlab.watch.page.episode import DRAWN, PLAYED, drawn, programs, sampled
@@ -90,11 +88,6 @@ class Shown:
         return f"{robot.name} {hashlib.sha256(repr(robot).encode()).hexdigest()[:16]}"
 
 
-def settings_shown(trained: RunConfig, sim: str | None, **changed: Any) -> RunConfig:
-    """Settings of a run as it is shown: in a simulator, by default its own, without what varied in training."""
-    return in_evaluation(trained, choose("simulator", sim or trained.sim, SIMULATORS), **changed)
-
-
 def load_shown(
     path: Path,
     *,
@@ -113,7 +106,7 @@ def load_shown(
     """
     choose("agent", agent, AGENTS)
     run = find_run(path)
-    env = Env(settings_shown(run.read_config(), sim, **changed), 1)
+    env = Env(in_evaluation(run.read_config(), sim, **changed), 1)
     name = path.name if step is None else f"{path.name}, {step:,} steps"
     one = shown_in(env, agent, load_policy(run, env, step), seed=seed, name=name)
     failed = () if changed else failures(run, env.config.sim, one.agent_name)  # reports are of the goals of training
@@ -150,8 +143,7 @@ def why_streamed(config: RunConfig, agent: str | Function) -> str:
 
 def failures(run: RunDirectory, sim: str, agent: str) -> Iterator[tuple[int, int]]:
     """Seeds and numbers of the episodes in which an agent failed, of evaluations whose reports are in the run."""
-    folder = run.path / "reports"
-    for report, episodes in read_reports(folder) if folder.is_dir() else ():
+    for report, episodes in run.read_reports():
         if (report["sim"], report["agent"], report["randomised"]) == (sim, agent, []):
             yield from ((report["seed"], int(number)) for number in np.flatnonzero(~episodes["success"]))
 
