@@ -86,7 +86,8 @@ def import_of_runs(words: Iterable[str]) -> None:
     """
     for word in words:
         names: list[str] = []
-        with contextlib.suppress(OSError, ValueError, TypeError, KeyError):  # said where it is read as a run
+        # What is wrong with it is said where it is read as a run.
+        with contextlib.suppress(OSError, ValueError, TypeError, KeyError, RecursionError):
             names = json.loads(read_regular(Path(word) / "config.json", MOST_TEXT)[0])["imports"]
         import_remembered(tuple(names))
 
