@@ -280,6 +280,20 @@ def test_a_cube_that_is_dragged_falls_and_is_pushed_again(page: Page, bodies: Pa
     assert apart(moment(page)["bodies"][0][:3], before["goal"]) < 0.02
 
 
+@pytest.mark.usefixtures("entered")
+def test_a_body_that_a_task_moves_may_be_dragged(page: Page, tmp_path: Path) -> None:
+    run = unlearnt(configure("rail", num_envs=8, hidden=(8,)), tmp_path / "rail")
+    write_page([load_shown(run)], tmp_path / "rail.html")
+    open_live(page, tmp_path / "rail.html")
+    x, y = moment(page)["bodies"][0][3:5]
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x - DRAGGED, y, steps=5)
+    page.mouse.up()
+    steps = moment(page)["steps"]
+    wait_until(lambda: moment(page)["steps"] > steps + 20, "it to go on")
+
+
 def test_sliders_make_another_arm_and_another_cube(page: Page, bodies: Path) -> None:
     open_live(page, bodies)
     page.get_by_label("Endless").check()
@@ -698,6 +712,7 @@ def test_a_policy_in_onnx_is_recorded_as_one_of_another_library(
     open_live(page, out)
     page.wait_for_function("reachlab.moment().over")
     assert page.evaluate("reachlab.live.panel.agent") == "trained"
+    assert page.get_by_role("radio", name="trained", exact=True).or_(page.get_by_text("trained", exact=True)).count()
 
 
 def test_the_page_is_small_whole_and_keeps_the_licence(both: Path) -> None:

@@ -133,7 +133,7 @@ class Episode extends Moment {
     places.splice(3 * number, 3, ...position);
     speeds.fill(0, 6 * number, 6 * number + 6);
     this.ask({ bodies_position: places, bodies_velocity: speeds });
-    this.simulator.put(this.state);
+    this.simulator.put?.(this.state); // a kinematic one holds no bodies of its own
   }
 }
 

@@ -9,9 +9,16 @@ class Kinematic {
   begin() {}
 
   /** What has moved in a control period, of what is `wanted`. */
-  step({ q, wanted }) {
-    return { moved_q: wanted, moved_qd: times(minus([...wanted], q), 1 / this.period) };
+  step(state) {
+    const { q, wanted } = state;
+    return { moved_q: wanted, moved_qd: times(minus([...wanted], q), 1 / this.period), ...unmoved(state) };
   }
+}
+
+/** Bodies of a state as they are, where nothing moves them. */
+function unmoved(state) {
+  const names = Object.keys(state).filter((name) => name.startsWith("bodies_"));
+  return Object.fromEntries(names.map((name) => [`moved_${name}`, [...state[name]]]));
 }
 
 /** An arm under full dynamics, as in training: its servos, contacts, and the objects that it moves. */
@@ -111,11 +118,8 @@ class Physics {
     }
     const { qpos, qvel } = data, joints = layout.joints.map((i) => Math.fround(qpos[i]));
     const moved = { moved_q: joints.concat(this.opening(qpos)), moved_qd: layout.speeds.map((i) => Math.fround(qvel[i])) };
+    Object.assign(moved, unmoved(state));
     if (this.gripper) moved.moved_qd.push(0);
-    for (const name of ["position", "quaternion", "velocity", "size", "kind"]) {
-      const part = state[`bodies_${name}`];
-      if (part) moved[`moved_bodies_${name}`] = [...part];
-    }
     for (let k = 0; k < objects; k++) {
       const body = state.bodies_kind.length - objects + k;
       const pose = layout.objects.slice(7 * k, 7 * k + 7).map((i) => Math.fround(qpos[i]));

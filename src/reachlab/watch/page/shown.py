@@ -154,9 +154,10 @@ def facts_of(one: Shown) -> dict[str, Any]:
     low, high = setup.robot.workspace
     box = setup.task.goal_box(setup)
     objects, limits = setup.task.scene(setup).objects, setup.robot.commands
-    named = {one.agent_name: one.agent_name, "trained": "trained", "ik": SCRIPT if objects else "ik"}
+    known = {"trained": "trained"} if one.policy is not None else {}
+    named = {one.agent_name: one.agent_name} | known | {"ik": SCRIPT if objects else "ik"}
     return {
-        "agents": {name: title for name, title in named.items() if one.policy is not None or name != "trained"},
+        "agents": named,
         "agent": one.agent_name,
         "why": one.why,
         "task": one.env.config.task,
