@@ -62,9 +62,9 @@ FAULTS = (
     Fault("watch/captions.py", "millimetres = 1000 * distance", "millimetres = 100 * distance", "video player"),
     # keys and seeds used twice
     Fault(
-        "envs/random_streams.py",
-        "_step_keys(keys, clock, DELAY_STREAM)",
-        "_step_keys(keys, clock, NOISE_STREAM)",
+        "envs/delays.py",
+        "step_keys(keys, clock, streams.DELAY_STREAM)",
+        "step_keys(keys, clock, streams.NOISE_STREAM)",
         "env",
     ),
     Fault("tasks/task.py", "sample_start(setup, keys.start)", "sample_start(setup, keys.goal)", "env task"),

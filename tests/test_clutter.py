@@ -16,8 +16,8 @@ from scipy.spatial.transform import Rotation
 from stable_baselines3.common.env_checker import check_env as stable_baselines3s_checker
 
 from reachlab.control.bodies import FAR, Bodies, Nearest, nearest
-from reachlab.control.contact_model import BODY, CAPSULE
 from reachlab.control.dampers import RATE, STOP, damped, surroundings
+from reachlab.control.planning.collision import BODY, CAPSULE
 from reachlab.control.situation import Goal, Situation
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState

@@ -14,7 +14,8 @@ import pytest
 
 from params import tried
 from reachlab.control.bodies import FAR, Bodies, absent
-from reachlab.control.contact_model import CAPSULE, shapes_of
+from reachlab.control.contact_model import shapes_of
+from reachlab.control.planning.collision import CAPSULE
 from reachlab.control.situation import Situation
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvFunctions

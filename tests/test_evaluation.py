@@ -21,6 +21,7 @@ from reachlab.envs.presets import configure
 from reachlab.envs.random_streams import (
     AGENT_STREAM,
     LEARNER_STREAM,
+    NOISE_STREAM,
     PARTS,
     REPORT_STREAM,
     TRAINING_STREAM,
@@ -28,7 +29,7 @@ from reachlab.envs.random_streams import (
     VIEW_STREAM,
     env_keys,
     episode_keys,
-    noise_keys,
+    step_keys,
     stream_key,
 )
 from reachlab.evaluation.episodes import BATCH, Episodes, Runner, make_runner, run_episodes
@@ -120,7 +121,7 @@ def test_every_key_of_a_run_is_used_for_one_thing() -> None:
     episode, used = episode_keys(0, TRAINING_STREAM, 0, 50), []
     for _ in range(3):
         for_next, *others = (keys for keys in jax.vmap(lambda key: jax.random.split(key, PARTS), out_axes=1)(episode))
-        steps = [noise_keys(for_next, jnp.full(50, step)) for step in range(20)]
+        steps = [step_keys(for_next, jnp.full(50, step), NOISE_STREAM) for step in range(20)]
         streams = [jax.vmap(jax.random.fold_in, (0, None))(for_next, s) for s in (VIEW_STREAM, AGENT_STREAM)]
         used += [for_next, *others, *steps, *streams]
         episode = for_next

@@ -16,10 +16,11 @@ from gymnax.wrappers.gym import GymnaxToGymWrapper, GymnaxToVectorGymWrapper
 
 import reachlab.gymnax
 from reachlab.envs.core import Env
-from reachlab.envs.functions import EnvFunctions, EnvState, Transition
+from reachlab.envs.functions import EnvState, Transition
 from reachlab.envs.presets import configure
 from reachlab.gymnax import jit
 from reachlab.settings.validation import InputError
+from reachlab.sims.simulator import chosen
 
 STEPS, NUM_ENVS = 300, 4
 SHORT: dict[str, Any] = {"max_steps": 20, "clip_actions": False, "success_distance": 0.5, "tool_scale": 0.05}
@@ -68,7 +69,7 @@ def test_equal_keys_give_the_episodes_of_env_bit_for_bit(made: tuple[Any, Any], 
     def follow(key: jax.Array, state: EnvState, action: jax.Array) -> tuple[jax.Array, EnvState, Transition]:
         state, done = twin.step(state, action[None])
         now, begun = (done.observation, state), begin(jax.random.split(key)[1])
-        return *EnvFunctions.merge(done.done, begun, now), done
+        return *chosen(done.done, begun, now), done
 
     begin_own, follow_own = jit(begin), jit(follow)
     reset, step = jit(lambda key: env.reset(key, params)), jit(lambda *now: env.step(*now, params))

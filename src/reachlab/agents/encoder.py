@@ -37,12 +37,16 @@ OFFSET_WEIGHT, PLACE_WEIGHT = 0.5, 1.0
 of choosing the cell."""
 
 
-class Squares:
-    """Features of a whole picture: of each of its squares, then of all of them together."""
+class Layered:
+    """What encoders share."""
 
     def __init__(self, layers: Layers) -> None:
         """Encoder of these layers."""
         self.layers = layers
+
+
+class Squares(Layered):
+    """Features of a whole picture: of each of its squares, then of all of them together."""
 
     @classmethod
     def make(cls, key: Array, size: int) -> Squares:
@@ -63,16 +67,12 @@ class Squares:
         return (x @ output + bias_3).reshape(*picture.shape[:-2], -1)
 
 
-class Keypoints:
+class Keypoints(Layered):
     """Where points are in a picture: each cell says how surely it sees one, and how far from its middle.
 
     Scores and offsets of cells: Redmon et al., "You only look once", CVPR 2016; the expectation over cells: Levine et
     al., "End-to-end training of deep visuomotor policies", JMLR 2016.
     """
-
-    def __init__(self, layers: Layers) -> None:
-        """Encoder of these layers."""
-        self.layers = layers
 
     @classmethod
     def make(cls, key: Array, points: int) -> Keypoints:
@@ -120,16 +120,12 @@ def _expected(scores: Array, places: Array) -> Array:
     return (jax.nn.softmax(SHARPNESS * scores, axis=-2)[..., None] * places).sum(axis=-3)
 
 
-class Pooled:
+class Pooled(Layered):
     """Features of a vector and of rows whose order and number mean nothing, such as bodies.
 
-    Of each row beside the vector, the largest of each number over all rows, and of these beside the vector: Zaheer et
-    al., "Deep sets", NeurIPS 2017; Qi et al., "PointNet", CVPR 2017.
+    Of each row beside the vector, by two layers, the largest of each number over all rows, and of these beside the
+    vector, by those after them: Zaheer et al., "Deep sets", NeurIPS 2017; Qi et al., "PointNet", CVPR 2017.
     """
-
-    def __init__(self, layers: Layers) -> None:
-        """Encoder of these layers: two of a row, then those after it."""
-        self.layers = layers
 
     @classmethod
     def make(cls, key: Array, vector: int, row: int) -> Pooled:

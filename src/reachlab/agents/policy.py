@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple, cast
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -152,8 +152,6 @@ class Policy:
         Raises:
             InputError: the policy has a memory.
         """
-        if self.parameters.memory is not None:
-            raise InputError("this policy remembers: give its memory to `decide`, at first that of `initial`.")
         return self.decide(observation, None, key)[0]
 
     def initial(self, *batch: int) -> Memory:
@@ -193,9 +191,8 @@ class Policy:
 
     def observed(self, observation: Observed) -> Policy:
         """Policy whose normaliser knows a batch `[n, ...]` of observations more."""
-        picture, vector = self.schema.split(observation)
-        count = len(vector) if picture is None else len(picture)
-        return replace(self, normaliser=self.normaliser.update(vector, count))
+        count = len(jax.tree.leaves(observation)[0])
+        return replace(self, normaliser=self.normaliser.update(self.schema.split(observation)[1], count))
 
     def action(self, output: Array) -> Array:
         """Action `[..., a]` in the environment's units of a network output."""
@@ -208,11 +205,12 @@ def encoded(parameters: Parameters, inputs: Inputs) -> Array:
     A policy that remembers knows whether the picture came: of a black one all is 0, or else it would drive the gates of
     the memory to where they are not taught any more.
     """
-    picture, vector, rows = inputs.picture, inputs.vector, inputs.rows
+    known: Any = inputs  # an encoder comes with what it encodes, and without one there is a vector
+    picture, vector, rows = known.picture, known.vector, known.rows
     if isinstance(parameters.encoder, Pooled):
-        return parameters.encoder(cast("Array", vector), cast("Array", rows))
-    if picture is None or parameters.encoder is None:
-        return cast("Array", vector)  # an observation has a picture or a vector
+        return parameters.encoder(vector, rows)
+    if parameters.encoder is None:
+        return vector
     points = parameters.encoder(picture)
     if parameters.memory is not None:
         pixels = picture.reshape(*picture.shape[:-2], -1).astype(points.dtype)
@@ -227,7 +225,7 @@ def features(parameters: Parameters, inputs: Inputs) -> Array:
     if cell is None:
         return x
     if memory is None:
-        raise InputError("this policy remembers: it has to be given its memory.")
+        raise InputError("this policy has to be given its memory: give its memory to `decide`, see `initial`.")
     after = cell(memory, x) if inputs.begins is None else cell.over(memory[0], x, inputs.begins)
     return jnp.concatenate([x, after], axis=-1)
 

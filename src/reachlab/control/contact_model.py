@@ -4,25 +4,23 @@ from __future__ import annotations
 
 import functools
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from typing import Any
 
 import jax
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
-from reachlab.control.bodies import FAR, Bodies
+from reachlab.control.bodies import Bodies
 from reachlab.control.planning.arm import Arm
-from reachlab.control.planning.collision import LEAST_BOUND, Geoms, geoms_of
+from reachlab.control.planning.collision import BODY, Geoms, add_capsule, add_surroundings, geoms_of
 from reachlab.control.planning.following import SHORTEST
 from reachlab.robots.files.model_file import IN_MILLIMETRES
 from reachlab.robots.files.pictures import without_shapes
 from reachlab.robots.robot import Robot
 from reachlab.robots.shapes.clearance import Capsules
 from reachlab.settings.validation import InputError
-
-CAPSULE, BODY, TABLE = "reachlab_capsule_", "reachlab_body_", "reachlab_table"
-"""Names of the geoms that are added, the first two before a number."""
 
 FOLLOWED = 0.45
 """Largest acceleration of a planned motion, in full speeds in a time of the servos' lag: more would take too fast
@@ -33,7 +31,7 @@ log = logging.getLogger(__name__)
 HUGE = 5.0
 """Radius of a capsule that no link has of an arm of the tutorial's size, and of others in proportion [m]."""
 
-_Bit, _Geom = mujoco.mjtDisableBit, mujoco.mjtGeom
+_Bit: Any = mujoco.mjtDisableBit
 
 
 def shapes_of(robot: Robot) -> Capsules:
@@ -88,14 +86,7 @@ def add_contacts(spec: mujoco.MjSpec, robot: Robot, count: int) -> None:
         spec.delete(pair)
     without_shapes(spec)
     _add_capsules(spec, robot)
-    top = [0.0, 0.0, robot.table_top]
-    spec.worldbody.add_geom(name=TABLE, type=_Geom.mjGEOM_PLANE, size=[0, 0, 1], pos=top)
-    for number in range(count):
-        spec.worldbody.add_geom(name=f"{BODY}{number}", type=_Geom.mjGEOM_SPHERE, size=[LEAST_BOUND] * 3, pos=FAR)
-    for geom in spec.geoms:
-        geom.contype = geom.conaffinity = 0  # only pairs collide
-    for one, other in _pairs(robot, count):
-        spec.add_pair(geomname1=one, geomname2=other, condim=1, margin=0, gap=0)
+    add_surroundings(spec, robot.capsules, np.isfinite(robot.capsules.floors), robot.table_top, count)
 
 
 def _add_capsules(spec: mujoco.MjSpec, robot: Robot) -> None:
@@ -110,26 +101,7 @@ def _add_capsules(spec: mujoco.MjSpec, robot: Robot) -> None:
         turn, place = data.xmat[body].reshape(3, 3), data.xpos[body]
         ends = [frames[link] @ (*end, 1.0) for end in (capsules.starts[number], capsules.ends[number])]
         start, end = ((end[:3] - place) @ turn for end in ends)
-        geom = holder.add_geom(name=f"{CAPSULE}{number}", size=[capsules.radii[number], 0, 0], mass=0)
-        if capsules.starts[number] == capsules.ends[number]:
-            geom.type, geom.pos = _Geom.mjGEOM_SPHERE, start
-        else:
-            geom.type, geom.fromto = _Geom.mjGEOM_CAPSULE, np.concatenate([start, end])
-
-
-def _pairs(robot: Robot, count: int) -> Iterator[tuple[str, str]]:
-    """Names of the geoms, two by two, that may not meet."""
-    capsules = robot.capsules
-    for number, floor in zip(np.flatnonzero(capsules.links), robot.capsules.floors, strict=True):
-        yield from ((f"{CAPSULE}{number}", f"{BODY}{other}") for other in range(count))
-        if np.isfinite(floor):
-            yield f"{CAPSULE}{number}", TABLE
-    yield from ((f"{CAPSULE}{one}", f"{CAPSULE}{other}") for one, other in capsules.pairs)
-
-
-def body_geoms(model: mujoco.MjModel) -> list[int]:
-    """Numbers in a model of the geoms that `add_contacts` added for bodies."""
-    return [geom for geom in range(model.ngeom) if model.geom(geom).name.startswith(BODY)]
+        add_capsule(holder, number, start, end, capsules.radii[number])
 
 
 def arm_of(robot: Robot, lag: Sequence[float] = (), period: float = 0.02) -> Arm:
@@ -172,7 +144,8 @@ class FixedBodies:
 
     def __init__(self, batch: Batch) -> None:
         """None of them is there yet."""
-        self.geoms = body_geoms(batch.model)
+        model = batch.model
+        self.geoms = [geom for geom in range(model.ngeom) if model.geom(geom).name.startswith(BODY)]
         self._arrays = [batch.expand(name) for name in Geoms._fields] if self.geoms else []
         self._before = Geoms(*[np.zeros(0)] * len(Geoms._fields))
 

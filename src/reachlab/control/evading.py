@@ -6,10 +6,9 @@ from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 
-from reachlab.control.bodies import Bodies, Nearest, beside
+from reachlab.control.bodies import Bodies, Nearest, absent, beside, nearest
 from reachlab.control.dampers import RATE, STOP, apart, approach, obeyed
 from reachlab.control.situation import Drive, Situation
 from reachlab.robots.robot import Robot
@@ -45,14 +44,14 @@ def evaded(drive: Drive, now: Situation, step: Array) -> Array:
     at = capsules_at(robot.chain, robot.capsules, commanded)
     soon, when = _nearest_pass(robot, at, now.bodies, lag)
     here = _beside(robot, at, after(now.bodies, lag))
-    table, least_above = _above_table(robot, at)
+    table = nearest(robot.capsules, at, absent(0))
     comes = sum(speed[:, None] * way for speed, way in zip(_speeds(now.bodies), here.normal, strict=True))
     stop = STOP * robot.scale
     passed = -drive.period / when * (soon.distance - PASS * robot.scale)
     kept = -RATE * jnp.maximum(here.distance - stop, -3 * stop) + drive.period * comes
     near = [jax.tree.map(lambda x, k=k: x[k], each) for each in (soon, here) for k in range(len(here.distance))]
     rows = [approach(robot, commanded, one) for one in (*near, table)]
-    least = [*passed, *kept, least_above]
+    least = [*passed, *kept, -RATE * jnp.maximum(table.distance - stop, -stop)]
     if robot.capsules.pairs:
         gap, gradient = apart(robot, commanded, OWN)
         rows, least = [*rows, gradient.T[None]], [*least, -OWN_RATE * gap[None]]
@@ -80,12 +79,3 @@ def _nearest_pass(robot: Robot, at: Segments, bodies: Bodies, lag: float) -> tup
         found = jax.tree.map(lambda a, b, nearer=nearer: jnp.where(nearer, a, b), one, found)
         when = jnp.where(nearer, time, when)
     return found, when
-
-
-def _above_table(robot: Robot, at: Segments) -> tuple[Nearest, Array]:
-    """From the table to the same capsules, `[C, B]`, and the least displacement of each away from it [m]."""
-    start, end, radius = moving(robot.capsules, at)
-    point = tuple(jnp.where(start[2] < end[2], a, b) for a, b in zip(start, end, strict=True))
-    zero, floors = jnp.zeros_like(point[2]), np.array(robot.capsules.floors, np.float32)[:, None]
-    away, stop = point[2] - floors - radius, STOP * robot.scale
-    return Nearest(away, (zero, zero, zero + 1.0), point), -RATE * jnp.maximum(away - stop, -stop)

@@ -227,9 +227,9 @@ def compare(folder: Path, env: Env, policy: Policy, situations: int = SITUATIONS
         for state, picture in _situations(env, policy, -(-situations // env.num_envs)):
             _check_goals(facts["goal"], np.asarray(state.goal.position))
             seen, actions, commands, memory = jax.tree.map(np.asarray, decide(state, picture))
-            computed, after = onnx.decide(seen, state.memory)
-            note("ONNX Runtime", (computed - actions) / size)
-            note("ONNX Runtime", 0.0 if memory is None else after - memory)
+            computed, *after = onnx.decide(seen, state.memory)
+            for difference in ((computed - actions) / size, *(one - memory for one in after)):
+                note("ONNX Runtime", difference)
             for row, given in enumerate(rows_of(state, picture, facts["inputs"])):
                 action, wanted, *after = map(np.array, printed(**given))
                 note("step.py", wanted - commands[row])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,13 +22,6 @@ from reachlab.tasks.schema import Observed
 
 FACTS = "policy.json"
 """File beside the graph that says what the policy observes and commands."""
-
-
-def forget(memory: Any, begins: np.ndarray | None) -> Any:
-    """What is remembered `[B, M]`, and nothing where `begins [B]` says so."""
-    if memory is None or begins is None or len(memory) != len(begins):
-        return memory
-    return np.where(begins[:, None], 0.0, memory)
 
 
 class OnnxNetwork:
@@ -59,7 +52,7 @@ class OnnxNetwork:
             raise InputError(f"'{self.file}' cannot be read as a policy in ONNX: {why}.") from None
         self._inputs = {one.name: one for one in self._session.get_inputs()}
         self._remembers = int(self._inputs.pop(MEMORY).shape[1]) if MEMORY in self._inputs else 0
-        self._kept: Any = None
+        self._kept = np.zeros((0, self._remembers), np.float32)
         self.config = _settings(self.file.with_name(FACTS))
         self.checkpoint: dict[str, Any] = {"steps": None, "sha256": hashlib.sha256(content).hexdigest()}
 
@@ -90,23 +83,25 @@ class OnnxNetwork:
 
         A policy that remembers begins anew where `begins [B]` says so, and in all where the batch has another size.
         """
-        actions, self._kept = self.decide(observation, forget(self._kept, begins))
+        if begins is not None and len(begins) == len(self._kept):
+            self._kept = np.where(begins[:, None], 0.0, self._kept)
+        actions, self._kept = (*self.decide(observation, self._kept), self._kept)[:2]
         return actions
 
-    def decide(self, observation: Observed, memory: Any) -> tuple[np.ndarray, Any]:
-        """The same, and what is remembered then `[B, M]`, of what was; None of a policy without memory."""
+    def decide(self, observation: Observed, memory: Any) -> Sequence[np.ndarray]:
+        """The same and, of a policy that remembers, what is remembered then `[B, M]`, of what was."""
         given = self._named(observation)
         count, batch = len(next(iter(given.values()))), self._inputs[next(iter(given))].shape[0]
         if self._remembers:
-            kept = memory is not None and len(memory) == count
-            given[MEMORY] = np.asarray(memory, np.float32) if kept else np.zeros((count, self._remembers), np.float32)
+            kept = memory if len(memory) == count else np.zeros((count, self._remembers))
+            given[MEMORY] = np.asarray(kept, np.float32)
         if batch == 1:  # a graph that was made for one observation at a time
             rows = [{name: part[i : i + 1] for name, part in given.items()} for i in range(count)]
             every = [self._session.run(None, row) for row in rows]
             results = [np.concatenate(parts) for parts in zip(*every, strict=True)]
         else:
             results = self._session.run(None, given)
-        return results[0], results[1] if self._remembers else None
+        return results[: 2 if self._remembers else 1]
 
     act = onnx
     """Under the name by which policies of others are asked; reports call it by the first one."""

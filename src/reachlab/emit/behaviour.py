@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, ShapeDtypeStruct
 
-from reachlab.agents.policy import Policy
+from reachlab.agents.policy import Memory, Policy
 from reachlab.control.bodies import Bodies
 from reachlab.control.situation import WRENCH, Goal
 from reachlab.emit.program import Program
@@ -71,7 +71,7 @@ def behaviour(env: Env, policy: Policy, constants: Mapping[str, np.ndarray]) -> 
         state = measured_state(functions, like, given)
         picture = given["picture"][None] if "picture" in given else None
         _, action, command, memory = decision(functions, policy, state, picture)
-        return {"action": action[0], "wanted": command[0]} | ({} if memory is None else {AFTER: memory[0]})
+        return {"action": action[0], "wanted": command[0]} | remembered_as(AFTER, memory)
 
     def tool(q: Array) -> dict[str, Array]:
         return forward_kinematics(robot.chain, q[: robot.chain.n])._asdict()
@@ -109,6 +109,11 @@ def decision(functions: EnvFunctions, policy: Policy, state: EnvState, picture: 
     action, memory = policy.decide(seen, state.memory)
     action, command, _ = functions.command(state, action, None)
     return seen, action, command, memory
+
+
+def remembered_as(name: str, memory: Memory) -> dict[str, Array]:
+    """What is remembered `[1, M]` by a name; nothing of a policy without memory."""
+    return {} if memory is None else {name: memory[0]}
 
 
 def example_state(env: Env, begin: Begin | None = None) -> EnvState:
@@ -187,9 +192,8 @@ def measured_state(functions: EnvFunctions, like: EnvState, given: Mapping[str, 
 def rows_of(state: EnvState, picture: Any, names: Iterable[str]) -> Iterator[dict[str, Any]]:
     """Inputs of decisions by name, of each of a batch of states: lists of numbers, and a picture as it is."""
     speeds = jnp.concatenate([state.arm.qd, jnp.zeros_like(state.arm.opening)], axis=-1)
-    known = {"q": state.arm.actuated, "qd": speeds, "command": state.command, "last_action": state.last_action}
-    known |= {} if state.memory is None else {MEMORY: state.memory}
-    known |= {} if state.arm.wrench is None else {FELT: state.arm.wrench}
+    known: dict[str, Any] = {"q": state.arm.actuated, "qd": speeds, MEMORY: state.memory, FELT: state.arm.wrench}
+    known |= {"command": state.command, "last_action": state.last_action}
     known |= {GOAL + name: part for name, part in vars(state.goal).items()}
     known |= {BODIES + name: part for name, part in vars(state.arm.bodies).items()}
     given = {name: np.asarray(picture if name == "picture" else known[name]) for name in names}

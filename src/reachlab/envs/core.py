@@ -28,7 +28,7 @@ from reachlab.render.marks import NO_PATH
 from reachlab.render.view_randomisation import develop, make_views
 from reachlab.settings.config import MOST_ENVS, RunConfig
 from reachlab.settings.validation import InputError, whole_number
-from reachlab.sims.simulator import BatchArray, SimState, make_simulator
+from reachlab.sims.simulator import BatchArray, SimState, chosen, make_simulator
 from reachlab.tasks.actions import ACTIONS
 from reachlab.tasks.observations import design_of
 from reachlab.tasks.schema import SIZE, Observed
@@ -91,7 +91,7 @@ class Env:
         more = max(self.simulator.lag) > 0, self.pictured, limits, config.learner.memory
         f = self.functions = EnvFunctions(self.setup, config.randomise, *more)
         # Traced with the simulator's steps or, where an engine takes most of the time, compiled one by one.
-        parts = (f.sample_episode, f.chained_start, f.begin, f.command, f.judge, f.merge, f.continued)
+        parts = (f.sample_episode, f.chained_start, f.begin, f.command, f.judge, chosen, f.continued)
         self.parts = SimpleNamespace(**{one.__name__: one if simulated else self._part(one) for one in parts})
         at_once = simulated or not solved_for(setup)
         self.sample = AllAtOnce(self.parts.sample_episode) if at_once else InParts(f.sample_episode, self._part)
@@ -176,7 +176,7 @@ class Env:
             begin = begin._replace(q=self.parts.chained_start(state, begin.q, chained))
         arm = self.simulator.reset(state.arm, begin, mask)
         begun = replace(self.parts.begin(replace(arm, engine=None), begin), arm=arm)
-        return self.parts.merge(jnp.asarray(mask), begun, replace(state, arm=arm))
+        return self.parts.chosen(jnp.asarray(mask), begun, replace(state, arm=arm))
 
     def _own(self, given: Any) -> Any:
         return given if self.simulator.kind == "traced" else jax.tree.map(np.array, given)  # a caller may change it

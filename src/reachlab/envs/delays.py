@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from reachlab.control.bodies import Bodies, turned
-from reachlab.envs.random_streams import PLACE_STREAM, delay_keys, goal_keys, sight_keys, wrench_keys
+from reachlab.envs import random_streams as streams
 from reachlab.sims.simulator import SimState
 
 JITTER = 0.01
@@ -53,7 +53,7 @@ def sense(before: Sensed, arm: SimState, keys: Array, clock: Array, period: floa
 
     A measurement is a control period old, and up to `JITTER` more.
     """
-    random = jax.vmap(lambda key: jax.random.uniform(key, (2,)))(delay_keys(keys, clock))
+    random = jax.vmap(lambda key: jax.random.uniform(key, (2,)))(streams.step_keys(keys, clock, streams.DELAY_STREAM))
     older = random[:, :1] * min(JITTER / period, 1.0)
     lost = random[:, 1:] < LOST
     q = jnp.where(lost, before.q, arm.q + older * (before.past_q - arm.q))
@@ -63,14 +63,15 @@ def sense(before: Sensed, arm: SimState, keys: Array, clock: Array, period: floa
 
 def goal_seen(rules: Any, keys: Array, clock: Array) -> Array:
     """Whether the goal is seen at the steps `clock [...]` of the episodes with `keys [...]`."""
-    sampled = jax.vmap(jax.random.uniform)(goal_keys(keys.ravel(), clock.ravel()))
+    sampled = jax.vmap(jax.random.uniform)(streams.step_keys(keys.ravel(), clock.ravel(), streams.GOAL_STREAM))
     lost = sampled.reshape(clock.shape) < rules.goal_lost
     return ~lost if rules.goal_steps is None else ~lost & (clock < rules.goal_steps)
 
 
 def felt(wrench: Array, keys: Array, clock: Array) -> Array:
     """Wrenches `[B, 6]` as they are measured at the steps `clock [B]` of the episodes with `keys [B]`."""
-    noise = jax.vmap(lambda key: jax.random.normal(key, wrench.shape[1:]))(wrench_keys(keys, clock))
+    of_step = streams.step_keys(keys, clock, streams.WRENCH_STREAM)
+    noise = jax.vmap(lambda key: jax.random.normal(key, wrench.shape[1:]))(of_step)
     return wrench + jnp.array(WRENCH_NOISE) * noise
 
 
@@ -93,7 +94,8 @@ class Sight:
 
         One is late by one to `LATEST` steps. Of what comes out of turn the latest is known.
         """
-        random = jax.vmap(lambda key: jax.random.uniform(key, (2,)))(sight_keys(keys, clock))
+        of_step = streams.step_keys(keys, clock, streams.SIGHT_STREAM)
+        random = jax.vmap(lambda key: jax.random.uniform(key, (2,)))(of_step)
         late = 1 + (LATEST * random[:, 0]).astype(jnp.int32)
         age = jnp.where(random[:, 1] < UNSEEN, self.age + 1, jnp.minimum(self.age + 1, late))
         past = jax.tree.map(lambda x, old: jnp.concatenate([x[:, None], old[:, :-1]], axis=1), bodies, self.past)
@@ -107,6 +109,6 @@ class Sight:
 
 def misplaced(key: Array, bodies: Bodies) -> Bodies:
     """Bodies `[K]` as a camera might measure them: `OBJECT_ERROR` off in place and yaw, the same for all an episode."""
-    sampled = jax.random.uniform(jax.random.fold_in(key, PLACE_STREAM), (len(bodies.kind), 4), minval=-1.0)
+    sampled = jax.random.uniform(jax.random.fold_in(key, streams.PLACE_STREAM), (len(bodies.kind), 4), minval=-1.0)
     off = sampled * jnp.array(OBJECT_ERROR)
     return replace(bodies, position=bodies.position + off[:, :3], quaternion=turned(bodies.quaternion, off[:, 3]))

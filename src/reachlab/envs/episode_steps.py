@@ -14,11 +14,11 @@ from jax import Array
 from reachlab.control.situation import Goal
 from reachlab.envs.ahead import begin_ahead, known_ahead, moved_like, no_actions
 from reachlab.envs.core import Env
-from reachlab.envs.functions import EnvFunctions, EnvState, Transition, named_errors
+from reachlab.envs.functions import EnvState, Transition, named_errors
 from reachlab.envs.packing import AsTheyAre, PackedResults
 from reachlab.envs.random_streams import gymnasium_keys, keys_of_seeded
 from reachlab.robots.kinematics.scalars import once
-from reachlab.sims.simulator import BatchArray, Moved
+from reachlab.sims.simulator import BatchArray, Moved, chosen
 from reachlab.tasks.schema import Observed
 
 
@@ -72,7 +72,7 @@ class Steps:
 
     def state(self, held: Any) -> EnvState:
         """State of the environment, of what is held."""
-        return held[0]
+        return self._as_state(held[0])
 
     def reset(self, held: Any, seeds: BatchArray, seeded: BatchArray, mask: Any, goal: Goal | None) -> tuple[Any, Now]:
         """What is held and observed after new episodes began; see `EpisodeBatch.reset`."""
@@ -137,7 +137,7 @@ class Steps:
 
         def any_number() -> tuple[Any, Now]:
             begun = self._env.reset(self._as_state(state), mask)
-            return self._as_held(begun), EnvFunctions.merge(mask, self._begun(begun, mask), now, self._xp)
+            return self._as_held(begun), chosen(mask, self._begun(begun, mask), now)
 
         if not self._env.traced:
             mask = np.asarray(mask)
@@ -178,10 +178,6 @@ class HostSteps(Steps):
             (packed,) = self._pack.ahead(state)
             (given,) = self._before.ahead(packed, no_actions(self._env))
             self._after.ahead(packed, given, moved_like(state.arm))
-
-    def state(self, held: Any) -> EnvState:
-        """See `Steps.state`."""
-        return self._as_state(held[0])
 
     def _as_state(self, state: Any) -> EnvState:
         packed, engine = state

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar, cast
+from typing import cast
 
 import jax
 import jax.numpy as jnp
@@ -11,19 +11,12 @@ from jax import Array
 
 from reachlab.control.motion_limits import Motion, MotionLimits
 from reachlab.control.situation import Goal, Situation
+from reachlab.envs import random_streams as streams
 from reachlab.envs.delays import Sensed, Sight, felt, goal_seen, misplaced, sense
-from reachlab.envs.random_streams import (
-    CHAIN_STREAM,
-    OBJECT_STREAM,
-    PARTS,
-    SCENE_STREAM,
-    VIEW_STREAM,
-    noise_keys,
-)
 from reachlab.render.view_randomisation import SAMPLES
 from reachlab.robots.kinematics.forward import forward_kinematics
 from reachlab.robots.kinematics.scalars import once
-from reachlab.sims.simulator import BatchArray, Begin, Moved, SimState
+from reachlab.sims.simulator import BatchArray, Begin, Moved, SimState, chosen
 from reachlab.tasks import actions, observations
 from reachlab.tasks.judging import judge, outside_workspace
 from reachlab.tasks.rewards import reward_terms
@@ -113,8 +106,6 @@ def named_errors(setup: TaskSetup, errors: Errors) -> dict[str, BatchArray]:
 Stepped = tuple[EnvState, Transition]
 """State and transition after a step."""
 
-Tree = TypeVar("Tree")
-
 
 @dataclass(frozen=True)
 class EnvFunctions:
@@ -143,19 +134,19 @@ class EnvFunctions:
         numbers += 2 if "objects" in self.randomise else 0
 
         def one(key: Array, goal: Goal | None) -> Begin:
-            of_episode, (key, for_goal, for_start, for_arm) = key, jax.random.split(key, PARTS)
+            of_episode, (key, for_goal, for_start, for_arm) = key, jax.random.split(key, streams.PARTS)
             dynamics = jax.random.uniform(for_arm, (numbers,), minval=-1.0)
-            parts = Keys(for_goal, for_start, jax.random.fold_in(of_episode, SCENE_STREAM))
+            parts = Keys(for_goal, for_start, jax.random.fold_in(of_episode, streams.SCENE_STREAM))
             start, goal, bodies = task.sample(setup, parts, goal, held_out)
             if "objects" in self.randomise:
-                goal, bodies = task.vary(setup, jax.random.fold_in(of_episode, OBJECT_STREAM), goal, bodies)
+                goal, bodies = task.vary(setup, jax.random.fold_in(of_episode, streams.OBJECT_STREAM), goal, bodies)
             return Begin(key, start, goal, bodies, dynamics)
 
         return jax.vmap(one)(keys, goal)
 
     def chained_start(self, state: EnvState, start: Array, share: float) -> Array:
         """Starts `[B, n]`: where the last episodes ended, for a share of those whose tool is inside the workspace."""
-        sampled = jax.vmap(lambda key: jax.random.uniform(jax.random.fold_in(key, CHAIN_STREAM)))(state.key)
+        sampled = jax.vmap(lambda key: jax.random.uniform(jax.random.fold_in(key, streams.CHAIN_STREAM)))(state.key)
         stays = (sampled < share) & ~outside_workspace(self.setup.robot, state.arm.tool_position)
         return jnp.where(stays[:, None], state.arm.q, start)
 
@@ -269,7 +260,8 @@ class EnvFunctions:
         """A situation with its joints as they are measured."""
         q, qd = (now.q, now.qd) if sensed is None else (sensed.q, sensed.qd)
         if "dynamics" in self.randomise:
-            noise = jax.vmap(lambda key: jax.random.normal(key, (2, now.q.shape[-1])))(noise_keys(keys, clock))
+            of_step = streams.step_keys(keys, clock, streams.NOISE_STREAM)
+            noise = jax.vmap(lambda key: jax.random.normal(key, (2, now.q.shape[-1])))(of_step)
             q, qd = q + POSITION_NOISE * noise[:, 0], qd + SPEED_NOISE * noise[:, 1]
         pose = forward_kinematics(self.setup.robot.chain, q)
         return now._replace(q=q, qd=qd, tool_position=pose.position, tool_quaternion=pose.quaternion)
@@ -278,21 +270,12 @@ class EnvFunctions:
         """Random numbers `[B, SAMPLES]` of the views of episodes, see `make_views`; zeros where views do not vary."""
         if "view" not in self.randomise:
             return jnp.zeros((len(keys), SAMPLES))
-        folded = jax.vmap(lambda key: jax.random.fold_in(key, VIEW_STREAM))(keys)
+        folded = jax.vmap(lambda key: jax.random.fold_in(key, streams.VIEW_STREAM))(keys)
         return jax.vmap(lambda key: jax.random.uniform(key, (SAMPLES,), minval=-1.0))(folded)
 
     @staticmethod
-    def merge(mask: Any, new: Tree, old: Tree, xp: Any = jnp) -> Tree:
-        """A pytree of batches, in JAX or NumPy, with the rows of `new` where `mask [B]` says so."""
-
-        def pick(a: Any, b: Any) -> Any:
-            return a if a is b else xp.where(mask.reshape(mask.shape + (1,) * (a.ndim - 1)), a, b)
-
-        return jax.tree.map(pick, new, old)
-
-    @classmethod
-    def continued(cls, before: Stepped, now: Stepped) -> Stepped:
+    def continued(before: Stepped, now: Stepped) -> Stepped:
         """State and transition of a step after those `before`, which stay where the episode has ended."""
         state, transition = now
         added = replace(transition, reward=before[1].reward + transition.reward)
-        return cls.merge(~before[1].done, (state, added), before)
+        return chosen(~before[1].done, (state, added), before)

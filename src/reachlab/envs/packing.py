@@ -64,9 +64,8 @@ class Apart:
         filled = iter(packed)
         return jax.tree.unflatten(self._structure, [next(filled) if one is None else one for one in self._empty])
 
-    def in_jax(self, packed: Any) -> Any:
-        """A packed pytree as JAX's functions take it."""
-        return self.unpack(packed)
+    in_jax = unpack
+    """A packed pytree as JAX's functions take it."""
 
     def taken(self, packed: Any, *, in_numpy: bool) -> Any:
         """See `AsTheyAre`."""

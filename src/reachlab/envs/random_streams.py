@@ -79,30 +79,6 @@ def keys_of_seeded(seeds: np.ndarray | Array, seeded: np.ndarray | Array, keys: 
     return jax.numpy.where(seeded, gymnasium_keys(seeds), keys)
 
 
-def noise_keys(keys: Array, clock: Array) -> Array:
-    """Keys `[B]` of the measurement noise at the steps `clock [B]` of the episodes with `keys [B]`."""
-    return _step_keys(keys, clock, NOISE_STREAM)
-
-
-def delay_keys(keys: Array, clock: Array) -> Array:
-    """The same of how late the measurements are."""
-    return _step_keys(keys, clock, DELAY_STREAM)
-
-
-def sight_keys(keys: Array, clock: Array) -> Array:
-    """The same of how late bodies are seen."""
-    return _step_keys(keys, clock, SIGHT_STREAM)
-
-
-def goal_keys(keys: Array, clock: Array) -> Array:
-    """The same of whether the goal is seen."""
-    return _step_keys(keys, clock, GOAL_STREAM)
-
-
-def wrench_keys(keys: Array, clock: Array) -> Array:
-    """The same of the noise of the wrench."""
-    return _step_keys(keys, clock, WRENCH_STREAM)
-
-
-def _step_keys(keys: Array, clock: Array, stream: int) -> Array:
+def step_keys(keys: Array, clock: Array, stream: int) -> Array:
+    """Keys `[B]` of one of these streams at the steps `clock [B]` of the episodes with `keys [B]`."""
     return jax.vmap(lambda key, step: jax.random.fold_in(jax.random.fold_in(key, stream), step))(keys, clock)

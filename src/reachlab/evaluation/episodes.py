@@ -15,12 +15,13 @@ from jax import Array
 from reachlab.agents.acting import Function, make_act
 from reachlab.agents.policy import Policy
 from reachlab.envs.core import Env
-from reachlab.envs.functions import EnvFunctions, EnvState, Transition
+from reachlab.envs.functions import EnvState, Transition
 from reachlab.envs.random_streams import AGENT_STREAM, episode_keys
 from reachlab.evaluation.handled import Handled, begin_handling
 from reachlab.evaluation.self_contact import Meets, make_meets
 from reachlab.evaluation.straight import make_straight
 from reachlab.jax_setup import jit
+from reachlab.sims.simulator import chosen
 from reachlab.tasks.task import TaskSetup
 from reachlab.traced import kept
 
@@ -265,7 +266,7 @@ def _count(episodes: Episodes, state: EnvState, transition: Transition, setup: T
         force=None if episodes.force is None else jnp.maximum(episodes.force, state.arm.force),
         handled=episodes.handled and episodes.handled.after(state.arm, setup),
     )
-    return EnvFunctions.merge(episodes.done, episodes, new)
+    return chosen(episodes.done, episodes, new)
 
 
 def run_episodes(

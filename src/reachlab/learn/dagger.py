@@ -99,14 +99,10 @@ def _initial_state(env: Env, config: RunConfig, seed: int | Array, teacher: Poli
         teacher = make_initial_policy(knowing.config, knowing, for_policy)
         knowing.close()
     state = env.init(episode_keys(seed, TRAINING_STREAM, 0, config.loop.num_envs))
-    learner = make_learner(_optimiser(config), policy)
+    learner = make_learner(make_optimiser(config, config.dagger.updates), policy)
     dated = state.memory is not None or config.rules.hides_goal
     buffer = make_buffer(state, env.schema.vector_size, config.dagger.capacity, dated=dated)
     return DistilState(learner, state, key, buffer, teacher)
-
-
-def _optimiser(config: DistilRunConfig) -> optax.GradientTransformation:
-    return make_optimiser(config, config.dagger.updates)
 
 
 class _Lessons:
@@ -206,15 +202,14 @@ class _Lessons:
     def _update(
         self, learner: Learner, buffer: DaggerBuffer, rows: Array, pictures: Array
     ) -> tuple[Learner, dict[str, Array]]:
-        policy, optimiser = learner.policy, _optimiser(self._config)
-        arm, goal, vector, label = jax.tree.map(
-            lambda x: x[rows], (buffer.arm, buffer.goal, buffer.vector, buffer.label)
-        )
-        inputs = Inputs(pictures, policy.normaliser(vector) if vector.shape[-1] else None)
-        clock = None if buffer.clock is None else buffer.clock[rows]
+        policy, optimiser = learner.policy, make_optimiser(self._config, self._config.dagger.updates)
+        parts = (buffer.arm, buffer.goal, buffer.vector, buffer.label, buffer.clock)
+        arm, goal, vector, label, clock = jax.tree.map(lambda x: x[rows], parts)
+        seen = policy.normaliser(vector) if vector.shape[-1] else None
         shown = None if clock is None else goal_seen(self._env.setup.rules, buffer.key[rows], clock)
-        if buffer.memory is not None and clock is not None:
-            inputs = inputs._replace(memory=buffer.memory[rows[:1]], begins=clock == 0)
+        # Of a student without memory nothing is remembered, and nobody asks where episodes begin.
+        memory, begins = jax.tree.map(lambda x: x[rows[:1]], buffer.memory), jax.tree.map(lambda x: x == 0, clock)
+        inputs = Inputs(pictures, seen, memory, begins)
         wanted = (label - policy.centre) / policy.half
         points = jnp.stack([goal.position, arm.tool_position, *jnp.moveaxis(arm.bodies.position, -2, 0)], axis=-2)
         places = self._env.setup.robot.in_workspace(points).reshape(*rows.shape, -1)
@@ -274,14 +269,14 @@ def _load_teacher(config: RunConfig, resume: bool) -> Policy | None:
     if resume:
         return None
     run = find_run(checked.teacher)
-    env = Env(run.read_config(), 1)
+    taught = run.read_config()
+    if taught.learner.memory:
+        raise InputError(f"teacher '{checked.teacher}' remembers, and a teacher must not: train one with --memory 0.")
+    env = Env(taught, 1)
     try:
-        policy = load_policy(run, env)
+        return load_policy(run, env)
     finally:
         env.close()
-    if policy.parameters.memory is not None:
-        raise InputError(f"teacher '{checked.teacher}' remembers, and a teacher must not: train one with --memory 0.")
-    return policy
 
 
 DAGGER = Method(

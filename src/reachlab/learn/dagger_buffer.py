@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import operator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
@@ -63,7 +63,7 @@ def make_buffer(state: EnvState, vector_size: int, capacity: int, *, dated: bool
         return jnp.zeros((capacity, *like.shape[1:]), like.dtype)
 
     vector = jnp.zeros((1, vector_size))
-    parts = _shown(state), state.goal, state.key, vector, state.last_action
+    parts = state.apart.arm, state.goal, state.key, vector, state.last_action
     clock, memory = jax.tree.map(empty, (state.clock if dated else None, state.memory))
     return DaggerBuffer(*jax.tree.map(empty, parts), count=jnp.zeros((), jnp.int32), clock=clock, memory=memory)
 
@@ -73,12 +73,8 @@ def add(buffer: DaggerBuffer, state: EnvState, vector: Array, label: Array) -> D
     num_envs, capacity = label.shape[0], buffer.label.shape[0]
     rows = (buffer.count + jnp.arange(num_envs)) % capacity
     clock = None if buffer.clock is None else state.clock
-    new = DaggerBuffer(_shown(state), state.goal, state.key, vector, label, buffer.count, clock, state.memory)
+    new = DaggerBuffer(state.apart.arm, state.goal, state.key, vector, label, buffer.count, clock, state.memory)
     return jax.tree.map(lambda old, one: old.at[rows].set(one) if old.ndim else old + num_envs, buffer, new)
-
-
-def _shown(state: EnvState) -> SimState:
-    return replace(state.arm, engine=None)
 
 
 def sequences(key: Array, count: int, known: int, num_envs: int, settings: DaggerConfig) -> np.ndarray:

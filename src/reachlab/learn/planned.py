@@ -14,7 +14,7 @@ from reachlab.control.bodies import Bodies
 from reachlab.control.contact_model import arm_of
 from reachlab.control.planning.arm import Arm
 from reachlab.control.planning.collision import CollisionChecker
-from reachlab.control.planning.planner import CLEAR, ROUNDING, STRAIGHT, TRIES
+from reachlab.control.planning.planner import CLEAR, ROUNDING, STRAIGHT, TRIES, duration
 from reachlab.control.planning.search import Search
 from reachlab.control.planning.workers import Workers
 from reachlab.envs.core import Env
@@ -133,10 +133,11 @@ class Teacher:
         None is needed where the goal is near and the way straight.
         """
         start, goal = start.astype(float), goal.astype(float)
-        path = self._path(bodies, start, goal, rng)
-        if path is not None and (len(path) > STRAIGHT or np.linalg.norm(goal - start) > AHEAD):
-            yield self._lesson(path, rng)
-            yield self._lesson(path[::-1], rng)
+        paths = self._paths(bodies, start, goal, rng)
+        for path in sorted(paths, key=lambda path: duration(path, self._arm.speed))[:1]:  # the sooner one
+            if len(path) > STRAIGHT or np.linalg.norm(goal - start) > AHEAD:
+                yield self._lesson(path, rng)
+                yield self._lesson(path[::-1], rng)
 
     def _lesson(self, path: np.ndarray, rng: Generator) -> Lesson:
         along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
@@ -151,8 +152,8 @@ class Teacher:
         q = at(places) + aside
         return Lesson(q, (at(places + AHEAD) - q) / AHEAD, self._arm.links_at(path[-1])[-1, :3, 3], path[-1])
 
-    def _path(self, bodies: Bodies, start: np.ndarray, goal: np.ndarray, rng: Generator) -> np.ndarray | None:
-        """The sooner of two ways `[k, n]`, which keep their distances all along, but for where they begin.
+    def _paths(self, bodies: Bodies, start: np.ndarray, goal: np.ndarray, rng: Generator) -> list[np.ndarray]:
+        """Two ways `[k, n]` or fewer, which keep their distances all along, but for where they begin.
 
         An arm that stands nearer to something than a way may be is one that dampers have stopped: it is told to go back
         first. Did all of its way keep no more than is left there, it would lead on through what stops the arm.
@@ -160,13 +161,13 @@ class Teacher:
         kept = self._place(bodies, goal)
         begun = start if self._checker.free(start) else self._backed(start, kept, rng)
         if begun is None:
-            return None
+            return []
         paths = []
         for seed in rng.integers(2**30, size=TRIES).tolist():
             rounds = iter(range(ROUNDS))
             path = self._search.path(begun, goal[None], lambda rounds=rounds: next(rounds, None) is None, seed=seed)
             paths += [] if path is None else [path if begun is start else np.vstack([start, path])]
-        return min(paths, key=self._time, default=None)
+        return paths
 
     def _backed(self, start: np.ndarray, kept: np.ndarray, rng: Generator) -> np.ndarray | None:
         """Joints `[n]` beside `start [n]` that keep the distances, to which it can go; None where none are found."""
@@ -193,7 +194,3 @@ class Teacher:
         """Whether joints `[n]` are within their limits, and keep the distances."""
         within = (self._arm.lower <= q).all() and (q <= self._arm.upper).all()
         return bool(within and self._checker.free(q))
-
-    def _time(self, path: np.ndarray) -> float:
-        """Time that a path takes where one joint is always at its full speed [s]."""
-        return float((np.abs(np.diff(path, axis=0)) / self._arm.speed).max(axis=1).sum())

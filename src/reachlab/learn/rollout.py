@@ -15,9 +15,10 @@ from jax.stages import Wrapped
 
 from reachlab.agents.policy import Memory, Policy, features, gaussian, remembered
 from reachlab.envs.core import Env
-from reachlab.envs.functions import EnvFunctions, EnvState, Transition
+from reachlab.envs.functions import EnvState, Transition
 from reachlab.jax_setup import jit
 from reachlab.settings.config import LoopConfig
+from reachlab.sims.simulator import chosen
 from reachlab.tasks.schema import Observed
 
 
@@ -119,7 +120,7 @@ def host_collector(first: int = 0, of: int | None = None) -> Collect:
             rows.append(replace(_row(choice, state, transition, observation), target=target))
             if (done := np.asarray(transition.done)).any():
                 state = env.reset(state, done, config.chained_starts or None)
-                observation = EnvFunctions.merge(done, env.observe_now(state, done), observation, np)
+                observation = chosen(done, env.observe_now(state, done), observation)
         return state, _stacked(rows)
 
     return collect

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax.numpy as jnp
 
 from reachlab.robots.kinematics.forward import forward_kinematics
@@ -9,7 +11,6 @@ from reachlab.robots.robot import Robot
 from reachlab.settings.config import SimConfig
 from reachlab.sims.rendering import Drawn
 from reachlab.sims.simulator import BatchArray, Begin, Kind, Moved, SimState, chosen
-from reachlab.tasks.task import EMPTY, Scene
 
 
 class KinematicSimulator(Drawn):
@@ -17,29 +18,16 @@ class KinematicSimulator(Drawn):
 
     kind: Kind = "traced"
 
-    def __init__(
-        self,
-        robot: Robot,
-        config: SimConfig,
-        num_envs: int,
-        *,
-        threads: int = 0,
-        randomise_dynamics: bool = False,
-        scene: Scene = EMPTY,
-    ) -> None:
-        """Simulator of `num_envs` arms; its functions take any batch."""
+    def __init__(self, robot: Robot, config: SimConfig, num_envs: int, **_: Any) -> None:
+        """Simulator of `num_envs` arms, whatever others need beside; its functions take any batch."""
         super().__init__(robot, config, num_envs)
-        del threads, randomise_dynamics, scene
-        self._robot = robot
         self._period = config.control_period
         self.lag = (0.0,) * robot.chain.n
 
     def reset(self, state: SimState | None, begin: Begin, mask: BatchArray | None) -> SimState:
         """See `Simulator.reset`."""
-        q, qd = jnp.asarray(begin.q), jnp.zeros_like(begin.q)
-        if state is not None:
-            q, qd = chosen(mask, (q, qd), (state.q, state.qd))
-        bodies = begin.bodies if state is None else chosen(mask, begin.bodies, state.bodies)
+        begun = jnp.asarray(begin.q), jnp.zeros_like(begin.q), begin.bodies
+        q, qd, bodies = begun if state is None else chosen(mask, begun, (state.q, state.qd, state.bodies))
         return SimState(
             q, qd, *forward_kinematics(self._robot.chain, q), bodies, jnp.zeros((len(q), 0), bool), q[:, :0]
         )

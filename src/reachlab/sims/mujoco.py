@@ -65,10 +65,8 @@ class MujocoSimulator(Drawn):
         self._servos = np.array([servos[joint] for joint in range(n)])
         self.lag = servo_lag(self._model, self._servos, self._speeds)
         self._gripper, fingers = robot.gripper, list(range(n, n + len(robot.gripper.open) if robot.gripper else n))
-        self._fingers, self._finger_servos = (
-            self._model.jnt_qposadr[fingers],
-            np.array([servos[joint] for joint in fingers], int),
-        )
+        self._fingers = self._model.jnt_qposadr[fingers]
+        self._finger_servos = np.array([servos[joint] for joint in fingers], int)
         self._arms = _Arms(self._batch, self._servos, self._speeds) if randomise_dynamics else None
         self._fixed = FixedBodies(self._batch)
         self._free = FreeBodies(self._batch, scene)

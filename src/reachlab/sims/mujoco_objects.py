@@ -7,14 +7,14 @@ import numpy as np
 from mujoco.batch import Batch
 
 from reachlab.control.bodies import FAR, Bodies, Shape
-from reachlab.control.contact_model import BODY
+from reachlab.control.planning.collision import BODY, TABLE
 from reachlab.robots.files.gripper import TIPS
 from reachlab.robots.robot import Robot
 from reachlab.sims.objects import ROLLING, TURNING, mass_and_share, with_objects
 from reachlab.tasks.task import Scene
 
-OBJECT, TABLE = "reachlab_object_", "reachlab_table"
-"""Names of bodies and geoms that are added, the first before a number."""
+OBJECT = "reachlab_object_"
+"""Name of bodies and geoms that are added, before a number."""
 
 SOFTNESS = (0.01, 1.0)
 """Time constant [s] and damping ratio of contacts (MuJoCo's `solref`): penetration stays below a millimetre."""

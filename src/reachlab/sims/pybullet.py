@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from types import ModuleType
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 from jax import Array
@@ -75,20 +75,13 @@ class PybulletSimulator(Clients[TutorialWorld]):
 
 
 def make_pybullet(
-    robot: Robot,
-    config: SimConfig,
-    num_envs: int,
-    *,
-    threads: int = 0,
-    randomise_dynamics: bool = False,
-    scene: Scene = EMPTY,
+    robot: Robot, config: SimConfig, num_envs: int, *, scene: Scene = EMPTY, **_: Any
 ) -> PybulletSimulator | ObjectSimulator:
     """The tutorial's simulator; where a scene has objects, the one with full dynamics.
 
     Raises:
         InputError: the wrench is asked for where joints are set.
     """
-    del threads, randomise_dynamics
     if scene.objects:
         return ObjectSimulator(robot, config, num_envs, scene)
     if scene.wrench:

@@ -153,7 +153,11 @@ def chosen(mask: BatchArray | None, new: Any, old: Any) -> Any:
     if mask is None or old is None:
         return new
     xp: Any = np if isinstance(mask, np.ndarray) else jnp
-    return jax.tree.map(lambda a, b: xp.where(mask.reshape(mask.shape + (1,) * (a.ndim - 1)), a, b), new, old)
+
+    def pick(a: Any, b: Any) -> Any:
+        return a if a is b else xp.where(mask.reshape(mask.shape + (1,) * (a.ndim - 1)), a, b)
+
+    return jax.tree.map(pick, new, old)
 
 
 def make_simulator(

@@ -6,11 +6,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
-from reachlab.settings.config import LearnerConfig, LoopConfig, PPOConfig, SimConfig
 from reachlab.settings.preset_record import Preset, Rule
 from reachlab.settings.validation import NonNegative, Positive, Range, choose
-from reachlab.tasks.precise import WITHOUT_CONTROLLER, Precise
-from reachlab.tasks.tutorial import TOUCHED
+from reachlab.tasks.precise import Precise
 
 if TYPE_CHECKING:
     from reachlab.tasks.task import Task
@@ -44,20 +42,12 @@ IMITATED = Rule(
 class Clutter(Precise):
     """Settings of holding a point among obstacles."""
 
-    preset: ClassVar[Preset] = Preset(
-        sim="mujoco",
-        randomise=("dynamics",),
-        physics=SimConfig(control_period=0.02),
-        loop=LoopConfig(total_steps=3_000_000, stop_early=False, report_episodes=2000, num_envs=256, rollout_steps=100),
-        learner=LearnerConfig(
-            hidden=(128, 128),
-            learning_rate=5e-4,
-            final_learning_rate=1e-5,
-            anneal_steps=3_000_000,
-            initial_std=0.3,
-        ),
-        ppo=PPOConfig(epochs=4, minibatches=4, gamma=0.98, final_std=0.1),
-        rules=(WITHOUT_CONTROLLER, *TOUCHED, IMITATED),
+    preset: ClassVar[Preset] = replace(
+        Precise.preset,
+        loop=replace(Precise.preset.loop, total_steps=3_000_000),
+        learner=replace(Precise.preset.learner, learning_rate=5e-4, anneal_steps=3_000_000, initial_std=0.3),
+        ppo=replace(Precise.preset.ppo, gamma=0.98),
+        rules=(*Precise.preset.rules, IMITATED),
     )
     evaluated: ClassVar[tuple[str, ...]] = ("scene", "obstacles", "body_speed", *Precise.evaluated)
 

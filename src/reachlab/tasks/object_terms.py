@@ -8,18 +8,12 @@ from jax import Array
 
 from reachlab.control.hand import yaw
 from reachlab.control.situation import Situation
-from reachlab.robots.kinematics.forward import norm
 from reachlab.tasks.schema import Term
 from reachlab.tasks.task import Bounds, TaskSetup
-from reachlab.tasks.terms import ARM, GOAL, LAST_ACTION, NEAR, TOOL_AXES, way_bounds, within
+from reachlab.tasks.terms import ARM, GOAL, LAST_ACTION, TOOL_AXES, near_form, way_bounds, within
 
 FASTEST_OBJECT = 5.0
 """Objects are no faster along the table [m/s]."""
-
-
-def _object_way(_setup: TaskSetup, now: Situation) -> Array:
-    """From the tool to the object."""
-    return now.bodies.position[:, -1] - now.tool_position
 
 
 def _left_all(_setup: TaskSetup, now: Situation) -> Array:
@@ -30,11 +24,6 @@ def _left_all(_setup: TaskSetup, now: Situation) -> Array:
 def _left(setup: TaskSetup, now: Situation) -> Array:
     """The same along the table."""
     return _left_all(setup, now)[:, :2]
-
-
-def _near(left: Array) -> Array:
-    """A way `[B, k]` m drawn together, so that its last millimetres count."""
-    return left / (norm(left)[:, None] + NEAR)
 
 
 def _faces(_setup: TaskSetup, now: Situation) -> Array:
@@ -61,9 +50,9 @@ OBJECT = (
     GOAL,
     LAST_ACTION,
     TOOL_AXES,
-    Term("object_way", "m", _object_way, way_bounds),
+    Term("object_way", "m", lambda _, now: now.bodies.position[:, -1] - now.tool_position, way_bounds),
     Term("left", "m", _left, lambda setup: _plane(way_bounds(setup))),
-    Term("left_near", "1", lambda setup, now: _near(_left(setup, now)), lambda _: within(np.ones(2))),
+    Term("left_near", "1", lambda setup, now: near_form(_left(setup, now)), lambda _: within(np.ones(2))),
     Term("faces", "1", _faces, lambda _: within(np.ones(2)), _faceless),
 )
 """The arm and the goal, where the object is beside both, and how it is turned."""
@@ -72,7 +61,7 @@ GRIPPED = (
     *OBJECT[:-3],  # but what is left along the table
     OBJECT[-1],
     Term("left_all", "m", _left_all, way_bounds),
-    Term("left_all_near", "1", lambda setup, now: _near(_left_all(setup, now)), lambda _: within(np.ones(3))),
+    Term("left_all_near", "1", lambda setup, now: near_form(_left_all(setup, now)), lambda _: within(np.ones(3))),
     Term("opening", "m", lambda _, now: now.opening, lambda setup: within([_room(setup)])),
     Term("squeeze", "m", lambda _, now: now.opening - now.command[:, -1:], lambda setup: within([_room(setup)])),
 )

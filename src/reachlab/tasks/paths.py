@@ -58,16 +58,12 @@ class Path:
     at: Callable[[TaskSetup, Array, Array], Place]
 
 
-def _box(setup: TaskSetup) -> tuple[np.ndarray, np.ndarray]:
-    return setup.task.goal_box(setup)
-
-
 # --- lines ----------------------------------------------------------------------------------------
 
 
 def _sample_line(setup: TaskSetup, key: Array, speed: Array) -> Array:
     """The speed, and two ends: in the lower and the upper part of the box along its longest side."""
-    low, high = _box(setup)
+    low, high = setup.task.goal_box(setup)
     for_ends, for_swap = jax.random.split(key)
     ends = jax.random.uniform(for_ends, (2, 3), minval=low, maxval=high)
     longest = int(np.argmax(high - low))
@@ -93,7 +89,7 @@ def _on_line(_setup: TaskSetup, numbers: Array, time: Array) -> Place:
 
 def _sample_circle(setup: TaskSetup, key: Array, speed: Array) -> Array:
     """The angular speed and phase, the centre, and two radii at a right angle."""
-    low, high = _box(setup)
+    low, high = setup.task.goal_box(setup)
     for_radius, for_axes, for_centre, for_phase = jax.random.split(key, 4)
     largest = float((high - low).min()) / 2
     radius = jax.random.uniform(for_radius, minval=SMALLEST_RADIUS * largest, maxval=largest)
@@ -132,7 +128,7 @@ def _sample_smooth(setup: TaskSetup, key: Array, speed: Array) -> Array:
     The frequency is such that the mean speed over a period of the lowest wave is that asked for. Other stretches of a
     path are up to a third slower or faster.
     """
-    low, high = _box(setup)
+    low, high = setup.task.goal_box(setup)
     for_size, for_amplitudes, for_centre, for_phases = jax.random.split(key, 4)
     half = (high - low) / 2
     reach = half * jax.random.uniform(for_size, (3,), minval=0.5)
@@ -165,7 +161,7 @@ def _places(setup: TaskSetup) -> int:
 
 def _sample_jumps(setup: TaskSetup, key: Array, _speed: Array) -> Array:
     """The places, each `goal_jump` from the one before; however fast other goals are."""
-    low, high = _box(setup)
+    low, high = setup.task.goal_box(setup)
     for_first, for_jumps = jax.random.split(key)
 
     def jump(place: Array, key: Array) -> tuple[Array, Array]:

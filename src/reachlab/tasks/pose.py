@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
-from reachlab.settings.config import LearnerConfig, LoopConfig, PPOConfig, SimConfig
 from reachlab.settings.preset_record import Preset
 from reachlab.settings.validation import NonNegative, Positive, Range
-from reachlab.tasks.precise import WITHOUT_CONTROLLER, Precise
-from reachlab.tasks.tutorial import TOUCHED
+from reachlab.tasks.precise import Precise
 
 if TYPE_CHECKING:
     from reachlab.tasks.task import Task
@@ -19,20 +17,11 @@ if TYPE_CHECKING:
 class Pose(Precise):
     """Settings of holding a pose."""
 
-    preset: ClassVar[Preset] = Preset(
-        sim="mujoco",
-        randomise=("dynamics",),
-        physics=SimConfig(control_period=0.02),
-        loop=LoopConfig(total_steps=3_000_000, stop_early=False, report_episodes=2000, num_envs=256, rollout_steps=100),
-        learner=LearnerConfig(
-            hidden=(128, 128),
-            learning_rate=5e-4,
-            final_learning_rate=1e-5,
-            anneal_steps=3_000_000,
-            initial_std=0.2,
-        ),
-        ppo=PPOConfig(epochs=4, minibatches=4, gamma=0.95, final_std=0.05),
-        rules=(WITHOUT_CONTROLLER, *TOUCHED),
+    preset: ClassVar[Preset] = replace(
+        Precise.preset,
+        loop=replace(Precise.preset.loop, total_steps=3_000_000),
+        learner=replace(Precise.preset.learner, learning_rate=5e-4, anneal_steps=3_000_000, initial_std=0.2),
+        ppo=replace(Precise.preset.ppo, gamma=0.95, final_std=0.05),
     )
     evaluated: ClassVar[tuple[str, ...]] = ("target_turn", *Precise.evaluated)
 

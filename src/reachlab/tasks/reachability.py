@@ -13,6 +13,7 @@ from reachlab.jax_setup import jit
 from reachlab.robots.kinematics.forward import forward_kinematics
 from reachlab.robots.kinematics.inverse import ik_point_step
 from reachlab.robots.robot import Robot
+from reachlab.tasks.targets import solved_for
 from reachlab.tasks.task import TaskSetup
 
 SAMPLES = 256
@@ -55,7 +56,7 @@ def survey(setup: TaskSetup) -> Survey:
     """
     random, robot, bounded = np.random.default_rng(0), setup.robot, setup.rules.ends_outside
     low, high = np.array(robot.workspace)
-    reached = _drawn_within(setup) if _solved(setup) else _within_reach(setup, random)
+    reached = _drawn_within(setup) if solved_for(setup) else _within_reach(setup, random)
 
     noise = robot.chain.noise(setup.rules.start_noise)
     starts = robot.home + random.uniform(-1.0, 1.0, (SAMPLES, robot.chain.n)) * noise
@@ -72,11 +73,6 @@ def _within_reach(setup: TaskSetup, random: np.random.Generator) -> np.ndarray:
     inside = ((points >= low - ROUNDING) & (points <= high + ROUNDING)).all(axis=-1)
     near = np.asarray(np.linalg.norm(points - targets, axis=-1) < setup.rules.success_distance)
     return near & inside if bounded else near
-
-
-def _solved(setup: TaskSetup) -> bool:
-    """Whether the task draws targets until one can be reached."""
-    return "joints" in setup.rules.gives
 
 
 def _drawn_within(setup: TaskSetup) -> np.ndarray:

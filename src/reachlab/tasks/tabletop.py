@@ -40,12 +40,6 @@ SAMPLES, LOW = 200_000, 0.05
 """Random joint vectors whose tools show how far an arm reaches over the table, and how near to it these are [m]."""
 
 
-class Reach(NamedTuple):
-    """How far an arm reaches [m]."""
-
-    reach: float
-
-
 class Part(NamedTuple):
     """Corners `[3]` m of a part of the workspace."""
 
@@ -80,15 +74,15 @@ def _find(chain: Chain, home: tuple[float, ...], held: tuple[float, ...], worksp
 
 @functools.cache
 def _reach(chain: Chain, table: float) -> float:
-    def find() -> Reach:
+    def find() -> dict[str, float]:
         q = np.random.default_rng(0).uniform(chain.lower, chain.upper, (SAMPLES, chain.n)).astype(np.float32)
         with jax.ensure_compile_time_eval():
             tool = np.asarray(jit(lambda q: forward_kinematics(chain, q).position, brief=True)(q))
         if not (low := np.abs(tool[:, 2] - table) < LOW).any():
             raise InputError(f"the arm's tool never comes within {LOW:g} m of the table, {table:g} m high.")
-        return Reach(float(np.linalg.norm((tool[low] - chain.frames[0][1])[:, :2], axis=1).max()))
+        return {"reach": float(np.linalg.norm((tool[low] - chain.frames[0][1])[:, :2], axis=1).max())}
 
-    return kept("tables", (VERSION, chain, table), find, Reach, Reach._asdict).reach
+    return kept("tables", (VERSION, chain, table), find, dict, dict)["reach"]
 
 
 def reach_on_table(robot: Robot) -> float:

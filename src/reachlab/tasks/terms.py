@@ -102,9 +102,9 @@ def _way(_setup: TaskSetup, now: Situation) -> Array:
     return now.goal.position - now.tool_position
 
 
-def _way_near(setup: TaskSetup, now: Situation) -> Array:
-    way = _way(setup, now)
-    return way / (norm(way)[..., None] + NEAR)
+def near_form(way: Array, near: float = NEAR) -> Array:
+    """A way `[B, k]` drawn together, so that its last millimetres count: half as long as a far one at `near`."""
+    return way / (norm(way)[..., None] + near)
 
 
 def _seen(setup: TaskSetup, now: Situation) -> Array:
@@ -150,10 +150,6 @@ def axes(quaternion: Array) -> Array:
     return jnp.stack([jnp.asarray(number) for axis in turned[:2] for number in axis], axis=-1)
 
 
-def _goal_axes(_setup: TaskSetup, now: Situation) -> Array:
-    return axes(now.goal.quaternion)
-
-
 def _turn(_setup: TaskSetup, now: Situation) -> Array:
     """From the tool's orientation to the goal's: twice the sine of half the angle, times the axis."""
     tool, goal = (rotation_from_quaternion(*components(q)) for q in (now.tool_quaternion, now.goal.quaternion))
@@ -161,8 +157,7 @@ def _turn(_setup: TaskSetup, now: Situation) -> Array:
 
 
 def _turn_near(setup: TaskSetup, now: Situation) -> Array:
-    turn = _turn(setup, now)
-    return turn / (norm(turn)[..., None] + NEAR / setup.rules.angle_weight)
+    return near_form(_turn(setup, now), NEAR / setup.rules.angle_weight)
 
 
 def _goal_velocity(_setup: TaskSetup, now: Situation) -> Array:
@@ -178,10 +173,6 @@ def _goal_velocity_constant(setup: TaskSetup) -> np.ndarray:
     rules = setup.rules
     moves = rules.goal_velocity and rules.goal_speed[1] > 0 and any(name != "jumps" for name in rules.goal_paths)
     return np.full(3, not moves)
-
-
-def _joint_way(_setup: TaskSetup, now: Situation) -> Array:
-    return now.goal.joints - now.q
 
 
 GOAL = Term("goal", "m", lambda _, now: now.goal.position, _goal_bounds, _goal_constant)
@@ -214,19 +205,19 @@ STATE = (
     *ARM,
     GOAL,
     Term("way", "m", _way, way_bounds),
-    Term("way_near", "1", _way_near, lambda _: within(np.ones(3))),
+    Term("way_near", "1", lambda setup, now: near_form(_way(setup, now)), lambda _: within(np.ones(3))),
     LAST_ACTION,
 )
 """The arm, the goal, the way to it from the tool and the same drawn together, and the last action."""
 
-JOINT_WAY = Term("joint_way", "rad or m", _joint_way, _joint_way_bounds)
+JOINT_WAY = Term("joint_way", "rad or m", lambda _, now: now.goal.joints - now.q, _joint_way_bounds)
 
 TOOL_AXES = Term("tool_axes", "1", lambda _, now: axes(now.tool_quaternion), lambda _: within(np.ones(6)))
 
 POSE = (
     *STATE,
     TOOL_AXES,
-    Term("goal_axes", "1", _goal_axes, lambda _: within(np.ones(6))),
+    Term("goal_axes", "1", lambda _, now: axes(now.goal.quaternion), lambda _: within(np.ones(6))),
     Term("turn", "rad", _turn, lambda _: within(np.full(3, 2.0))),
     Term("turn_near", "1", _turn_near, lambda _: within(np.ones(3))),
     JOINT_WAY,

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
-from reachlab.settings.config import LearnerConfig, LoopConfig, PPOConfig, SimConfig
 from reachlab.settings.preset_record import Preset
 from reachlab.settings.rules import TaskSettings
 from reachlab.settings.validation import (
@@ -18,7 +17,7 @@ from reachlab.settings.validation import (
     Positive,
     Range,
 )
-from reachlab.tasks.precise import WITHOUT_CONTROLLER
+from reachlab.tasks.precise import WITHOUT_CONTROLLER, Precise
 
 if TYPE_CHECKING:
     from reachlab.tasks.task import Task
@@ -28,13 +27,11 @@ if TYPE_CHECKING:
 class Track(TaskSettings):
     """Settings of following a point."""
 
-    preset: ClassVar[Preset] = Preset(
-        sim="mujoco",
-        randomise=("dynamics",),
-        physics=SimConfig(control_period=0.02),
-        loop=LoopConfig(total_steps=3_000_000, stop_early=False, report_episodes=2000, num_envs=256, rollout_steps=100),
-        learner=LearnerConfig(hidden=(128, 128), learning_rate=3e-3, final_learning_rate=1e-5, anneal_steps=3_000_000),
-        ppo=PPOConfig(epochs=4, minibatches=4, gamma=0.8, final_std=0.1),
+    preset: ClassVar[Preset] = replace(
+        Precise.preset,
+        loop=replace(Precise.preset.loop, total_steps=3_000_000),
+        learner=replace(Precise.preset.learner, anneal_steps=3_000_000),
+        ppo=replace(Precise.preset.ppo, gamma=0.8),
         rules=(WITHOUT_CONTROLLER,),
     )
     evaluated: ClassVar[tuple[str, ...]] = (

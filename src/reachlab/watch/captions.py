@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 from PIL import Image, ImageDraw, ImageFont
 
 HEIGHT = 56
@@ -46,7 +47,7 @@ class Caption:
         distance: tool to target [m].
         time: since the episode began [s].
         verdict: of `VERDICTS`; empty while the episode is under way.
-        angle: between their orientations [rad]; None where any will do.
+        angle: between their orientations [rad]; without numbers where any will do.
         error: root mean square of the distance so far [m]; None where it does not count.
     """
 
@@ -55,7 +56,7 @@ class Caption:
     distance: float
     time: float
     verdict: str = ""
-    angle: float | None = None
+    angle: ArrayLike = ()
     error: float | None = None
 
 
@@ -104,9 +105,8 @@ def angle_text(angle: float) -> str:
 
 def _figures(caption: Caption) -> tuple[str, str]:
     """Two lines: how far the tool is from the target, and the time."""
-    errors, time = distance_text(caption.distance), f"{caption.time:.2f} s"
-    if caption.angle is not None:
-        errors += f"  {angle_text(caption.angle)}"
+    time, angles = f"{caption.time:.2f} s", map(angle_text, np.ravel(caption.angle))
+    errors = "  ".join([distance_text(caption.distance), *angles])
     return errors, time if caption.error is None else f"RMS {distance_text(caption.error)} · {time}"
 
 

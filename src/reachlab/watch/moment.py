@@ -18,7 +18,7 @@ class Moment:
         q: joints `[n]` [rad or m].
         tool: where it is `[3]` [m].
         target, target_orientation: `[3]` [m] and `[4]` wxyz, `[0]` where any will do.
-        distance, angle: from tool to target [m] and [rad], None where any orientation will do.
+        distance, angle: from tool to target [m] and [rad], without numbers, `[0]`, where any orientation will do.
         error: root mean square of the distance so far [m]; None where it does not count, or not yet.
         reached: the tool is near enough now and, where the task asks for it, was held.
         path: points `[k, 3]` [m] through which the tool came.
@@ -30,7 +30,7 @@ class Moment:
     target: np.ndarray
     target_orientation: np.ndarray
     distance: float
-    angle: float | None
+    angle: np.ndarray
     error: float | None
     reached: bool
     path: np.ndarray

@@ -151,8 +151,8 @@ class Player:
 
     def observed_picture(self) -> np.ndarray | None:
         """What the policy observes now, `[SIZE, SIZE, 3]` uint8, if that is a picture."""
-        picture = self._env.render_observation(self.state)
-        return None if picture is None else np.stack([picture[0]] * 3, axis=-1)
+        pictures = self._env.render_observation(self.state)
+        return jax.tree.map(lambda each: np.stack([each[0]] * 3, axis=-1), pictures)  # None stays None
 
     def follow(self, following: bool) -> None:
         """Follow the target, or play episodes to their end."""
@@ -214,7 +214,7 @@ class Player:
             target=target,
             target_orientation=_row(goal.quaternion),
             distance=float(_row(errors.distance)),
-            angle=float(_row(errors.angle)) if rules.asks_orientation else None,
+            angle=_row(errors.angle).astype(float),
             error=float(_row(counted.distance)) if settled else None,
             reached=self._env.shown.reached(self.state),
             path=self._path.add(tool),

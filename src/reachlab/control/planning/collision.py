@@ -23,6 +23,9 @@ LEAST_BOUND = 1e-6
 FAR = (0.0, 0.0, -10.0)
 """Where bodies are that are not there [m]: below everything, so that nothing has to tell them apart."""
 
+CAPSULE, BODY, TABLE = "reachlab_capsule_", "reachlab_body_", "reachlab_table"
+"""Names of the geoms of what is judged by contacts, the first two before a number."""
+
 _Geom = mujoco.mjtGeom
 
 
@@ -53,13 +56,9 @@ def geoms_of(bodies: Any) -> Geoms:
 
 
 def arm_model(arm: Arm, count: int) -> mujoco.MjModel:
-    """An arm as its capsules, the table and `count` bodies: what of them may not meet collides, and nothing else.
-
-    The table is the plane of its top, without an edge.
-    """
+    """An arm as its capsules, the table and `count` bodies: what of them may not meet collides, and nothing else."""
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
-    spec.worldbody.add_geom(name="table", type=_Geom.mjGEOM_PLANE, size=[0, 0, 1], pos=[0, 0, arm.table])
     link, links = spec.worldbody, [spec.worldbody]
     for frame, slides in zip(arm.frames[:-1], arm.slides, strict=True):
         turn = np.zeros(4)
@@ -70,22 +69,37 @@ def arm_model(arm: Arm, count: int) -> mujoco.MjModel:
         links.append(link)
     capsules = zip(arm.links, arm.starts, arm.ends, arm.radii, strict=True)
     for number, (carrier, start, end, radius) in enumerate(capsules):
-        capsule = links[carrier].add_geom(name=f"capsule {number}", size=[radius, 0, 0])
-        if (start == end).all():
-            capsule.type, capsule.pos = _Geom.mjGEOM_SPHERE, start
-        else:
-            capsule.type, capsule.fromto = _Geom.mjGEOM_CAPSULE, np.concatenate([start, end])
+        add_capsule(links[carrier], number, start, end, radius)
+    add_surroundings(spec, arm, arm.floors, arm.table, count)
+    return spec.compile()
+
+
+def add_capsule(holder: Any, number: int, start: np.ndarray, end: np.ndarray, radius: float) -> None:
+    """Add a capsule of an arm to the body that holds it, from `start [3]` to `end [3]` in its frame [m]."""
+    geom = holder.add_geom(name=f"{CAPSULE}{number}", size=[radius, 0, 0], mass=0)
+    if (start == end).all():
+        geom.type, geom.pos = _Geom.mjGEOM_SPHERE, start
+    else:
+        geom.type, geom.fromto = _Geom.mjGEOM_CAPSULE, np.concatenate([start, end])
+
+
+def add_surroundings(spec: mujoco.MjSpec, shapes: Any, floors: Any, table: float, count: int) -> None:
+    """Add the table, a plane at its height [m] without an edge, and `count` bodies; what may not meet collides.
+
+    These are capsules of moving links and bodies, those of them and the table that `floors` say, and the shapes'
+    `pairs`: these and `links` are as those of `Arm`.
+    """
+    spec.worldbody.add_geom(name=TABLE, type=_Geom.mjGEOM_PLANE, size=[0, 0, 1], pos=[0.0, 0.0, table])
     for number in range(count):
-        spec.worldbody.add_geom(name=f"body {number}", type=_Geom.mjGEOM_SPHERE, size=[LEAST_BOUND] * 3, pos=FAR)
+        spec.worldbody.add_geom(name=f"{BODY}{number}", type=_Geom.mjGEOM_SPHERE, size=[LEAST_BOUND] * 3, pos=FAR)
     for geom in spec.geoms:
         geom.contype = geom.conaffinity = 0  # only pairs collide
-    pairs = [(f"capsule {one}", f"capsule {other}") for one, other in arm.pairs]
-    for number, floor in zip(np.flatnonzero(arm.links), arm.floors, strict=True):
-        pairs += [(f"capsule {number}", f"body {other}") for other in range(count)]
-        pairs += [(f"capsule {number}", "table")] * bool(floor)
-    for one, other in pairs:
+    pairs = []
+    for number, floor in zip(np.flatnonzero(shapes.links), floors, strict=True):
+        pairs += [(f"{CAPSULE}{number}", f"{BODY}{other}") for other in range(count)]
+        pairs += [(f"{CAPSULE}{number}", TABLE)] * bool(floor)
+    for one, other in (*pairs, *((f"{CAPSULE}{one}", f"{CAPSULE}{other}") for one, other in shapes.pairs)):
         spec.add_pair(geomname1=one, geomname2=other, condim=1, margin=0, gap=0)
-    return spec.compile()
 
 
 class CollisionChecker:
@@ -95,7 +109,7 @@ class CollisionChecker:
         """Of an arm, and with room for so many bodies."""
         self._model = model = arm_model(arm, count)
         self._n, self._data = arm.n, mujoco.MjData(model)
-        self._bodies = [model.geom(f"body {number}").id for number in range(count)]
+        self._bodies = [model.geom(f"{BODY}{number}").id for number in range(count)]
         holders = model.geom_bodyid[np.stack([model.pair_geom1, model.pair_geom2])]
         self._own = holders.min(axis=0) > 0
 

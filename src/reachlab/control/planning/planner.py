@@ -86,21 +86,16 @@ class Planner:
         first = np.vstack([goals[:NEAREST], known])
         for attempt, (some, limit) in enumerate(zip((first, goals, known[None], goals), SECONDS, strict=True)):
             paths: list[np.ndarray] = []
-            while len(paths) < TRIES:
+            while len(paths) < TRIES and not any(len(one) == STRAIGHT for one in paths):
                 ends, seed = time.monotonic() + limit, TRIES * attempt + len(paths)
                 path = self._search.path(start, some, lambda ends=ends: time.monotonic() > ends, seed=seed)
-                if path is not None:
-                    paths.append(path)
-                if path is None or len(path) == STRAIGHT:
+                if path is None:
                     break
-            for path in sorted(paths, key=self._duration):
+                paths.append(path)
+            for path in sorted(paths, key=lambda path: duration(path, self._speed)):
                 if (motion := self._along(path)) is not None:
                     return motion
         return None
-
-    def _duration(self, path: np.ndarray) -> float:
-        """Time that a path takes where one joint is always at its full speed [s]."""
-        return float((np.abs(np.diff(path, axis=0)) / self._speed).max(axis=1).sum())
 
     def _along(self, path: np.ndarray) -> Trajectory | None:
         """The motion along a path, which it follows the closer until it is free; None if it does not come to be."""
@@ -129,3 +124,8 @@ class Planner:
         free = all(self.checker.free(q) for q in motion.q[first:])
         self.checker.keep(*self._least)
         return free
+
+
+def duration(path: np.ndarray, speed: np.ndarray) -> float:
+    """Time that a path `[k, n]` takes where one joint is always at its full speed, of `[n]` [s]."""
+    return float((np.abs(np.diff(path, axis=0)) / speed).max(axis=1).sum())

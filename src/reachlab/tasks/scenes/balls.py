@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -79,20 +80,41 @@ def sample_scene(setup: TaskSetup, key: Array, start: Array, goal: Goal) -> Bodi
     count, (fewest, most) = places(setup), setup.rules.obstacles
     robot, nothing, ends = setup.robot, absent(count, radius=RADIUS[0]), jnp.stack([start, goal.joints])
 
-    def again(before: _Scene) -> _Scene:
-        key, for_count, for_shapes, for_way = jax.random.split(before.key, 4)
+    def draw(key: Array) -> tuple[Array, Bodies, Array]:
+        key, for_count, for_shapes, for_way = jax.random.split(key, 4)
         wanted = jax.random.randint(for_count, (), fewest, most + 1)
         joints = jnp.concatenate([ends, _ways(setup, for_way, start, goal.joints)])
         at = capsules_at(robot.chain, robot.capsules, joints)
         at_ends, on_ways = jax.tree.map(lambda x: x[:, :2], at), jax.tree.map(lambda x: x[:, 2:], at)
         drawn = _drawn(setup, for_shapes, ends, at_ends)
         there = jnp.arange(count) < wanted
-        bodies = jax.tree.map(lambda a, b: jnp.where(_rows(there, a), a, b), drawn, nothing)
-        return _Scene(key, bodies, _leads(setup, on_ways, bodies), before.rounds + 1)
+        bodies = among(there, drawn, nothing)
+        return key, bodies, _leads(setup, on_ways, bodies)
+
+    return first_solved(draw, key, nothing, ROUNDS)
+
+
+def first_solved(
+    draw: Callable[[Array], tuple[Array, Bodies, Array]], key: Array, nothing: Bodies, most: int
+) -> Bodies:
+    """The first scene drawn that is solved, or `nothing`, if none of so many is; `draw` gives the next key too."""
+
+    def again(before: _Scene) -> _Scene:
+        return _Scene(*draw(before.key), before.rounds + 1)
 
     begun = _Scene(key, *of_key(key, (nothing, jnp.zeros((), bool), jnp.zeros((), jnp.int32))))
-    found = jax.lax.while_loop(lambda scene: ~scene.solved & (scene.rounds < ROUNDS), again, begun)
+    found = jax.lax.while_loop(lambda scene: ~scene.solved & (scene.rounds < most), again, begun)
     return jax.tree.map(lambda a, b: jnp.where(found.solved, a, b), found.bodies, nothing)
+
+
+def among(there: Array, drawn: Bodies, nothing: Bodies) -> Bodies:
+    """Those of bodies `[K]` that are `there [K]`, and nothing in place of the others."""
+    return jax.tree.map(lambda a, b: jnp.where(there.reshape(-1, *[1] * (a.ndim - 1)), a, b), drawn, nothing)
+
+
+def between(limits: tuple[float, float], share: Array, scale: float) -> Array:
+    """Lengths between limits for the tutorial's arm, at such shares of the way from the one to the other."""
+    return scale * (limits[0] + share * (limits[1] - limits[0]))
 
 
 def _drawn(setup: TaskSetup, key: Array, free: Array, at: Segments) -> Bodies:
@@ -112,10 +134,6 @@ def _drawn(setup: TaskSetup, key: Array, free: Array, at: Segments) -> Bodies:
     return replace(found, position=jnp.where(clear.any(axis=1)[:, None], found.position, jnp.array(FAR)))
 
 
-def _rows(mask: Array, like: Array) -> Array:
-    return mask.reshape(-1, *[1] * (like.ndim - 1))
-
-
 def _shapes(setup: TaskSetup, key: Array, near: Array) -> Bodies:
     """A random obstacle near each of `near [k, 3]` m."""
     scale, count = setup.robot.scale, len(near)
@@ -125,17 +143,14 @@ def _shapes(setup: TaskSetup, key: Array, near: Array) -> Bodies:
     turn = jax.random.normal(for_turn, (count, 4))
     share = jax.random.uniform(for_size, (count, 3))
 
-    def between(limits: tuple[float, float], share: Array) -> Array:
-        return scale * (limits[0] + share * (limits[1] - limits[0]))
-
-    thick = jnp.where(kind == Shape.BALL, between(RADIUS, share[:, :1]), between(THIN, share[:, :1]))
-    long = jnp.where(kind == Shape.CAPSULE, between(LONG, share[:, 1:2]), 0.0)
+    thick = jnp.where(kind == Shape.BALL, between(RADIUS, share[:, :1], scale), between(THIN, share[:, :1], scale))
+    long = jnp.where(kind == Shape.CAPSULE, between(LONG, share[:, 1:2], scale), 0.0)
     rounded = jnp.concatenate([thick, long, jnp.zeros_like(thick)], axis=1)
     return Bodies(
         position=place,
         quaternion=turn / jnp.linalg.norm(turn, axis=-1, keepdims=True),
         velocity=jnp.zeros((count, 6)),
-        size=jnp.where(kind == Shape.BOX, between(SIDE, share), rounded),
+        size=jnp.where(kind == Shape.BOX, between(SIDE, share, scale), rounded),
         kind=kind[:, 0],
     )
 

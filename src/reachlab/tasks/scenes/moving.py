@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -13,8 +12,7 @@ from jax import Array
 from reachlab.control.bodies import Bodies, Shape, absent, beside
 from reachlab.control.situation import Goal
 from reachlab.robots.shapes.clearance import Segments, capsules_at, free_at, moving
-from reachlab.tasks.scenes.balls import LONG, RADIUS, THIN
-from reachlab.tasks.targets import of_key
+from reachlab.tasks.scenes.balls import LONG, RADIUS, THIN, among, between, first_solved
 from reachlab.tasks.task import TaskSetup
 
 NAME = "moving"
@@ -55,13 +53,6 @@ POSTURES, WIDE = 16, 0.8
 """Postures of which one has to be free of all paths, and how far they are from that at the goal at most [rad]."""
 
 
-class _Scene(NamedTuple):
-    key: Array
-    bodies: Bodies
-    solved: Array
-    rounds: Array
-
-
 def sample_scene(setup: TaskSetup, key: Array, start: Array, goal: Goal) -> Bodies:
     """Bodies for an episode from joints `start [n]` to a goal's, each of which meets an arm that does not give way."""
     robot, nothing = setup.robot, absent(MOST, radius=RADIUS[0])
@@ -69,17 +60,15 @@ def sample_scene(setup: TaskSetup, key: Array, start: Array, goal: Goal) -> Bodi
     share = np.minimum(times / ARRIVAL, 1.0)[:, None]
     way = capsules_at(robot.chain, robot.capsules, start + share * (goal.joints - start))
 
-    def again(before: _Scene) -> _Scene:
-        key, for_count, for_bodies, for_postures = jax.random.split(before.key, 4)
+    def draw(key: Array) -> tuple[Array, Bodies, Array]:
+        key, for_count, for_bodies, for_postures = jax.random.split(key, 4)
         drawn, met = _drawn(setup, for_bodies, way, times)
         there = (jnp.arange(MOST) <= jax.random.randint(for_count, (), 0, MOST)) & met
-        bodies = jax.tree.map(lambda a, b: jnp.where(there.reshape(-1, *[1] * (a.ndim - 1)), a, b), drawn, nothing)
+        bodies = among(there, drawn, nothing)
         evaded = _evaded(setup, for_postures, goal.joints, bodies, times)
-        return _Scene(key, bodies, there[0] & evaded, before.rounds + 1)
+        return key, bodies, there[0] & evaded
 
-    begun = _Scene(key, *of_key(key, (nothing, jnp.zeros((), bool), jnp.zeros((), jnp.int32))))
-    found = jax.lax.while_loop(lambda scene: ~scene.solved & (scene.rounds < ROUNDS), again, begun)
-    return jax.tree.map(lambda a, b: jnp.where(found.solved, a, b), found.bodies, nothing)
+    return first_solved(draw, key, nothing, ROUNDS)
 
 
 def _drawn(setup: TaskSetup, key: Array, way: Segments, times: np.ndarray) -> tuple[Bodies, Array]:
@@ -118,11 +107,8 @@ def _candidates(setup: TaskSetup, key: Array, way: Segments, times: np.ndarray) 
     turn, share = jax.random.normal(keys[5], (count, 4)), jax.random.uniform(keys[6], (count, 2))
     ball = jax.random.bernoulli(keys[7], shape=(count,))
 
-    def between(limits: tuple[float, float], share: Array) -> Array:
-        return scale * (limits[0] + share * (limits[1] - limits[0]))
-
-    thick = jnp.where(ball, between(RADIUS, share[:, 0]), between(THIN, share[:, 0]))
-    long = jnp.where(ball, 0.0, between(LONG, share[:, 1]))
+    thick = jnp.where(ball, between(RADIUS, share[:, 0], scale), between(THIN, share[:, 0], scale))
+    long = jnp.where(ball, 0.0, between(LONG, share[:, 1], scale))
     return Bodies(
         position=place - when[:, None] * velocity,
         quaternion=turn / jnp.linalg.norm(turn, axis=-1, keepdims=True),

@@ -23,6 +23,7 @@ from reachlab.emit.behaviour import (
     example_state,
     goal_of,
     measured_state,
+    remembered_as,
 )
 from reachlab.emit.program import Program
 from reachlab.emit.tracing import trace
@@ -103,7 +104,7 @@ def _decide(page: Episodes, agent: str, given: Mapping[str, Array]) -> dict[str,
         action, memory = ACTIONS[setup.rules.action].towards(setup, now, now), state.memory
     action, command, _ = functions.command(state, action, None)
     wanted = jnp.where(jnp.isnan(given["instead"]), command, given["instead"])[0]
-    return {"action": action[0], "wanted": wanted} | ({} if memory is None else {MEMORY: memory[0]})
+    return {"action": action[0], "wanted": wanted} | remembered_as(MEMORY, memory)
 
 
 def _judge(page: Episodes, given: Mapping[str, Array]) -> dict[str, Array]:
@@ -153,13 +154,12 @@ def arrays_of(setup: TaskSetup, state: EnvState) -> dict[str, Array]:
     errors = state.errors
     speeds = jnp.concatenate([state.arm.qd, jnp.zeros_like(state.arm.opening)], axis=-1)
     named = {"q": state.arm.actuated, "qd": speeds, "command": state.command, "last_action": state.last_action}
-    named |= {} if state.memory is None else {MEMORY: state.memory}
     named |= {"tool": state.arm.tool_position, "angle": errors.angle[:, None]}
     named |= {GOAL + field.name: getattr(state.goal, field.name) for field in fields(state.goal)}
     named |= {BODIES + field.name: getattr(state.arm.bodies, field.name) for field in fields(state.arm.bodies)}
     named |= {f"{PROGRESS}{i}": leaf for i, leaf in enumerate(jax.tree.leaves(state.progress))}
     single = {"clock": state.clock, "distance": errors.distance, "near": setup.task.near(setup.rules, errors)}
-    return {name: part[0] for name, part in named.items() if part.size} | single
+    return {name: part[0] for name, part in named.items() if part.size} | single | remembered_as(MEMORY, state.memory)
 
 
 @functools.lru_cache(maxsize=1)
