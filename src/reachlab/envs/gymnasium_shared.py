@@ -203,7 +203,7 @@ def checked_actions(given: Any, shape: tuple[int, ...]) -> np.ndarray:
     except ValueError:
         raise _misshapen("a ragged one", shape) from None
     if actions.shape != shape:
-        raise _misshapen(str(actions.shape), shape)
+        raise _misshapen(str(actions.shape[1:] if actions.shape[:1] == (1,) == shape[:1] else actions.shape), shape)
     if actions.dtype != np.float32:
         if actions.dtype.kind not in "fiub":
             raise InputError(f"action must be numbers, got {actions.dtype}.")
@@ -216,4 +216,5 @@ def checked_actions(given: Any, shape: tuple[int, ...]) -> np.ndarray:
 
 
 def _misshapen(got: str, shape: tuple[int, ...]) -> InputError:
-    return InputError(f"action must have shape {shape[1:]} in each of {shape[0]} environments, got {got}.")
+    where = f" in each of {shape[0]} environments" if shape[0] > 1 else ""
+    return InputError(f"action must have shape {shape[1:]}{where}, got {got}.")

@@ -35,6 +35,8 @@ def choose(kind: str, name: str, names: Iterable[str], titles: Mapping[str, str]
     allowed = sorted(names)
     if name in allowed:
         return name
+    if not isinstance(name, str):
+        raise InputError(f"{kind} must be one of {', '.join(allowed)}, got {reprlib.repr(name)}.")
     near = [known for known in allowed if known.startswith(str(name).rstrip("s") or " ")]
     words = {known: known.split("_") for known in allowed if "_" in known}
     near = near or [known for known, parts in words.items() if "".join(part[:1] for part in parts) == name]
