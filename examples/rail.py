@@ -69,10 +69,8 @@ class Rail(TaskSettings):
             succeeds=lambda rules, _: f"at the end the tool is within {rules.success_distance:.2g} m of the ball",
         )
 
-    @property
-    def gives(self) -> frozenset[str]:
-        """There is a body beside the arm."""
-        return frozenset({"bodies"})
+    gives = frozenset({"bodies"})
+    """There is a body beside the arm."""
 
 
 def _ball(position: Array) -> Bodies:
@@ -94,10 +92,11 @@ def _sample_goal(setup: TaskSetup, key: Array) -> Goal:
 
 
 def _move(setup: TaskSetup, goal: Goal, bodies: Bodies, clock: Array) -> tuple[Goal, Bodies]:
-    """The ball, and the goal in it, roll there and back along y."""
+    """The ball, and the goal in it, roll there and back along y; by hand a goal is taken off its path, which is NaN."""
     low, high = (end[1] for end in _ends(setup))
     way = goal.path[:, 0] + setup.rules.rail_speed * setup.period * clock / (high - low)
     place = goal.position.at[:, 1].set(low + (high - low) * (1 - jnp.abs(way % 2 - 1)))
+    place = jnp.where(jnp.isnan(way)[:, None], goal.position, place)
     return replace(goal, position=place), replace(bodies, position=place[:, None])
 
 

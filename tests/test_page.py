@@ -458,6 +458,10 @@ def test_a_lost_context_is_made_anew_on_the_same_ground(browser: Browser, both: 
 # --- what is drawn and what is drawn at random ----------------------------------------------------
 
 
+DRAW = "number => reachlab.live.run(number).then(run => Array.from({ length: 60 }, () => run.draw()))"
+"""Begins of episodes of a run."""
+
+
 def test_random_goals_are_those_of_the_task(page: Page, folder: Path) -> None:
     names = ("pose", "track")
     configs = [configure(name, robot="so101" if name == "pose" else "ur5e", num_envs=8, hidden=(8,)) for name in names]
@@ -467,7 +471,7 @@ def test_random_goals_are_those_of_the_task(page: Page, folder: Path) -> None:
     for number, run in enumerate(runs):
         env = load_shown(run).env
         low, high = env.setup.task.goal_box(env.setup)
-        drawn = page.evaluate("number => reachlab.draw(number, 60)", number)
+        drawn = page.evaluate(DRAW, number)
         places = np.array([one["goal_position"] for one in drawn])
         assert (places >= low - 1e-3).all()
         assert (places <= high + 1e-3).all()

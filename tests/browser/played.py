@@ -84,12 +84,31 @@ def natively(env: Env, policy: Any, agent: str) -> tuple[list[dict[str, Any]], P
     return first, Played(success, steps, reached, np.stack(tools), states)
 
 
+PLAY = """async asked => {
+    const { run, agent, episodes, watched } = JSON.parse(asked), { live } = reachlab;
+    const one = await live.run(run), simulator = one.makeSimulator(), Episode = live.player.episode.constructor;
+    const play = begin => {
+        const episode = new Episode(one, begin, simulator), tools = [episode.tool];
+        let reached = null, state = null;
+        while (!episode.done) {
+            episode.step(agent);
+            tools.push(episode.tool);
+            if (episode.near) reached ??= episode.clock;
+            if (episode.clock === watched) state = [...episode.state.q, ...(episode.state.bodies_position ?? [])];
+        }
+        return { success: episode.success, steps: episode.clock, reached, tools, state };
+    };
+    return JSON.stringify(episodes.map(play));
+}"""
+"""What became of episodes that begin as given: success, steps, those until the goal was first reached, where the tool
+was, and joints and bodies after so many steps as are watched."""
+
+
 def in_page(page: Page, first: list[dict[str, Any]], number: int, agent: str, period: float) -> Played:
     """The same episodes of one of a page's runs."""
     asked = json.dumps({"run": number, "agent": agent, "episodes": first, "watched": round(1 / period)})
     # As texts: many numbers take long to hand over one by one.
-    ask = "async asked => JSON.stringify(await reachlab.play(JSON.parse(asked)))"
-    found = json.loads(page.evaluate(ask, asked))
+    found = json.loads(page.evaluate(PLAY, asked))
     width = max((len(one["state"]) for one in found if one["state"]), default=1)
     tools = np.full((1 + max(one["steps"] for one in found), len(found), 3), np.nan)
     for i, one in enumerate(found):

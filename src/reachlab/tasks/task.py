@@ -197,7 +197,8 @@ class Task:
         vary: goal and bodies with objects of another size, of a random key.
         place: the goal put at a position `[3]` m and, where one is asked for, in an orientation `[4]` wxyz, of a goal
             `[1]`, these and the arm's joints `[n]`; and whether the arm can be there freely `[]`.
-        move: goal and bodies after so many steps `[B]`; bodies are only looked at where the scene has moved ones.
+        move: goal and bodies after so many steps `[B]`; bodies are only looked at where the scene has moved ones. By
+            default a goal that was put elsewhere, as by hand, has a `path` of NaN, see `place`.
         known: the goal as far as it is known to the policy.
         achieved: where what is moved truly is, `[B, 3]` m.
         errors: how far what is moved is from where it has to be; the only place that says so.

@@ -136,19 +136,3 @@ class Episode extends Moment {
     this.simulator.put?.(this.state); // a kinematic one holds no bodies of its own
   }
 }
-
-/**
- * What became of an episode with an agent: success, steps, those until the goal was first reached, where the tool was
- * `[steps + 1, 3]` m, and joints and bodies after so many steps as are `watched`.
- */
-function playEpisode(run, agent, begin, { simulator, watched }) {
-  const episode = new Episode(run, begin, simulator), tools = [episode.tool];
-  let reached = null, state = null;
-  while (!episode.done) {
-    episode.step(agent);
-    tools.push(episode.tool);
-    if (episode.near) reached ??= episode.clock;
-    if (episode.clock === watched) state = [...episode.state.q, ...(episode.state.bodies_position ?? [])];
-  }
-  return { success: episode.success, steps: episode.clock, distance: episode.distance, reached, tools, state };
-}

@@ -238,16 +238,6 @@ async function begin() {
   requestAnimationFrame(frame);
   window.reachlab = {
     live,
-    /** What became of episodes of a run that begin as given, see `Run.draw` and `playEpisode`. */
-    async play({ run, agent, episodes, watched }) {
-      const one = await live.run(run), simulator = one.makeSimulator();
-      return episodes.map((begin) => playEpisode(one, agent, begin, { simulator, watched }));
-    },
-    /** So many begins of episodes of a run. */
-    async draw(number, count) {
-      const run = await live.run(number);
-      return Array.from({ length: count }, () => run.draw());
-    },
     /** What the page shows now; null as long as it knows of no arm. */
     moment() {
       if (!live.player.episode) return null;
