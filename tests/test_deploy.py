@@ -187,7 +187,7 @@ def test_the_card_says_where_figures_are_of_something_else(clutter: Path) -> Non
     assert "model-index" not in other
     assert (
         "They are of the policy alone, without its planner, and not of what is asked for here: with scene balls,"
-        " max_steps 150. Evaluate what this export asks for" in other
+        " max_steps 150, and without the limits of acceleration and jerk that the controller keeps. Evaluate" in other
     )
 
 

@@ -153,7 +153,8 @@ def seen(followed: Followed, places: list[float], times: list[float], **more: fl
     """Velocity along x of an obstacle that is seen at places along x [m] at times [s]."""
     found = []
     for place, time in zip(places, times, strict=True):
-        obstacles = [{"position": np.array([place, 0.0, 0.0]), **{name: np.array(x) for name, x in more.items()}}]
+        one = {"radius": 0.1, **more}
+        obstacles = [{"position": np.array([place, 0.0, 0.0]), **{name: np.array(x) for name, x in one.items()}}]
         around = placed(obstacles, 2)
         followed.fill(around, obstacles, time)
         found.append(around["velocity"][0])
@@ -175,7 +176,7 @@ def test_velocities_follow_from_the_last_places() -> None:
 
 
 def test_velocities_that_are_given_stay() -> None:
-    obstacle = {"position": np.zeros(3), "velocity": np.array([0.1, 0.2, 0.3])}
+    obstacle = {"position": np.zeros(3), "radius": np.array(0.1), "velocity": np.array([0.1, 0.2, 0.3])}
     around = placed([obstacle], 1)
     Followed().fill(around, [obstacle], 0.0)
     assert around["velocity"][:3] == [0.1, 0.2, 0.3]

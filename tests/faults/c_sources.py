@@ -14,6 +14,7 @@ from faults.controllers import broken, exported
 from faults.saves import Trial
 from reachlab.control.motion_limits import MotionLimits
 from reachlab.deploy.c_library import FLAGS, OWN, CPolicy, compiler
+from reachlab.deploy.onboard.aiming import NEARBY
 from reachlab.deploy.onboard.controller import Controller
 
 SANITIZED = [flag for flag in FLAGS if flag not in ("-shared", "-fPIC")] + [
@@ -36,7 +37,7 @@ def same_decisions(folder: Path, steps: int) -> Trial:
     inputs = json.loads((folder / "policy.json").read_text())["inputs"]
     limits: MotionLimits = controller.limits
     motion, action, wrong = limits.at_rest(controller.home), [0.0] * inputs["last_action"][0], []
-    commands = [motion.position]
+    commands, (low, high) = [motion.position], controller.goal_box + np.array([[-NEARBY], [NEARBY]])
     with tempfile.TemporaryDirectory() as build:
         c = CPolicy(folder, inputs, limits.n, Path(build))
         c.set(c.state, **motion._asdict())
@@ -48,8 +49,11 @@ def same_decisions(folder: Path, steps: int) -> Trial:
                 for name, shape in inputs.items()
                 if name not in OWN
             }
-            brake = bool(random.random() < 0.02)
+            if random.random() < 0.8:  # else it is hardly ever in the workspace
+                given["goal_position"] = random.uniform(low, high).tolist()
+            brake, goal = bool(random.random() < 0.02), np.array(given["goal_position"])
             wanted, problem = motion.position, not all(np.isfinite(one).all() for one in given.values())
+            problem |= not brake and bool(((goal < low) | (goal > high)).any())
             if not (problem or brake):
                 with np.errstate(all="ignore"):
                     decided, aimed = controller._decide(**given, command=motion.position.tolist(), last_action=action)

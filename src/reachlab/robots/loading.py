@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -135,16 +135,7 @@ def _load(file: ModelFile, name: str, tool: str | None, base: str | None, grippe
         fingers = file.own.joints if file.own else [int(arm.whole.joint(slide).id) for slide in SLIDES]
         isolation = driven(isolation, arm.whole, fingers, hand)
     places = _places(file, arm, listed, limits["speed"])
-    notices = [*file.notices, *arm.notices, *[why] * bool(why)]
-    for short, what in SHORTAGES.items():
-        needed = {i: most for i, most in short(loads, usable, speed).items() if i not in servoed}
-        units = ["N" if slides else "Nm" for slides in arm.chain.slides]
-        joints = [f"{arm.names[i]} has {torque[i]:.3g} of {most:.3g} {units[i]}" for i, most in needed.items()]
-        notices += [f"{what}: {', '.join(joints)}."] * bool(joints)
-    fast = [
-        name for name, slow in zip(arm.names, np.array(arm.chain.slides) | (speed <= FAST), strict=True) if not slow
-    ]
-    notices += [f"Speed limits above {FAST:g} rad/s (are they in degrees?): {some(fast)}."] * bool(fast)
+    notices = [*file.notices, *arm.notices, *[why] * bool(why), *_at_odds(arm, loads, usable, speed)]
     sources["home"] = CATALOGUE if listed.home else FILE if places.home == arm.home else DERIVED
     if arm.home and sources["home"] == DERIVED:
         notices.append("the file's home is not used: from there little can be reached on straight ways.")
@@ -169,6 +160,18 @@ def _load(file: ModelFile, name: str, tool: str | None, base: str | None, grippe
     if robot.scale > HUGE:
         notices.append(f"Its workspace is {robot.scale:.0f} times the tutorial arm's: are its lengths in millimetres?")
     return replace(robot, notices=tuple(notices))
+
+
+def _at_odds(arm: Arm, loads: Loads, torque: np.ndarray, speed: np.ndarray) -> Iterator[str]:
+    """Sentences on joints whose limits `[n]` of torque and of speed do not go together, or cannot be meant."""
+    servoed, units = own_servos(arm.model), ["N" if slides else "Nm" for slides in arm.chain.slides]
+    for short, what in SHORTAGES.items():
+        needed = {i: most for i, most in short(loads, torque, speed).items() if i not in servoed}
+        if needed:
+            joints = (f"{arm.names[i]} has {torque[i]:.3g} of {most:.3g} {units[i]}" for i, most in needed.items())
+            yield f"{what}: {', '.join(joints)}."
+    if fast := np.array(arm.names)[~np.array(arm.chain.slides) & (speed > FAST)].tolist():
+        yield f"Speed limits above {FAST:g} rad/s (are they in degrees?): {some(fast)}."
 
 
 def _limits(

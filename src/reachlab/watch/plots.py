@@ -45,12 +45,11 @@ def plot(runs: str | Path | Sequence[str | Path], out: str | Path) -> list[str]:
     Raises:
         InputError: no run, one without metrics, or an ending that cannot be drawn.
     """
-    out = Path(out)
-    check_place("the picture", out, ENDINGS)
     named = [runs] if isinstance(runs, str | Path) else list(runs)
     if not named:
         raise InputError("runs are drawn, and none is named: name at least one.")
-    groups = group_runs([Path(run) for run in named])
+    groups, out = group_runs([Path(run) for run in named]), Path(out)
+    check_place("the picture", out, ENDINGS)
     found = [(group, read_evaluations(group)) for group in groups]
     limits = {read_settings(group.runs[0]).get("success_distance") for group in groups}
     firsts = [(group.label, evaluations[0]) for group, evaluations in found if evaluations]
