@@ -48,6 +48,7 @@ from reachlab.robots.loading import load_robot
 from reachlab.runs.directory import RunDirectory
 from reachlab.settings.json_form import override
 from reachlab.settings.validation import InputError
+from reachlab.tasks import TASKS
 from reachlab.tasks.actions import ACTIONS
 from reachlab.tasks.observations import OBSERVATIONS, TOOL
 from reachlab.tasks.task import TaskSetup
@@ -189,6 +190,21 @@ def test_the_card_says_where_figures_are_of_something_else(clutter: Path) -> Non
         "They are of the policy alone, without its planner, and not of what is asked for here: with scene balls,"
         " max_steps 150, and without the limits of acceleration and jerk that the controller keeps. Evaluate" in other
     )
+
+
+@pytest.mark.usefixtures("entered")
+def test_a_task_whose_goals_its_controller_would_refuse_is_not_exported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rail = TASKS["rail"].load()
+    made, corner = rail.task(), np.zeros(3, np.float32)
+    monkeypatch.setattr(rail, "task", classmethod(lambda _: replace(made, goal_box=lambda _: (corner, corner + 0.1))))
+    lively_run(tmp_path / "run", "rail")
+    with pytest.raises(
+        InputError, match=r"a goal of the task is at \[0.5, .*\] m, out of its `goal_box`.*make the box"
+    ):
+        export(tmp_path / "run", tmp_path / "policy")
+    assert not (tmp_path / "policy").exists()
 
 
 ADDED: dict[str, tuple[str, Any]] = {

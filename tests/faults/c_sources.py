@@ -81,13 +81,15 @@ def _numbers(random: np.random.Generator, shape: list[int]) -> np.ndarray:
 
 def hostile_inputs(folder: Path, steps: int) -> Trial:
     """So many steps of hostile bytes under the sanitizers of the compiler."""
-    limits = Controller(folder).limits
+    controller = Controller(folder)
+    limits = controller.limits
     with tempfile.TemporaryDirectory() as place:
         build = Path(place)
         for file in (PROGRAM, folder / "reachlab_policy.c", folder / "reachlab_policy.h"):
             shutil.copyfile(file, build / file.name)
         names = ("lower", "upper", "speed", "acceleration", "jerk")
-        rows = {name.upper(): ", ".join(f"{float(one)!r}" for one in getattr(limits, name)) for name in names}
+        arrays = {name.upper(): getattr(limits, name) for name in names} | {"GOAL": controller.goal_box.ravel()}
+        rows = {name: ", ".join(f"{float(one)!r}" for one in array) for name, array in arrays.items()}
         lines = [f"static const double {name}[] = {{ {row} }};\n" for name, row in rows.items()]
         (build / "limits.h").write_text("".join(lines), encoding="ascii")
         program = build / "hostile_inputs"

@@ -46,6 +46,11 @@ int main(int count, char **words)
     double past[4][REACHLAB_COMMANDS] = { { 0 } }, start[REACHLAB_COMMANDS];
     long steps = count == 2 ? atol(words[1]) : 0, broken = 0, refused = 0;
     for (int i = 0; i < REACHLAB_COMMANDS; ++i) start[i] = 0.5 * (LOWER[i] + UPPER[i]);
+    start[0] = UPPER[0] + 0.02;
+    if (reachlab_reset(&arm, start) != REACHLAB_OUTSIDE) return 2;
+    start[0] = UPPER[0] + 0.005; /* as an arm at rest on its limit may be measured */
+    if (reachlab_reset(&arm, start) != REACHLAB_OK || arm.position[0] != UPPER[0]) return 2;
+    start[0] = 0.5 * (LOWER[0] + UPPER[0]);
     if (reachlab_reset(&arm, start) != REACHLAB_OK) return 2;
     start[REACHLAB_COMMANDS - 1] = NAN;
     if (reachlab_reset(&arm, start) != REACHLAB_NOT_FINITE) return 2;
@@ -57,6 +62,8 @@ int main(int count, char **words)
             double one = number(odd);
             memcpy((char *) &input + at, &one, sizeof one);
         }
+        if (uniform() < 0.8) /* else a goal is hardly ever in the workspace */
+            for (int i = 0; i < 3; ++i) input.goal_position[i] = GOAL[i] + uniform() * (GOAL[3 + i] - GOAL[i]);
         memmove(past[1], past[0], 3 * sizeof start);
         refused += reachlab_step(&arm, &input, uniform() < 0.02, past[0]) != REACHLAB_OK;
         for (int i = 0; i < REACHLAB_COMMANDS; ++i) {
