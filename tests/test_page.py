@@ -292,6 +292,10 @@ def test_a_body_that_a_task_moves_may_be_dragged(page: Page, tmp_path: Path) -> 
     page.mouse.up()
     steps = moment(page)["steps"]
     wait_until(lambda: moment(page)["steps"] > steps + 20, "it to go on")
+    after = moment(page)
+    assert np.isfinite([after["distance"], *after["goal"], *after["bodies"][0]]).all()
+    low, high = (after["box"][end][1] for end in ("low", "high"))
+    assert low - 1e-6 <= after["bodies"][0][1] <= high + 1e-6, "it stays on its rail"
 
 
 def test_sliders_make_another_arm_and_another_cube(page: Page, bodies: Path) -> None:
