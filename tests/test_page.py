@@ -153,6 +153,38 @@ def test_the_page_plays_episodes_as_the_engine_of_training_does(page: Page, both
     env.close()
 
 
+STEPPED = """([goal, far]) => {
+    const { run } = reachlab.live.player, Episode = reachlab.live.player.episode.constructor;
+    const episode = new Episode(run, run.draw(), run.simulator), commands = [episode.command];
+    const step = (instead) => commands.push((episode.step("ik", instead), episode.command));
+    for (let k = 0; k < 20; k++) step(null);
+    episode.place(goal);
+    for (let k = 0; k < 20; k++) step(null);
+    for (let k = 0; k < 20; k++) step(far);
+    return commands.map((command) => [...command]);
+}"""
+"""Commands on the way to a goal, to another one, and to joints that are asked for at once."""
+
+
+def test_commands_in_the_page_keep_the_limits_that_training_kept(page: Page, folder: Path) -> None:
+    config = configure("precise", robot="panda", num_envs=8, hidden=(16,), shaping=True)
+    shown = load_shown(unlearnt(config, folder / "shaped"))
+    env = Env(shown.env.config, 20)
+    write_page([shown], folder / "shaped.html")
+    open_live(page, folder / "shaped.html")
+    page.evaluate("reachlab.live.panel.pause(true)")
+    assert compared(page, env, shown.policy, 0, "ik").mean() > 0.9
+    compared(page, env, shown.policy, 0, "trained")
+    limits, period = env.setup.robot.commands, env.setup.period
+    far = (env.setup.robot.home + 0.5 * np.asarray(limits.speed)).tolist()
+    env.close()
+    commands = np.array(page.evaluate(STEPPED, [[0.5, 0.2, 0.5], far]))
+    for power, limit in enumerate((limits.speed, limits.acceleration, limits.jerk), start=1):
+        changes = np.abs(np.diff(commands, power, axis=0)).max(axis=0) / period**power
+        assert (changes <= 1.001 * np.asarray(limit)).all()
+    assert np.abs(commands[-1] - commands[-20]).max() > 0.1, "else this test asks for nothing"
+
+
 @pytest.fixture(scope="module")
 def bodies(folder: Path) -> Path:
     write_page([load_shown(Path(run)) for run in BESIDE], folder / "bodies.html")

@@ -24,6 +24,7 @@ from browser.driver import chromium, opened
 from browser.live import SIZES, open_live
 from reachlab.agents.acting import make_act
 from reachlab.bench.table import Row, row, to_markdown
+from reachlab.emit.behaviour import motion_parts
 from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvState
 from reachlab.envs.random_streams import REPORT_STREAM, episode_keys
@@ -59,6 +60,7 @@ def begins(state: EnvState) -> list[dict[str, Any]]:
     parts = {"q": state.arm.actuated}
     for name, record in (("goal", state.goal), ("bodies", state.arm.bodies)):
         parts |= {f"{name}_{field.name}": getattr(record, field.name) for field in fields(record)}
+    parts |= motion_parts(state.motion)
     arrays = {name: np.asarray(part) for name, part in parts.items() if part.size}
     return [{name: part[i].ravel().tolist() for name, part in arrays.items()} for i in range(len(state.key))]
 

@@ -19,7 +19,7 @@ from reachlab.control.bodies import Bodies
 from reachlab.deploy.lerobot_pictures import Studio
 from reachlab.deploy.lerobot_units import Motors, motors_of
 from reachlab.deploy.surroundings import surroundings
-from reachlab.emit.behaviour import example_state
+from reachlab.emit.behaviour import as_measured, example_state
 from reachlab.envs.core import Env
 from reachlab.envs.random_streams import RECORD_STREAM
 from reachlab.evaluation.episodes import Episodes, Step, Watch, ignore, make_runner, run_episodes
@@ -95,7 +95,7 @@ def record(
     start, out, most, steps = time.perf_counter(), Path(out), config.episodes, list[Step]()
     cameras = {f"observation.images.{choose('camera', name, CAMERAS)}": name for name in config.cameras}
     dataset, motors = _lerobot_dataset(), motors_of(env.config.robot, env.setup.robot)
-    like = example_state(env)
+    like = example_state(as_measured(env.functions))
     beside = surroundings(like.goal, like.arm.bodies).shape[1]
     layout = dataset.Layout(motors.names, beside, tuple(cameras), config.size, *_named(env))
     settings = flatten(to_json(env.config)) | vars(config)

@@ -13,6 +13,7 @@ from jax import Array, ShapeDtypeStruct
 
 from reachlab.agents.policy import Memory, Policy
 from reachlab.control.bodies import Bodies
+from reachlab.control.motion_limits import Motion
 from reachlab.control.situation import WRENCH, Goal
 from reachlab.emit.program import Program
 from reachlab.emit.tracing import trace
@@ -22,8 +23,8 @@ from reachlab.robots.kinematics.forward import Pose, forward_kinematics
 from reachlab.sims.simulator import Begin, SimState
 from reachlab.tasks.schema import SIZE
 
-GOAL, BODIES = "goal_", "bodies_"
-"""Begins of the names of inputs that are parts of the goal and of the bodies."""
+GOAL, BODIES, MOTION = "goal_", "bodies_", "motion_"
+"""Begins of the names of inputs that are parts of the goal, of the bodies and, in a page, of the commands' motion."""
 
 MEMORY, AFTER = "memory", "wanted_memory"
 """Names of what was remembered, as an input, and of what is remembered then, as a result."""
@@ -64,7 +65,8 @@ def behaviour(env: Env, policy: Policy, constants: Mapping[str, np.ndarray]) -> 
     Raises:
         InputError: an observation, an action, a controller or a task computes what cannot be printed.
     """
-    functions, robot, like = as_measured(env.functions), env.setup.robot, example_state(env)
+    functions, robot = as_measured(env.functions), env.setup.robot
+    like = example_state(functions)
     shapes, goal = decision_inputs(env, like), _parts(like.goal)
 
     def decide(**given: Array) -> dict[str, Array]:
@@ -116,20 +118,20 @@ def remembered_as(name: str, memory: Memory) -> dict[str, Array]:
     return {} if memory is None else {name: memory[0]}
 
 
-def example_state(env: Env, begin: Begin | None = None) -> EnvState:
+def example_state(functions: EnvFunctions, begin: Begin | None = None) -> EnvState:
     """A state of one environment that shows what goals, bodies and progress are made of; nothing is computed.
 
     Where begins of episodes `[B, …]` are at hand, they need not be traced again.
     """
-    functions = as_measured(env.functions)
+    setup = functions.setup
     if begin is None:
         like = jax.eval_shape(functions.sample_episode, jax.random.split(jax.random.key(0), 1))
     else:
         like: Begin = jax.tree.map(lambda one: ShapeDtypeStruct((1, *one.shape[1:]), one.dtype), begin)
     position, quaternion = (ShapeDtypeStruct((1, size), jnp.float32) for size in (3, 4))
     contact: Any = ShapeDtypeStruct((1, 0), jnp.bool_)
-    opening: Any = ShapeDtypeStruct((1, len(env.setup.robot.actuators) - env.setup.robot.chain.n), jnp.float32)
-    wrench: Any = ShapeDtypeStruct((1, WRENCH), jnp.float32) if env.setup.rules.wrench else None
+    opening: Any = ShapeDtypeStruct((1, len(setup.robot.actuators) - setup.robot.chain.n), jnp.float32)
+    wrench: Any = ShapeDtypeStruct((1, WRENCH), jnp.float32) if setup.rules.wrench else None
     pose = cast("Pose", (position, quaternion))
     arm = SimState(like.q, like.q, *pose, like.bodies, contact, opening, wrench=wrench)
     shapes = jax.eval_shape(functions.begin, arm, like)
@@ -150,6 +152,8 @@ def decision_inputs(env: Env, like: EnvState) -> Shapes:
     shapes = {name: ShapeDtypeStruct((size,), jnp.float32) for name, size in sizes.items() if size}
     shapes |= {GOAL + name: shape for name, shape in _parts(like.goal).items() if name != "path"}
     shapes |= {BODIES + name: shape for name, shape in _parts(like.arm.bodies).items()}
+    motion = motion_parts(like.motion)
+    shapes |= {name: ShapeDtypeStruct(part.shape[1:], part.dtype) for name, part in motion.items()}
     return shapes | ({"picture": ShapeDtypeStruct((SIZE, SIZE), jnp.uint8)} if env.pictured else {})
 
 
@@ -161,6 +165,16 @@ def goal_of(like: EnvState, given: Mapping[str, Array]) -> Goal:
 def bodies_of(like: EnvState, given: Mapping[str, Array]) -> Bodies:
     """Bodies `[1]` of what is given of them."""
     return _filled(like.arm.bodies, BODIES, given)
+
+
+def _motion_of(like: EnvState, given: Mapping[str, Array]) -> Motion | None:
+    """The motion `[1]` of the commands that is given, where they are shaped."""
+    return None if like.motion is None else Motion(*(given[MOTION + name][None] for name in Motion._fields))
+
+
+def motion_parts(motion: Motion | None) -> dict[str, Array]:
+    """Parts of a motion `[B, m]` by name; none where commands are not shaped."""
+    return {} if motion is None else {MOTION + name: part for name, part in motion._asdict().items()}
 
 
 def _filled(like: Any, begin: str, given: Mapping[str, Array]) -> Any:
@@ -181,7 +195,7 @@ def measured_state(functions: EnvFunctions, like: EnvState, given: Mapping[str, 
         command=given["command"][None],
         last_action=given["last_action"][None],
         clock=jnp.zeros(1, jnp.int32),
-        motion=None,
+        motion=_motion_of(like, given),
         sensed=None,
         sight=None,
         memory=given[MEMORY][None] if MEMORY in given else None,

@@ -187,10 +187,14 @@ class EnvFunctions:
         elif self.setup.rules.rests_at_goal:
             near = self.setup.task.near(self.setup.rules, state.errors)
             command = jnp.where(near[:, None], state.command, command)
+        return action, *self.shaped(state, command)
+
+    def shaped(self, state: EnvState, command: Array) -> tuple[Array, Motion | None]:
+        """What comes of a command `[B, m]` within the limits of acceleration and jerk, where they are kept; its motion."""
         if self.limits is None or state.motion is None:
-            return action, command, None
+            return command, None
         motion = self.limits.advance(state.motion, command, xp=jnp)
-        return action, motion.position, motion
+        return motion.position, motion
 
     def judge(self, before: EnvState, moved: Moved, command: Array, action: Array, motion: Motion | None) -> Stepped:
         """State, without what the engine keeps, and transition that follow from a step of the simulator."""

@@ -23,6 +23,7 @@ from reachlab.emit.behaviour import (
     example_state,
     goal_of,
     measured_state,
+    motion_parts,
     remembered_as,
 )
 from reachlab.emit.program import Program
@@ -71,7 +72,8 @@ def programs(env: Env, policy: Policy, begin: Begin) -> list[Program]:
     Raises:
         InputError: one of them computes what cannot be printed.
     """
-    page, chain = Episodes(as_measured(env.functions), policy, example_state(env, begin)), env.setup.robot.chain
+    functions, chain = replace(as_measured(env.functions), limits=env.functions.limits), env.setup.robot.chain
+    page = Episodes(functions, policy, example_state(functions, begin))
     like, asked = page.like, decision_inputs(env, page.like)
     goal = {GOAL + field.name: getattr(like.goal, field.name) for field in fields(like.goal)}
     goal = {name: ShapeDtypeStruct(part.shape[1:], part.dtype) for name, part in goal.items() if part.size}
@@ -102,9 +104,10 @@ def _decide(page: Episodes, agent: str, given: Mapping[str, Array]) -> dict[str,
         action, memory = page.policy.decide(functions.observe(state), state.memory)
     else:
         action, memory = ACTIONS[setup.rules.action].towards(setup, now, now), state.memory
-    action, command, _ = functions.command(state, action, None)
-    wanted = jnp.where(jnp.isnan(given["instead"]), command, given["instead"])[0]
-    return {"action": action[0], "wanted": wanted} | remembered_as(MEMORY, memory)
+    action, command, _ = replace(functions, limits=None).command(state, action, None)
+    wanted, motion = functions.shaped(state, jnp.where(jnp.isnan(given["instead"]), command, given["instead"]))
+    parts = {"action": action, "wanted": wanted} | motion_parts(motion)
+    return {name: part[0] for name, part in parts.items()} | remembered_as(MEMORY, memory)
 
 
 def _judge(page: Episodes, given: Mapping[str, Array]) -> dict[str, Array]:
@@ -116,7 +119,7 @@ def _judge(page: Episodes, given: Mapping[str, Array]) -> dict[str, Array]:
     bodies = bodies_of(page.like, {name.removeprefix(MOVED): part for name, part in given.items() if MOVED in name})
     q, qd = given[f"{MOVED}q"][None], given[f"{MOVED}qd"][None]
     moved = Moved(q[:, :n], qd[:, :n], bodies, given.get("contact", state.arm.contact), q[:, n:])
-    after, transition = functions.judge(state, moved, given["wanted"][None], given["action"][None], None)
+    after, transition = functions.judge(state, moved, given["wanted"][None], given["action"][None], state.motion)
     ended = {"success": transition.terms["success"], "terminated": transition.terminated, "done": transition.done}
     return arrays_of(functions.setup, after) | ended | {"counted": transition.counted.distance}
 
@@ -158,6 +161,7 @@ def arrays_of(setup: TaskSetup, state: EnvState) -> dict[str, Array]:
     named |= {GOAL + field.name: getattr(state.goal, field.name) for field in fields(state.goal)}
     named |= {BODIES + field.name: getattr(state.arm.bodies, field.name) for field in fields(state.arm.bodies)}
     named |= {f"{PROGRESS}{i}": leaf for i, leaf in enumerate(jax.tree.leaves(state.progress))}
+    named |= motion_parts(state.motion)
     single = {"clock": state.clock, "distance": errors.distance, "near": setup.task.near(setup.rules, errors)}
     return {name: part[0] for name, part in named.items() if part.size} | single | remembered_as(MEMORY, state.memory)
 
@@ -185,6 +189,8 @@ def drawn(env: Env, begin: Begin) -> dict[str, np.ndarray]:
     parts = {"q": np.concatenate([begin.q, openings], axis=1)}
     parts |= {GOAL + field.name: getattr(begin.goal, field.name) for field in fields(begin.goal)}
     parts |= {BODIES + field.name: getattr(begin.bodies, field.name) for field in fields(begin.bodies)}
+    limits = env.functions.limits
+    parts |= motion_parts(limits.at_rest(parts["q"], jnp) if limits else None)
     return {
         name: np.asarray(part, part.dtype if part.dtype.kind == "i" else np.float32)
         for name, part in parts.items()

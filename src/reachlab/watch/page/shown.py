@@ -135,7 +135,6 @@ def why_streamed(config: RunConfig, agent: str | Function) -> str:
         f"the page has no agent {name_of(agent)}": agent not in PLAYED,
         "the page always sees the target": config.rules.hides_goal,
         "the page measures no wrench": config.rules.wrench,
-        "the page does not shape commands": config.physics.shaping,
         "the page does not hold the meshes that collide with the table": config.physics.collisions,
     }
     return next((reason for reason, holds in reasons.items() if holds), "")
