@@ -222,6 +222,37 @@ def test_what_a_user_adds_is_exported_by_itself(name: str, tmp_path: Path, monke
     assert done.differences["step.py"] < SAME
 
 
+def test_limits_that_were_lowered_are_those_of_c_too(tmp_path: Path) -> None:
+    run, lowered = lively_run(tmp_path / "run", "precise"), tmp_path / "lowered.json"
+    first = export(run, tmp_path / "first")
+    facts = json.loads((first.folder / "policy.json").read_text())
+    for limits in facts["limits"].values():
+        limits.update(speed=0.2, acceleration=1.0)
+    lowered.write_text(json.dumps(facts))
+    second = export(run, tmp_path / "second", limits=lowered)
+    assert second.differences["reachlab_policy.c"] < 1e-12, "C beside the shell, which keeps the lowered limits"
+    assert Controller(second.folder).limits.speed == pytest.approx(0.2)
+    texts = [(one.folder / "reachlab_policy.c").read_text() for one in (first, second)]
+    assert texts[0] != texts[1]
+    next(iter(facts["limits"].values()))["speed"] = 100.0
+    lowered.write_text(json.dumps(facts))
+    with pytest.raises(InputError, match=r"speed must be above 0 and at most .* never widened"):
+        export(run, tmp_path / "third", limits=lowered)
+    lowered.write_text("{}")
+    with pytest.raises(InputError, match=r"lowered\.json' has no `limits` of joints: name the policy\.json"):
+        export(run, tmp_path / "third", limits=lowered)
+
+
+def test_a_check_says_where_joints_follow_otherwise_than_in_training(
+    precise: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["deploy", "check", str(precise), "--episodes", "1"]
+    assert cli.main([*words, "--sim", "kinematic"]) == cli.DONE
+    assert "follow their commands 0 s late here, and in training did so 0.1 s late" in capsys.readouterr().err
+    assert cli.main(words) == cli.DONE
+    assert "follow their commands" not in capsys.readouterr().err
+
+
 def test_an_export_counts_on_measurements_as_late_as_they_were_in_training(tmp_path: Path) -> None:
     commands = {}
     for varied in (("dynamics",), ("dynamics", "delay")):

@@ -15,6 +15,7 @@ from reachlab.envs.core import Env
 from reachlab.envs.delays import JITTER, LATEST, LOST, UNSEEN, Sensed, Sight, sense
 from reachlab.envs.presets import configure
 from reachlab.envs.random_streams import TRAINING_STREAM, episode_keys
+from reachlab.evaluation.report import evaluate
 from reachlab.robots.loading import load_robot
 from reachlab.sims.simulator import SimState
 
@@ -119,6 +120,17 @@ def test_an_environment_keeps_the_limits_in_training() -> None:
     for order, limit in ((1, robot.speed), (2, robot.acceleration)):
         rates = np.diff(np.array(commands, float), order, axis=0) / env.setup.period**order
         assert (np.abs(rates).max(axis=(0, 1)) <= np.array(limit) * 1.02).all(), "but for single precision"
+    env.close()
+
+
+FOLLOWED = (("precise", "kinematic"), ("pose", "kinematic"), ("track", "kinematic"), ("track", "mujoco"))
+"""Tasks and simulators in which controllers would swing about their goals if they knew nothing of the limits."""
+
+
+@pytest.mark.parametrize(("task", "sim"), FOLLOWED)
+def test_controllers_arrive_within_limits_that_nobody_stated(task: str, sim: str) -> None:
+    env = Env(configure(task, robot="ur5e", sim=sim, shaping=True, randomise=("delay",)), 16)
+    assert evaluate(env, "ik", None, episodes=16).success_rate > 0.9
     env.close()
 
 

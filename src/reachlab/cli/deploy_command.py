@@ -15,6 +15,9 @@ from reachlab.settings.validation import InputError
 NODE = {"topics", "trajectory", "joint_names", "frame"}
 """Flags of the node; the others are of the check."""
 
+OTHERWISE = 0.03
+"""By how much later or sooner than in training joints may follow their commands without a word [s]."""
+
 IN_TIME = 0.99
 """Share of commands in time below which a check says that the computer is at fault."""
 
@@ -27,7 +30,7 @@ def export(arguments: Export) -> None:
     from reachlab.deploy.check import read_facts
     from reachlab.deploy.export import SITUATIONS, TOLERANCES, export
 
-    done = export(arguments.run, arguments.out, arguments.agent, **other_goals(arguments))
+    done = export(arguments.run, arguments.out, arguments.agent, arguments.limits, **other_goals(arguments))
     if arguments.json:
         print(jsonlib.dumps({"folder": str(done.folder), "files": done.files, "differences": done.differences}))
         return
@@ -93,6 +96,20 @@ def deploy(arguments: Deploy) -> None:
     for example, count in _by_kind(outcome["problems"]).items():
         say(f"The controller said in {count:,} cycles: {example}.")
     _say_unshaped(arguments.policy)
+    _say_lag(arguments.policy, outcome["lag_s"])
+
+
+def _say_lag(folder: Path, lag: float) -> None:
+    """Say where joints follow their commands by another time [s] than in the policy's training."""
+    from reachlab.cli.console import note
+    from reachlab.deploy.check import read_facts
+
+    trained = max(read_facts(folder)["arm"]["lag"])
+    if abs(lag - trained) > OTHERWISE:
+        note(
+            f"Joints follow their commands {lag:.2g} s late here, and in training did so {trained:.2g} s late: a policy"
+            " may swing about its goal for that. docs/deploy.md says how to train for such an arm."
+        )
 
 
 def _by_kind(problems: Mapping[str, int]) -> dict[str, int]:

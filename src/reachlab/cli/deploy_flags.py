@@ -24,6 +24,8 @@ class Export(Checked):
     """Folder to make; by default policy, here."""
     agent: Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")] = None
     """`trained`, or `hybrid`: a planner beside the policy; by default that among bodies that stay in place."""
+    limits: Path | None = None
+    """Lowered limits of the joints, the policy.json of an export before: C has them compiled in."""
     goals: GoalFlags = field(default_factory=no_goals)
     """What will be asked for, where that is something else than in training."""
     json: bool = False

@@ -19,6 +19,9 @@ from reachlab.settings.validation import InputError, choose
 if TYPE_CHECKING:
     from reachlab.cli.progress import Bar
 
+ELSEWHERE = 0.9
+"""Success in another simulator than that of training below which is said why that may be."""
+
 
 def evaluate(arguments: Eval) -> None:
     """Run `reachlab eval`.
@@ -121,8 +124,23 @@ def _show_evaluation(
         print(jsonlib.dumps([*reports, *means] if as_list else reports[0]))
     elif reports:
         print_reports([*reports, *means], config)
+        _say_elsewhere(reports, subjects)
         if means:
             note("Means are over trainings; their intervals are Student's, and a dash where all trainings are equal.")
+
+
+def _say_elsewhere(reports: Sequence[dict[str, Any]], subjects: Sequence[Subject]) -> None:
+    """Say why a policy may fail in another simulator than that of its training."""
+    from reachlab.cli.console import say
+
+    for subject, report in itertools.product(subjects, reports):
+        own, other, failed = subject.config.sim, report["sim"], report["success_rate"] < ELSEWHERE
+        trained = report["agent"] in AGENTS and AGENTS[report["agent"]].trained
+        if failed and trained and other != own and report.get("run", subject.name) == subject.name:
+            say(
+                f"{subject.name} was trained in {own}: joints do not follow their commands there as in {other}. For an"
+                f" arm like that of {other}, train with --sim {other}."
+            )
 
 
 def _means(reports: Sequence[dict[str, Any]], subjects: Sequence[Subject]) -> list[dict[str, Any]]:

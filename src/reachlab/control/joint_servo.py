@@ -31,6 +31,6 @@ def joint_servo(drive: Drive, now: Situation) -> Array:
     lag, most = np.array(drive.lag), jnp.array(drive.robot.speed)
     way = now.goal.joints - now.q
     far = jnp.minimum(jnp.abs(way) / APPROACH, 1.0)
-    rate = jnp.minimum((NEAR_GAIN + far * (FAR_GAIN - NEAR_GAIN)) / np.maximum(lag, TINY), 1 / drive.period)
+    rate = jnp.minimum((NEAR_GAIN + far * (FAR_GAIN - NEAR_GAIN)) / np.maximum(drive.response, TINY), 1 / drive.period)
     speed = jnp.clip(rate * way, -most, most)
     return drive.period * speed + far * LAG_COMPENSATION * lag * (speed - now.qd)

@@ -29,6 +29,10 @@ TOOL_SPEED = 1.5
 """Largest speed that is commanded of the tool [m/s]: with more, most joints are at their own limit, and the arm jerks
 for little gain."""
 
+SHAPED_GAIN = 1.5
+"""Where commands are shaped, how much of the distance from a goal that moves is made up for in `SHAPING_TIME`: with 3,
+and with all of it in a step, as without limits, arms swing."""
+
 LOOK_AHEAD = 0.9
 """Control periods by which feed-forward looks further ahead than the lag: a command is followed in the next one."""
 
@@ -40,7 +44,8 @@ def resolved_rate(drive: Drive, now: Situation) -> Array:
     far = jnp.minimum(norm(way)[..., None] / APPROACH, 1.0)
     caught_up = now.q + far * jnp.array(lag) * now.qd
     way = now.goal.position - forward_kinematics(chain, caught_up).position
-    share = jnp.minimum((NEAR_GAIN + far * (FAR_GAIN - NEAR_GAIN)) * period / max(lag.max(), TINY), 1.0)
+    gain = NEAR_GAIN + far * (FAR_GAIN - NEAR_GAIN)
+    share = jnp.minimum(gain * period / max(drive.response.max(), TINY), 1.0)
     return _displaced(drive, now, caught_up, share * way)
 
 
@@ -53,7 +58,11 @@ def feed_forward(drive: Drive, now: Situation) -> Array:
     chain, lag, period = drive.robot.chain, np.array(drive.lag), drive.period
     caught_up = now.q + jnp.array(lag) * now.qd
     ahead = now.goal.position + (lag.max() + LOOK_AHEAD * period) * now.goal.velocity
-    return _displaced(drive, now, caught_up, ahead - forward_kinematics(chain, caught_up).position)
+    wanted = ahead - forward_kinematics(chain, caught_up).position
+    if drive.shaped:
+        along, share = LOOK_AHEAD * period * now.goal.velocity, min(SHAPED_GAIN * period / drive.response.max(), 1.0)
+        wanted = along + share * (wanted - along)
+    return _displaced(drive, now, caught_up, wanted)
 
 
 def _displaced(drive: Drive, now: Situation, caught_up: Array, wanted: Array) -> Array:

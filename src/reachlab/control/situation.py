@@ -19,6 +19,9 @@ from reachlab.robots.robot import Robot
 RESPONSE = 0.025
 """Time constant with which a joint takes the speed that is commanded [s]: of a servo's damping and its inertia."""
 
+SHAPING_TIME = 0.1
+"""Time in which a command that is shaped takes up a speed that is wanted [s]: as limits are that nobody states."""
+
 WRENCH = 6
 """Numbers of a wrench: a force [N] and a torque [Nm]."""
 
@@ -40,6 +43,11 @@ class Drive:
     lag: tuple[float, ...]
     late: float = field(default=0.0, kw_only=True)
     shaped: bool = field(default=False, kw_only=True)
+
+    @property
+    def response(self) -> np.ndarray:
+        """Times `[n]` in which joints take up a speed that is wanted: of their servos, or of shaped commands [s]."""
+        return np.maximum(self.lag, SHAPING_TIME if self.shaped else 0.0)
 
 
 def shaped_within(drive: Drive) -> MotionLimits:
@@ -125,12 +133,15 @@ class Situation(NamedTuple):
 def up_to_date(drive: Drive, now: Situation) -> Situation:
     """The situation with the joints where they have come to since they were measured.
 
-    Their speed goes over to the one at which they lag behind the command by `lag`. Joints without lag are there.
+    Their speed goes over to the one at which they lag behind the command by `lag`, but where commands that are shaped
+    follow a goal that moves. Joints without lag are there.
     """
     if not drive.late:
         return now
     chain, lag = drive.robot.chain, np.maximum(drive.lag, drive.late)
-    share = 1 - math.exp(-drive.late / RESPONSE)
+    # A motion that is shaped goes on at its speed, and how far gravity displaces a joint is taken for none.
+    steady = drive.shaped and now.goal.velocity.size
+    share = 0.0 if steady else 1 - math.exp(-drive.late / RESPONSE)
     qd = now.qd + share * ((now.command[..., : chain.n] - now.q) / lag.astype(np.float32) - now.qd)
     q = jnp.where(np.array(drive.lag) > 0, now.q + drive.late * now.qd, now.command[..., : chain.n])
     pose = forward_kinematics(chain, q)

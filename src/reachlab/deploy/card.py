@@ -153,8 +153,9 @@ def _limits(facts: dict[str, Any]) -> list[str]:
             f"Commands are {1 / facts['control_period']:.4g} Hz joint positions, and keep these limits whatever is"
             " measured or asked; a `default` was chosen by reachlab and is not the maker's. These are the limits that"
             " were exported. Those that `controller.py` keeps are `limits` in `policy.json`: lower them there, for a"
-            " careful first run. The C source has those of the export compiled in. Limits that are wider than these,"
-            " any other change of `policy.json`, and files of another export are refused when the folder is loaded."
+            " careful first run. The C source has those of the export compiled in: `reachlab export --limits"
+            " policy.json --out another` writes it with lowered ones. Limits that are wider than these, any other"
+            " change of `policy.json`, and files of another export are refused when the folder is loaded."
         ),
         "",
         "| joint | position | speed [/s] | acceleration [/s²] | jerk [/s³] |",

@@ -20,14 +20,14 @@ from safetensors.numpy import save_file
 from reachlab.agents.acting import make_act
 from reachlab.agents.policy import Policy
 from reachlab.control.contact_model import arm_of
-from reachlab.control.situation import shaped_within
+from reachlab.control.motion_limits import MotionLimits
 from reachlab.deploy.bundle import controller_source, planner_source
 from reachlab.deploy.c_library import OWN, CPolicy, compiler
 from reachlab.deploy.c_source import c_sources
 from reachlab.deploy.card import model_card
 from reachlab.deploy.facts import describe
 from reachlab.deploy.onboard.aiming import NEARBY
-from reachlab.deploy.onboard.folder import fingerprint, read_folder
+from reachlab.deploy.onboard.folder import check_limits, fingerprint, limits_of, read_folder
 from reachlab.deploy.onboard.reading import in_words
 from reachlab.deploy.onboard.step import load_step
 from reachlab.deploy.onnx_network import OnnxNetwork
@@ -82,19 +82,26 @@ class Export:
     differences: dict[str, float]
 
 
-def export(run: RunDirectory | str | Path, out: str | Path, agent: str | None = None, **goals: Any) -> Export:
+def export(
+    run: RunDirectory | str | Path,
+    out: str | Path,
+    agent: str | None = None,
+    limits: str | Path | None = None,
+    **goals: Any,
+) -> Export:
     """Write the policy of a run, or one that comes with reachlab, into a folder that does not exist or is empty.
 
     Args:
         run: the run directory.
         out: the folder.
         agent: `trained`, or `hybrid` for a planner beside the policy; by default that among bodies that stay.
+        limits: a file with lowered `limits` of the joints, as the `policy.json` of an export before; also C keeps them.
         goals: settings of what will be asked for, as of an evaluation, where that is something else than in training.
 
     Raises:
-        InputError: a setting does not exist or fit, the folder exists and is not empty, the run cannot be read, its
-            task computes what cannot be printed or planned, the extra 'deploy' is missing, or what was written computes
-            anything else than the policy.
+        InputError: a setting does not exist or fit, limits are wider than the arm's, the folder exists and is not
+            empty, the run cannot be read, its task computes what cannot be printed or planned, the extra 'deploy' is
+            missing, or what was written computes anything else than the policy.
     """
     run, out = run if isinstance(run, RunDirectory) else find_run(run), Path(out)
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
@@ -111,7 +118,7 @@ def export(run: RunDirectory | str | Path, out: str | Path, agent: str | None = 
         with tempfile.TemporaryDirectory() as place:
             folder = Path(place) / "policy"
             folder.mkdir()
-            write_files(folder, env, saved.policy, more)
+            write_files(folder, env, saved.policy, more, limits and Path(limits))
             differences = compare(folder, env, saved.policy)
             for what, difference in differences.items():
                 allowed, unit = TOLERANCES[what]
@@ -181,11 +188,24 @@ def _held_out(run: RunDirectory) -> list[dict[str, Any]]:
     return [{name: one[name] for name in FIGURES if name in one} for one in reports if one.get("agent") == "trained"]
 
 
-def write_files(folder: Path, env: Env, policy: Policy, more: dict[str, Any]) -> None:
-    """Write a policy, its step and what `describe` says of it, and `more`, into an empty folder.
+def _lowered(facts: dict[str, Any], file: Path) -> dict[str, Any]:
+    """What is said of a policy, with the limits of a file."""
+    known = read_json(file)
+    try:
+        lowered = facts | {"limits": known["limits"]}
+        check_limits(file, lowered)
+    except (AttributeError, LookupError, TypeError):
+        raise InputError(f"'{file}' has no `limits` of joints: name the policy.json of an export before.") from None
+    except ValueError as error:
+        raise InputError(str(error)) from None
+    return lowered
+
+
+def write_files(folder: Path, env: Env, policy: Policy, more: dict[str, Any], limits: Path | None = None) -> None:
+    """Write a policy, its step and what `describe` says of it, and `more`, into an empty folder; limits see `export`.
 
     Raises:
-        InputError: the extra 'deploy' is missing, or the step cannot be printed.
+        InputError: the extra 'deploy' is missing, the step cannot be printed, or limits do not fit.
     """
     model = onnx_model(policy, env.action_bounds, clips=env.setup.rules.clip_actions)
     weights = named_weights(policy, env.action_bounds)
@@ -197,7 +217,8 @@ def write_files(folder: Path, env: Env, policy: Policy, more: dict[str, Any]) ->
     if "planner" in more:
         (folder / "planner.py").write_text(planner_source(), encoding="utf-8")
     (folder / "step.py").write_text(to_python(step.programs, pausing={"place"}), encoding="utf-8")
-    for name, text in c_sources(facts, shaped_within(env.setup), step).items():
+    facts = _lowered(facts, limits) if limits else facts
+    for name, text in c_sources(facts, MotionLimits(**limits_of(facts), period=env.setup.period), step).items():
         (folder / name).write_text(text, encoding="utf-8", errors="backslashreplace")
     facts["files"] = {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in sorted(folder.iterdir())}
     facts["sha256"] = fingerprint(facts)
@@ -214,7 +235,8 @@ def compare(folder: Path, env: Env, policy: Policy, situations: int = SITUATIONS
     compiler is there, of those of the C sources from those of the shell [rad or m], and of their actions [of the box].
     """
     onnx, facts, functions = OnnxNetwork(folder), read_folder(folder), as_measured(env.functions)
-    printed, limits, low = load_step(folder)["decide"], shaped_within(env.setup), env.action_bounds[0]
+    printed, limits = load_step(folder)["decide"], MotionLimits(**limits_of(facts), period=env.setup.period)
+    low = env.action_bounds[0]
     size, worst = env.action_bounds[1] - low, defaultdict[str, float](float)
 
     def note(what: str, difference: Any) -> None:

@@ -190,7 +190,7 @@ class EnvFunctions:
         return action, *self.shaped(state, command)
 
     def shaped(self, state: EnvState, command: Array) -> tuple[Array, Motion | None]:
-        """What comes of a command `[B, m]` within the limits of acceleration and jerk, where they are kept; its motion."""
+        """A command `[B, m]` within the limits of acceleration and jerk, where they are kept, and its motion."""
         if self.limits is None or state.motion is None:
             return command, None
         motion = self.limits.advance(state.motion, command, xp=jnp)

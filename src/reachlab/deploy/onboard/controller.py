@@ -20,7 +20,7 @@ import numpy as np
 from reachlab.control.motion_limits import MotionLimits
 from reachlab.deploy.onboard.aiming import Aim
 from reachlab.deploy.onboard.bodies import Beside
-from reachlab.deploy.onboard.folder import FORMAT, LIMITS, read_folder
+from reachlab.deploy.onboard.folder import FORMAT, limits_of, read_folder
 from reachlab.deploy.onboard.log import KEPT, read_log, write_log
 from reachlab.deploy.onboard.reading import felt, in_words, of_units, read_bodies, read_numbers, read_seconds
 from reachlab.deploy.onboard.step import load_step
@@ -70,12 +70,7 @@ class Controller:
             raise ValueError(
                 f"'{folder}' was exported by an earlier version: use the controller.py of its own, or export again."
             )
-        joints = facts["joints"]
-        limits, widest = (
-            {name: np.array([one[name] for one in rows], float) for name in LIMITS}
-            for rows in ([facts["limits"][joint["name"]] for joint in joints], [joint["widest"] for joint in joints])
-        )
-        self.joints = [joint["name"] for joint in joints]
+        limits, self.joints = limits_of(facts), [joint["name"] for joint in facts["joints"]]
         self.home, self.period = np.array(facts["arm"]["home"], float), float(facts["control_period"])
         self._lower, self._upper, self._inputs = limits["lower"], limits["upper"], facts["inputs"]
         self._beside, self._policy = Beside(facts), str(facts["sha256"])
@@ -86,7 +81,7 @@ class Controller:
         self.home_quaternion = np.array(self._tool(self.home.tolist())[1])
         plans = planner and "planner" in facts
         self._way = Way(facts, PlannerProcess(folder), self._tool) if plans else None
-        self._watch = Watch(facts, widest)
+        self._watch = Watch(facts, limits_of(facts, widest=True))
         self.limits = MotionLimits(**limits, period=self.period)
         self._log: deque[Any] = deque(maxlen=KEPT)  # of numbers as `reading` gives them, all of them its own
         self._make_anew()

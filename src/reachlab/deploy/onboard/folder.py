@@ -8,6 +8,8 @@ import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 FORMAT = 3
 """Of `policy.json`. In format 1 each limit stood twice, and none was protected; before 3 there was no `step.py`, and
 the controller itself held every formula."""
@@ -80,7 +82,7 @@ def read_folder(folder: Path) -> dict[str, Any]:
                 " or export again."
             )
         _check_files(folder, facts["files"])
-        _check_limits(file, facts)
+        check_limits(file, facts)
     except (AttributeError, LookupError, TypeError, OSError) as error:
         raise ValueError(f"'{file}' is not complete ({error!r}): copy the exported folder again.") from None
     return facts
@@ -97,7 +99,13 @@ def _check_files(folder: Path, files: dict[str, str]) -> None:
             )
 
 
-def _check_limits(file: Path, facts: dict[str, Any]) -> None:
+def check_limits(file: Path, facts: dict[str, Any]) -> None:
+    """Refuse limits from a file that are not those of the joints, or wider than what was exported.
+
+    Raises:
+        ValueError: they are.
+        AttributeError, LookupError, TypeError: they are not complete.
+    """
     limits, names = facts["limits"], [joint["name"] for joint in facts["joints"]]
     if sorted(limits) != sorted(names):
         raise ValueError(f"`limits` in '{file}' must be those of the joints {', '.join(names)}, got {list(limits)}.")
@@ -106,6 +114,12 @@ def _check_limits(file: Path, facts: dict[str, Any]) -> None:
             raise ValueError(
                 f"`limits` of joint {joint['name']!r} in '{file}': {wrong} Limits may be lowered there, never widened."
             )
+
+
+def limits_of(facts: dict[str, Any], *, widest: bool = False) -> dict[str, np.ndarray]:
+    """Limits `[n]` by name that `policy.json` says: those that hold, or those that were exported."""
+    rows = [joint["widest"] if widest else facts["limits"][joint["name"]] for joint in facts["joints"]]
+    return {name: np.array([row[name] for row in rows], float) for name in LIMITS}
 
 
 def _wrong_limits(limits: dict[str, Any], widest: dict[str, float]) -> str:

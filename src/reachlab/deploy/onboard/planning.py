@@ -17,7 +17,7 @@ from reachlab.control.motion_limits import MotionLimits
 from reachlab.control.planning.arm import Arm
 from reachlab.control.planning.following import PATIENCE, PROGRESS, Trajectory, gap, longest_way
 from reachlab.control.planning.plans import Plans
-from reachlab.deploy.onboard.folder import LIMITS, read_folder
+from reachlab.deploy.onboard.folder import limits_of, read_folder
 from reachlab.deploy.onboard.step import load_step
 
 
@@ -79,9 +79,7 @@ class Answers:
         facts = read_folder(folder)
         known = facts["planner"]
         numbers: dict[str, Any] = {name: np.array(part) for name, part in known["arm"].items()}
-        rows = [facts["limits"][joint["name"]] for joint in facts["joints"]]
-        within: dict[str, Any] = {name: np.array([row[name] for row in rows], float) for name in LIMITS}
-        limits = MotionLimits(**within, period=float(numbers["period"]))
+        limits = MotionLimits(**limits_of(facts), period=float(numbers["period"]))
         arm = Arm(**numbers).within(limits)
         self._plans = Plans(arm, known["bodies"], turns=known["turns"])
         self._foresight = Foresight(folder, facts, arm, limits)
