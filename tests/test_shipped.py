@@ -76,6 +76,15 @@ def test_eval_and_video_leave_it_as_it_is(tmp_path: Path, monkeypatch: pytest.Mo
     assert sorted(SHIPPED.rglob("*")) == before
 
 
+@pytest.mark.parametrize(("sim", "said"), [("kinematic", True), ("mujoco", False)])
+def test_a_policy_that_fails_in_another_simulator_is_said_to_be_of_its_own(
+    sim: str, said: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["eval", "panda/precise", "--sim", sim, "--episodes", "20"]) == 0
+    told = "panda/precise was trained in mujoco, where joints follow their commands otherwise than in kinematic"
+    assert (told in " ".join(capsys.readouterr().out.split())) == said
+
+
 def test_a_folder_of_that_name_comes_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "panda" / "precise").mkdir(parents=True)

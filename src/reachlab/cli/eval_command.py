@@ -138,8 +138,8 @@ def _say_elsewhere(reports: Sequence[dict[str, Any]], subjects: Sequence[Subject
         trained = report["agent"] in AGENTS and AGENTS[report["agent"]].trained
         if failed and trained and other != own and report.get("run", subject.name) == subject.name:
             say(
-                f"{subject.name} was trained in {own}: joints do not follow their commands there as in {other}. For an"
-                f" arm like that of {other}, train with --sim {other}."
+                f"{subject.name} was trained in {own}, where joints follow their commands otherwise than in {other}:"
+                " docs/deploy.md says how to train for either."
             )
 
 

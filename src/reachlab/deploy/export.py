@@ -118,7 +118,7 @@ def export(
         with tempfile.TemporaryDirectory() as place:
             folder = Path(place) / "policy"
             folder.mkdir()
-            write_files(folder, env, saved.policy, more, limits and Path(limits))
+            write_files(folder, env, saved.policy, more, Path(limits) if limits else None)
             differences = compare(folder, env, saved.policy)
             for what, difference in differences.items():
                 allowed, unit = TOLERANCES[what]
