@@ -512,6 +512,13 @@ def test_measurements_may_come_late_and_damaged_in_real_time(precise: Path, caps
     assert "the measurement is not finite" in result["problems"]
 
 
+def test_a_check_in_which_nothing_is_measured_says_so(precise: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["deploy", "check", str(precise), "--episodes", "1", "--drop", "1", "--delay", "0.2"]) == cli.DONE
+    said = " ".join(capsys.readouterr().out.split())
+    assert "The controller gave no command: no measurement came to it." in said
+    assert "swings about its goal where measurements are later" in said
+
+
 class Turning:
     """A link whose controller turns the arm at a share of its full speed, and loses every third command on its way."""
 

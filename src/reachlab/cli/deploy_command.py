@@ -18,6 +18,9 @@ NODE = {"topics", "trajectory", "joint_names", "frame"}
 OTHERWISE = 0.03
 """By how much later or sooner than in training joints may follow their commands without a word [s]."""
 
+FAILED = 0.9
+"""Success below which a check says what may be the cause."""
+
 IN_TIME = 0.99
 """Share of commands in time below which a check says that the computer is at fault."""
 
@@ -93,8 +96,15 @@ def deploy(arguments: Deploy) -> None:
         say(f"At rest at most {outcome['rest_s']:.2f} s after the last measurement.")
     if outcome["in_time"] < IN_TIME and arguments.faults == usual["faults"]:
         say("This computer is too slow or busy for the control period: the result tells little of the policy.")
+    if not outcome["in_time"]:
+        say("The controller gave no command: no measurement came to it.")
     for example, count in _by_kind(outcome["problems"]).items():
         say(f"The controller said in {count:,} cycles: {example}.")
+    if arguments.faults.delay and outcome["success_rate"] < FAILED:
+        say(
+            "An arm swings about its goal where measurements are later than its policy knows them: --randomise delay in"
+            " training makes them a control period late, and up to 10 ms more."
+        )
     _say_unshaped(arguments.policy)
     _say_lag(arguments.policy, outcome["lag_s"])
 
