@@ -238,6 +238,8 @@ def test_limits_that_were_lowered_are_those_of_c_too(tmp_path: Path) -> None:
     lowered.write_text(json.dumps(facts))
     with pytest.raises(InputError, match=r"speed must be above 0 and at most .* never widened"):
         export(run, tmp_path / "third", limits=lowered)
+    with pytest.raises(InputError, match=r"policy\.json of an export before, and there is no file"):
+        export(run, tmp_path / "third", limits=tmp_path / "nowhere")
     lowered.write_text("{}")
     with pytest.raises(InputError, match=r"lowered\.json' has no `limits` of joints: name the policy\.json"):
         export(run, tmp_path / "third", limits=lowered)

@@ -189,7 +189,10 @@ def _held_out(run: RunDirectory) -> list[dict[str, Any]]:
 
 
 def _lowered(facts: dict[str, Any], file: Path) -> dict[str, Any]:
-    """What is said of a policy, with the limits of a file."""
+    """What is said of a policy, with the limits of a file, or of the export in a folder."""
+    file = file / "policy.json" if file.is_dir() else file
+    if not file.is_file():
+        raise InputError(f"limits are read from the policy.json of an export before, and there is no file '{file}'.")
     known = read_json(file)
     try:
         lowered = facts | {"limits": known["limits"]}
