@@ -22,6 +22,7 @@ from reachlab.deploy.onboard.aiming import Aim
 from reachlab.deploy.onboard.bodies import GONE, OLD, Beside, placed
 from reachlab.deploy.onboard.controller import NO_GOAL, Controller
 from reachlab.deploy.onboard.reading import read_bodies
+from reachlab.deploy.onboard.watching import FOLLOWED
 from reachlab.deploy.onboard.ways import Told, Way
 from reachlab.deploy.ros2 import PolicyNode
 from reachlab.deploy.topics import Topics
@@ -533,7 +534,7 @@ def test_a_goal_that_is_another_in_every_step_is_aimed_at(pose: Path, kind: str)
 
 
 def test_a_goal_far_from_the_one_before_is_aimed_at_alone(pose: Path) -> None:
-    controller = Controller(pose)
+    controller = at_once(Controller(pose))
     controller.reset(controller.home)
     ends = [np.concatenate([[0.5, side, 0.4], controller.home_quaternion]) for side in (-0.2, 0.2)]
     assert set(play(controller, 30, goal=ends[0])) == {""}
@@ -555,6 +556,44 @@ def test_goals_beside_each_other_are_one_to_a_planner() -> None:
         way.command(goal, {"q": [0.0], "command": [0.0], **bodies}, 0.02 * step)
         asked.append(way._asked)
     assert asked[0] == asked[1] == asked[2] < asked[3]
+
+
+# --- joints that follow otherwise than in training -----------------------------------------------
+
+
+def at_once(controller: Any) -> Any:
+    """A controller whose arm followed at once in training too."""
+    controller._watch._lag *= 0
+    return controller
+
+
+LATE = (
+    (0.0, "joints follow their commands 0.00 s late, and in training 0.10 s: the arm may swing about its goal"),
+    (0.1, ""),
+    (0.3, "joints follow their commands 0."),
+)
+"""Times by which joints follow [s], and what is said of them."""
+
+
+@pytest.mark.parametrize(("lag", "said"), LATE)
+def test_joints_that_follow_otherwise_than_in_training_are_told(precise: Path, lag: float, said: str) -> None:
+    controller, sag = Controller(precise), 0.01
+    q, qd, told = controller.home, 0 * controller.home, list[str]()
+    controller.reset(q)
+    low, high = np.array(controller.goal_box)
+    for step in range(400):  # to corners of the box, one after the other
+        command = controller.step(q, qd, (low, high)[step // 100 % 2], step * controller.period)
+        told.append(controller.problem)
+        begin = q
+        for _ in range(20 if lag else 0):  # servos, critically damped, that gravity displaces
+            qd = qd + controller.period / 20 * ((command - sag - q) * (2 / lag) ** 2 - qd * 4 / lag)
+            q = q + controller.period / 20 * qd
+        if not lag:
+            q, qd = command, (command - begin) / controller.period
+    assert not controller.braking
+    assert set(told[: FOLLOWED - 1]) == {""}
+    assert told[-1].startswith(said)
+    assert bool(said) == bool(told[-1])
 
 
 # --- what is given in other units, or is not believed ---------------------------------------------
@@ -588,7 +627,7 @@ def test_what_is_not_measured_is_named(precise: Path) -> None:
 
 @pytest.mark.parametrize(("share", "said"), [(1.0, ""), (0.8, ""), (0.0, ""), (-1.0, "does not fit where it is")])
 def test_speeds_that_do_not_fit_the_joints_are_told(precise: Path, share: float, said: str) -> None:
-    controller, told = Controller(precise), list[str]()
+    controller, told = at_once(Controller(precise)), list[str]()
     controller.reset(controller.home)
     q, qd = controller.home, 0 * controller.home
     for step in range(80):

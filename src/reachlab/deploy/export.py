@@ -109,11 +109,13 @@ def export(
     trained = run.read_config()
     # Its controller counts on measurements as late as they were in training.
     late = tuple({"delay"} & set(trained.randomise))
-    env = Env(override(in_evaluation(trained, trained.sim, **goals), randomise=late), TOGETHER)
+    asked = override(in_evaluation(trained, trained.sim, **goals), randomise=late)
+    env = Env(override(asked, shaping=True), TOGETHER)  # as its controller shapes what it commands
     try:
         saved, planner = load_saved(run, env), _planner(env, agent)
         more = {"run": saved.checkpoint, "held_out": _held_out(run), "versions": versions()} | planner
-        more["evaluated_with"] = _evaluated_with(trained, env.config, goals)
+        more["evaluated_with"] = _evaluated_with(trained, asked, goals)
+        more["settings"] = to_json(asked)
         more["robot_sha256"] = find_model_file(trained.robot, trained.package).digest
         with tempfile.TemporaryDirectory() as place:
             folder = Path(place) / "policy"

@@ -42,6 +42,16 @@ CALLS, OFF = 15, 0.25
 UNFIT = 0.1
 """How far, beside as far as it went, measured speeds may lead from where a joint is in as many calls [rad or m]."""
 
+FOLLOWED, FAST_ENOUGH = 50, 0.5
+"""Calls over which it is found how late joints follow, and their least speed in them, the root mean square of all
+joints together [rad/s or m/s]: at less, what gravity displaces them by counts for too much."""
+
+TINY = 1e-9
+"""Divides in place of a smaller number."""
+
+OFF_LAG, OFF_LEAST = 0.5, 0.06
+"""By what share of the time in training they may follow at another one without a word, and by how much at least [s]."""
+
 
 class Watch:
     """Looks at every measurement before it is used.
@@ -59,6 +69,7 @@ class Watch:
         self._fast = FASTER * widest["speed"]
         self._away = BEYOND + 2 * np.array(facts["arm"]["lag"], float) * widest["speed"]
         self._period = float(facts["control_period"])
+        self._lag = np.array(facts["arm"]["lag"], float)
         self._grace = max(GRACE, PERIODS * self._period)
         self._repeats = max(int(GRACE / self._period + 1e-6), 2)
         self._asked: float | None = None
@@ -74,6 +85,7 @@ class Watch:
         self._passed: deque[float] = deque(maxlen=CALLS)
         self._way = np.zeros_like(q)
         self._ways: deque[tuple[np.ndarray, np.ndarray]] = deque(maxlen=CALLS)
+        self._followed, self._calls, self._behind = np.zeros(3), 0, ""
 
     def stop_watch(self) -> float:
         """Time since it was last asked [s], 0 at first, by a clock that nobody sets."""
@@ -113,7 +125,8 @@ class Watch:
             return frozen, True
         rate, too_fast = ("", False) if before is None else self._off_rate(passed)
         late = not self._measured or time - self._good >= self._grace - 1e-9
-        return wrong or rate or self._unfit(passed), too_fast or (bool(wrong) and late)
+        behind = "" if wrong else self._off_lag(command)
+        return wrong or rate or self._unfit(passed) or behind, too_fast or (bool(wrong) and late)
 
     def _off_rate(self, passed: float) -> tuple[str, bool]:
         """What is wrong with the rate of calls, and whether they are too many: commands then leave limits of speed."""
@@ -133,6 +146,20 @@ class Watch:
         if not unfit.any():
             return ""
         return f"the speed of joint {self._names[int(unfit.argmax())]!r} does not fit where it is: unit, sign or order?"
+
+    def _off_lag(self, command: np.ndarray) -> str:
+        """Whether joints follow the last command `[n]` as late as in training: by how far they are behind it."""
+        squares = np.square(self.qd)
+        self._followed += (command - self.q) @ self.qd, self._lag @ squares, squares.sum()
+        self._calls += 1
+        if self._calls == FOLLOWED:
+            (behind, trained), moved = self._followed[:2] / max(self._followed[2], TINY), self._followed[2]
+            if moved > FOLLOWED * FAST_ENOUGH**2:
+                off = abs(behind - trained) > max(OFF_LAG * trained, OFF_LEAST)
+                late = f"joints follow their commands {max(behind, 0):.2f} s late, and in training {trained:.2f} s"
+                self._behind = f"{late}: the arm may swing about its goal" if off else ""
+            self._followed, self._calls = np.zeros(3), 0
+        return self._behind
 
     def _wrong(self, q: Any, qd: Any, command: np.ndarray, since: float) -> str:
         """What is wrong with a measurement that comes so long [s] after the last good one."""
