@@ -15,9 +15,6 @@ from reachlab.settings.validation import InputError
 NODE = {"topics", "trajectory", "joint_names", "frame"}
 """Flags of the node; the others are of the check."""
 
-OTHERWISE = 0.03
-"""By how much later or sooner than in training joints may follow their commands without a word [s]."""
-
 FAILED = 0.9
 """Success below which a check says what may be the cause."""
 
@@ -106,20 +103,6 @@ def deploy(arguments: Deploy) -> None:
             " training makes them a control period late, and up to 10 ms more."
         )
     _say_unshaped(arguments.policy)
-    _say_lag(arguments.policy, outcome["lag_s"])
-
-
-def _say_lag(folder: Path, lag: float) -> None:
-    """Say where joints follow their commands by another time [s] than in the policy's training."""
-    from reachlab.cli.console import note
-    from reachlab.deploy.check import read_facts
-
-    trained = max(read_facts(folder)["arm"]["lag"])
-    if abs(lag - trained) > OTHERWISE:
-        note(
-            f"Joints follow their commands {lag:.2g} s late here, and in training did so {trained:.2g} s late: a policy"
-            " may swing about its goal for that. docs/deploy.md says how to train for such an arm."
-        )
 
 
 def _by_kind(problems: Mapping[str, int]) -> dict[str, int]:

@@ -70,7 +70,6 @@ class Outcome:
         cycles: control periods.
         in_time: those in which a command had come since the one before.
         broken: commands further from the last one that came than the limits of speed allow, or not finite.
-        lag_s: largest time by which joints follow their commands [s].
         rest_s: longest time from the last measurement to rest, where measurements end [s].
         problems: how often the controller said what.
     """
@@ -80,7 +79,6 @@ class Outcome:
     cycles: int = 0
     in_time: int = 0
     broken: int = 0
-    lag_s: float = 0.0
     rest_s: float | None = None
     problems: Counter[str] = field(default_factory=Counter)
 
@@ -98,7 +96,7 @@ class Plant:
         """Arm of a configuration, which follows every command as it comes."""
         self._env, self._seed = Env(override(config, shaping=False), 1), seed
         self.period, self.steps = config.physics.control_period, config.rules.max_steps
-        self.speed, self.lag = np.array(self._env.setup.robot.commands.speed), max(self._env.setup.lag)
+        self.speed = np.array(self._env.setup.robot.commands.speed)
         self._init, self._step = map(self._env.compile_whole, (self._env.init_held_out, self._env.step))
         self._objects = [None] * self._env.setup.task.scene(self._env.setup).objects
         self._idle = np.zeros((1, len(self._env.action_bounds[0])), np.float32)
@@ -177,7 +175,7 @@ class Disturbed:
 
 def drive(plant: Plant, link: Link, faults: Faults, episodes: int) -> Outcome:
     """Play so many episodes in real time, each from home on."""
-    outcome, disturbed = Outcome(lag_s=plant.lag), Disturbed(link, faults)
+    outcome, disturbed = Outcome(), Disturbed(link, faults)
     for number in range(episodes):
         plant.begin(number)
         disturbed.clear()

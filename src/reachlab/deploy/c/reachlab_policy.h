@@ -43,8 +43,8 @@ int reachlab_reset(reachlab_state *state, const reachlab_real q[REACHLAB_COMMAND
 
 /* The next command, within the limits of position, speed, acceleration and jerk that were exported.
  *
- * They are compiled in: `reachlab export --limits policy.json` writes this anew with limits that were lowered there. If brake is not 0, or a
- * number of the input or of the policy's command is not finite{{asked}},
+ * They are compiled in: `reachlab export --limits policy.json` writes this anew with those that were lowered there. If brake
+ * is not 0, or a number of the input or of the policy's command is not finite{{asked}},
  * the arm is brought to rest on a way that keeps the limits; REACHLAB_NOT_FINITE or REACHLAB_OUTSIDE is returned then. */
 int reachlab_step(reachlab_state *state, const reachlab_input *input, int brake, reachlab_real command[REACHLAB_COMMANDS]);
 {{place}}
