@@ -130,13 +130,14 @@ def _show_evaluation(
 
 
 def _say_elsewhere(reports: Sequence[dict[str, Any]], subjects: Sequence[Subject]) -> None:
-    """Say why a policy may fail in another simulator than that of its training."""
+    """Say why the policy of a run may fail in another simulator than that of its training."""
     from reachlab.cli.console import say
 
     for subject, report in itertools.product(subjects, reports):
         own, other, failed = subject.config.sim, report["sim"], report["success_rate"] < ELSEWHERE
         trained = report["agent"] in AGENTS and AGENTS[report["agent"]].trained
-        if failed and trained and other != own and report.get("run", subject.name) == subject.name:
+        known = subject.run is not None and report.get("run", subject.name) == subject.name
+        if known and failed and trained and other != own:
             say(
                 f"{subject.name} was trained in {own}, where joints follow their commands otherwise than in {other}:"
                 " docs/deploy.md says how to train for either."
