@@ -296,6 +296,7 @@ def test_the_arm_follows_the_mouse_and_rests_there(page: Page, both: Path) -> No
 
 def test_a_cube_that_is_dragged_falls_and_is_pushed_again(page: Page, bodies: Path) -> None:
     open_live(page, bodies)
+    expect(page.locator("#hint")).to_contain_text("or a body")
     page.get_by_label("Endless").check()
     arrived(page)
     before = moment(page)
@@ -376,6 +377,7 @@ def test_the_arm_follows_a_finger(browser: Browser, both: Path) -> None:
 
 def test_a_drag_elsewhere_turns_the_view_and_the_goal_stays(page: Page, both: Path) -> None:
     open_live(page, both)
+    expect(page.locator("#hint")).to_have_text("Drag the goal; drag elsewhere to turn the view.")
     page.get_by_role("button", name="Pause").click()
     before, camera = moment(page), page.evaluate("reachlab.live.drawing.camera.position.toArray()")
     page.mouse.move(60, 60)
@@ -479,6 +481,21 @@ def test_shapes_of_bodies_are_freed(page: Page, bodies: Path) -> None:
         page.wait_for_timeout(100)
         counts.append(page.evaluate(held))
     assert max(counts[2:]) <= min(counts[2:]) + 10, "as many bodies as there are at most, not those of each episode"
+
+
+def test_slow_computers_draw_fewer_triangles_of_the_same_shapes(page: Page, both: Path) -> None:
+    open_live(page, both)
+    page.evaluate("reachlab.live.drawing.simplify()")
+    read = """reachlab.live.drawing.shapes.map(({ index, attributes }) =>
+        [[...index.array], [...attributes.position.array]])"""
+    simple, parts = page.evaluate(read), page.evaluate("reachlab.live.drawing.shown.parts")
+    assert sum(len(index) for index, _ in simple) < 0.6 * sum(3 * part["faces"] for part in parts)
+    for (index, places), part in zip(simple, parts, strict=True):
+        corners = np.reshape(places, (-1, 3))[index]
+        reach = [part["low"], np.add(part["low"], part["size"])]
+        np.testing.assert_allclose([corners.min(axis=0), corners.max(axis=0)], reach, rtol=0, atol=0.003)
+    page.evaluate("reachlab.live.drawing.simplify()")  # as for a second arm, which shares shapes
+    assert page.evaluate(read) == simple
 
 
 def test_a_lost_context_is_made_anew_on_the_same_ground(browser: Browser, both: Path) -> None:
@@ -725,6 +742,7 @@ def test_what_cannot_be_computed_is_recorded_in_a_file(
     assert cli.main(["view", run, "panda/push", "--agent", "ik", "--episodes", "3", "--out", str(out)]) == cli.DONE
     assert "pictures is recorded for the page, 3 episodes" in capsys.readouterr().err
     open_live(page, out)
+    expect(page.locator("#hint")).to_have_text("Drag to turn the view.")
     page.get_by_role("button", name="max").click()
     wait_until(lambda: page.evaluate("reachlab.live.player.number") == 2, "the third episode")
     assert page.locator("#picture").is_visible()

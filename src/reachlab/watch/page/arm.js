@@ -5,7 +5,7 @@ const EDGES = 0x8d97a8;
  * The table's colour above and at its sides, and how dark the shadow on it is and how far it lies above it, in sizes of
  * the workspace.
  */
-const TABLE = 0xd5dbe4, TABLE_SIDES = 0xaab3c1, SHADOW_OPACITY = 0.16, SHADOW_ABOVE = 0.0015;
+const TABLE = [0.835, 0.859, 0.894], TABLE_SIDES = [0.667, 0.702, 0.757], SHADOW_OPACITY = 0.16, SHADOW_ABOVE = 0.0015;
 
 /** Sides of a drawn ball. */
 const SIDES = 32;
@@ -122,10 +122,10 @@ const SHADOW = () => new THREE.MeshBasicMaterial({
 function tableTop(geometry) {
   const { normal } = geometry.attributes, colours = new Float32Array(3 * normal.count);
   for (let i = 0; i < normal.count; i++) {
-    new THREE.Color(normal.getZ(i) > 0.5 ? TABLE : TABLE_SIDES).toArray(colours, 3 * i);
+    colours.set(normal.getZ(i) > 0.5 ? TABLE : TABLE_SIDES, 3 * i);
   }
-  geometry.setAttribute("color", new THREE.BufferAttribute(colours, 3));
-  return new THREE.Mesh(geometry, new THREE.MeshBasicMaterial({ vertexColors: true, ...LET_SHADOWS_IN }));
+  geometry.setAttribute("tint", new THREE.BufferAttribute(colours, 3));
+  return new THREE.Mesh(geometry, tinted(LET_SHADOWS_IN));
 }
 
 /** Set a matrix that brings everything to the table's top along the lamp's light. */

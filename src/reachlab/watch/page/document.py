@@ -10,6 +10,9 @@ from pathlib import Path
 ENGINE = {"wasm": "mujoco.wasm.zlib", "glue": "mujoco.js.zlib"}
 """The second of them, compressed, by the name of its part of a page."""
 
+LICENCES = ("three.LICENSE", "meshoptimizer.LICENSE")
+"""Those of what draws."""
+
 STYLES = ("page.css", "panel.css", "narrow.css")
 """Its styles, of which later ones outrank earlier ones."""
 
@@ -19,7 +22,7 @@ TITLE = "reachlab"
 
 def page_head(title: str, *, engine: bool, served: bool = False) -> str:
     """The page up to what it has to know of its runs: what draws, and MuJoCo where one is under dynamics."""
-    packed, licences = {"three": zlib.compress(bytes_of("three.min.js"), 9)}, [text_of("three.LICENSE")]
+    packed, licences = {"three": zlib.compress(bytes_of("three.min.js"), 9)}, list(map(text_of, LICENCES))
     if engine:
         packed |= {name: bytes_of(file) for name, file in ENGINE.items()}
         licences.append("MuJoCo 3.14.0, copyright DeepMind Technologies Limited\n" + text_of("mujoco.LICENSE"))

@@ -45,10 +45,8 @@ class Drawing {
     const columns = Math.ceil(Math.sqrt(count)), [x, y] = [0, 1].map((axis) => extent(scene.points, axis) + BETWEEN * scene.scale);
     const places = Array.from({ length: count }, (_, i) => [-x * Math.floor(i / columns), y * (i % columns), 0]);
     this.arms = places.map((place) => new Arm(scene, run, shapes, this.marks, place));
-    for (const arm of this.arms) {
-      this.scene.add(arm.group);
-      if (this.simple) arm.simplify();
-    }
+    this.scene.add(...this.arms.map(({ group }) => group));
+    if (this.simple) this.simplify();
     /** Points `[3]` m that have to be in view. */
     this.points = places.flatMap((place) => scene.points.map((point) => add(point, place)));
   }
@@ -71,7 +69,14 @@ class Drawing {
     return true;
   }
 
-  /** Draw more simply where pictures take long, as without a graphics card: first no shadow, then fewer pixels. */
+  /** Draw no shadows, and fewer triangles. */
+  simplify() {
+    this.simple = true;
+    this.arms.forEach((arm) => arm.simplify());
+    this.shapes.forEach((geometry) => simplify(geometry, this.shown.scale));
+  }
+
+  /** Draw more simply where pictures take long, as without a graphics card: first that, then fewer pixels. */
   keepPace(now) {
     this.spent += Math.min(now - (this.drawn ?? now), LONGEST);
     this.drawn = now;
@@ -81,8 +86,7 @@ class Drawing {
     Object.assign(this, { spent: 0, pictures: 0 });
     if (mean < SLOW) return;
     if (!this.simple) {
-      this.simple = true;
-      this.arms.forEach((arm) => arm.simplify());
+      this.simplify();
     } else if (this.ratio > 1) {
       this.ratio = Math.max(1, 0.7 * this.ratio);
       this.width = 0;

@@ -24,6 +24,16 @@ void main() {
   gl_Position = projectionMatrix * viewMatrix * place;
 }`;
 
+/** Each vertex has a colour of its own, as it is on the screen: nothing is computed for a pixel. */
+const TINTED_SHADER = `
+attribute vec3 tint;
+varying vec3 shade;
+
+void main() {
+  shade = tint;
+  gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0);
+}`;
+
 const FRAGMENT_SHADER = `
 uniform float opacity;
 varying vec3 shade;
@@ -47,6 +57,16 @@ function shaded(colour, opacity = 1) {
     fragmentShader: FRAGMENT_SHADER,
     transparent: clear,
     depthWrite: !clear,
+  });
+}
+
+/** A surface in the colours of its vertices, `tint`, in no light. */
+function tinted(settings) {
+  return new THREE.ShaderMaterial({
+    uniforms: { opacity: { value: 1 } },
+    vertexShader: TINTED_SHADER,
+    fragmentShader: FRAGMENT_SHADER,
+    ...settings,
   });
 }
 

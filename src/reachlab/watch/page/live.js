@@ -205,10 +205,17 @@ class Live {
     Object.assign(this, { told: now, counted: this.steps });
     const counted = this.paired ? players.slice(0, 1) : players;
     const sum = (name) => counted.reduce((so_far, player) => so_far + player[name], 0);
+    this.panel.write({ hint: this.hint() });
     this.panel.tell(this.player, { episodes: sum("episodes"), successes: sum("successes") }, this.rate, this.problem);
     this.joints.tell(this.player.episode.state.q, this.panel.agent === BY_HAND);
     this.chart.draw();
     this.label();
+  }
+
+  /** What a hand may do. */
+  hint() {
+    const [goal, ...others] = this.things(), taken = others.some(({ body }) => body) ? "the goal, or a body" : "the goal";
+    return goal ? `Drag ${taken}; drag elsewhere to turn the view.` : "Drag to turn the view.";
   }
 
   /** Say at the arms of a pair who moves each, and how well. */

@@ -1,8 +1,12 @@
 /* What is drawn of an arm: meshes by link, sent as differences of whole numbers and compressed. */
 
+/** How far the surface of a mesh may move where it becomes simpler, in sizes of the workspace [m]. */
+const COARSE = 0.0015;
+
 /** Geometries of the `parts` of an arm, in the frame of the link of each, in metres. */
 async function geometries({ parts, data }) {
   const buffer = await inflated(data);
+  await THREE.MeshoptSimplifier.ready;
   let offset = 0;
   return parts.map((part) => {
     const faces = new Int32Array(buffer.slice(offset, (offset += 12 * part.faces)));
@@ -13,6 +17,15 @@ async function geometries({ parts, data }) {
     geometry.computeVertexNormals();
     return geometry;
   });
+}
+
+/** Leave out triangles of a geometry as long as its surface moves by no more than COARSE of an arm of this scale. */
+function simplify(geometry, scale) {
+  const { index, attributes: { position }, userData } = geometry;
+  if (userData.simple || !THREE.MeshoptSimplifier.supported) return;
+  const [fewer] = THREE.MeshoptSimplifier.simplify(index.array, position.array, 3, 0, COARSE * scale, ["ErrorAbsolute"]);
+  geometry.setIndex(new THREE.BufferAttribute(fewer, 1));
+  userData.simple = true;
 }
 
 /** Coordinates `[3 v]` m of vertices whose x, then y, then z are sent as differences of 16-bit shares of the size. */

@@ -1,4 +1,4 @@
-// What the page needs of three.js; `make three` bundles it into three.min.js.
+// What the page needs of three.js and meshoptimizer; `make three` bundles it into three.min.js.
 export {
   BoxGeometry,
   BufferAttribute,
@@ -27,3 +27,4 @@ export {
   ZeroStencilOp,
 } from "three";
 export { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
+export { MeshoptSimplifier } from "meshoptimizer/simplifier";
