@@ -10,6 +10,7 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 import pytest
@@ -18,6 +19,7 @@ from reachlab.cli import main as cli
 from reachlab.envs.presets import configure
 from reachlab.learn.interrupts import Interrupted
 from reachlab.learn.train import train
+from reachlab.runs import wandb_sink
 from reachlab.runs.metrics import read_metrics
 from reachlab.settings.validation import InputError
 
@@ -166,6 +168,19 @@ def test_where_wandb_cannot_be_used_one_sentence_says_so_before_anything_is_made
         train(configure(**TINY), "run", sinks=("wandb",))
     assert "\n" not in str(refusal.value)
     assert not list(Path().iterdir())
+
+
+def test_a_process_of_wandb_that_does_not_end_holds_nothing_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in {"MODE": "online", "API_KEY": "short"}.items():
+        monkeypatch.setenv(f"WANDB_{name}", value)
+    never, begun = Event(), Event()
+    with monkeypatch.context() as patch:
+        patch.setattr(wandb, "teardown", lambda: begun.set() or never.wait())
+        patch.setattr(wandb_sink, "END_TIMEOUT", 0.01)
+        with pytest.raises(InputError, match="API key must have 40"):
+            train(configure(**TINY), "run", sinks=("wandb",))
+    assert begun.is_set()
+    never.set()
 
 
 def test_without_the_extra_wandb_is_refused_before_anything_is_made(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from reachlab.settings.tables import Lazy
-from reachlab.settings.validation import choose
+from reachlab.settings.validation import InputError, choose
 
 
 class Sink(Protocol):
@@ -46,4 +46,6 @@ def make_sinks(names: Iterable[str]) -> dict[str, Sink]:
     Raises:
         InputError: there is none of that name, or it cannot be used.
     """
+    if isinstance(names, str):
+        raise InputError(f"sinks must be a list of names, as [{names!r}], got {names!r}.")
     return {name: SINKS[choose("sink", name, SINKS)].load()() for name in names}

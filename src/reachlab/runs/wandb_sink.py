@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 from shlex import quote
+from threading import Thread
 from typing import Any
 
 from reachlab.runs.files import read_json
@@ -19,6 +20,10 @@ INIT_TIMEOUT = 30.0
 
 FINISH_TIMEOUT = 60.0
 """Longest wait at the end for rows to be uploaded [s]; what is left then stays on the disk, for `wandb sync`."""
+
+END_TIMEOUT = 2.0
+"""Longest wait for W&B's own process to end where it cannot be used [s]: after a request without an answer, that of W&B
+0.31 may miss that it shall end, and then Python waits for it for ever."""
 
 LOCAL = ("offline", "dryrun", "disabled")
 """Modes of W&B in which nothing leaves this machine."""
@@ -44,7 +49,7 @@ class WeightsAndBiases:
             online = wandb.run and not wandb.run.offline
             ready = self._settings.mode in LOCAL or online or wandb.login(prompt=False, verify=True)
         except (wandb.Error, OSError, ValueError) as error:  # a ValueError where a variable of W&B's is not valid
-            raise _refusal(error, WITHOUT) from None
+            raise self._refusal(error, WITHOUT) from None
         if not ready:
             raise InputError(f"--wandb needs an API key: run `wandb login`, {WITHOUT}.")
 
@@ -74,7 +79,7 @@ class WeightsAndBiases:
             for row in read_metrics(folder / "metrics.jsonl"):
                 self.write(row)
         except (self._wandb.Error, OSError) as error:
-            raise _refusal(error, f"{WITHOUT}, and train on with --resume {quote(str(folder))}") from None
+            raise self._refusal(error, f"{WITHOUT}, and train on with --resume {quote(str(folder))}") from None
 
     def write(self, row: Mapping[str, Any]) -> None:
         """Log a row at its `steps`, unless the server has it from before a resume."""
@@ -87,8 +92,11 @@ class WeightsAndBiases:
             self._run.summary.update({"report": dict(result)})
         self._run.finish(exit_code=int(result is None))
 
-
-def _refusal(error: Exception, how: str) -> InputError:
-    """Why W&B cannot be used, in one sentence, and how to go on."""
-    why = " ".join(str(error).split()).rstrip(".")
-    return InputError(f"Weights & Biases cannot be used ({why}): {how}.")
+    def _refusal(self, error: Exception, how: str) -> InputError:
+        """Why W&B cannot be used, in one sentence, and how to go on. Its process ends, unless the caller has a run."""
+        if self._wandb.run is None:
+            ending = Thread(target=self._wandb.teardown, daemon=True)
+            ending.start()
+            ending.join(END_TIMEOUT)
+        why = " ".join(str(error).split()).rstrip(".")
+        return InputError(f"Weights & Biases cannot be used ({why}): {how}.")
