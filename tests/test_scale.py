@@ -224,9 +224,9 @@ def test_the_first_trial_is_the_settings_themselves_where_the_space_holds_them(t
     (tmp_path / "in").mkdir()
     (tmp_path / "out").mkdir()
     study = make_study(tmp_path / "in", inside)
-    assert study.settings(study.ask()) == {"learning_rate": 2e-3, "epochs": 3}
+    assert study.settings(study.ask(20)) == {"learning_rate": 2e-3, "epochs": 3}
     study = make_study(tmp_path / "out", configure(epochs=8))
-    assert study.settings(study.ask())["epochs"] <= 4
+    assert study.settings(study.ask(20))["epochs"] <= 4
 
 
 def test_a_study_continues_as_if_its_process_had_not_died(tmp_path: Path) -> None:
@@ -234,10 +234,10 @@ def test_a_study_continues_as_if_its_process_had_not_died(tmp_path: Path) -> Non
     (tmp_path / "cut").mkdir()
     whole = make_study(tmp_path / "whole")
     for value in (0.1, 0.4, 0.2):
-        whole.end(whole.ask(), value)
+        whole.end(whole.ask(20), value)
     for value in (0.1, 0.4, 0.2):
         study = make_study(tmp_path / "cut")
-        settings = study.settings(study.ask())
+        settings = study.settings(study.ask(20))
         with (tmp_path / "cut" / "journal").open("ab") as journal:
             journal.write(b'{"op_code": 5, "wor')  # its process dies while it writes
         again = make_study(tmp_path / "cut")
@@ -272,7 +272,7 @@ def test_a_goal_that_was_not_reached_is_no_value_and_never_the_best(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     study = Study(tmp_path / "journal", dimensions(SPACE, configure()), GOALS["steps"], configure())
-    study.end(study.ask(), float("inf"))
+    study.end(study.ask(20), float("inf"))
     assert (study.trials[0].state, study.trials[0].value, study.ranked) == ("complete", None, [])
     SweepDisplay("steps")(SweepProgress(study.trials, 1, {}, None))
     assert "  steps not reached\n" in capsys.readouterr().err
@@ -350,6 +350,24 @@ def test_a_trial_with_settings_that_contradict_each_other_fails_with_the_sentenc
     assert result.config is None
     assert [trial.state for trial in result.trials] == ["fail", "fail"]
     assert all("cannot be divided among" in trial.why for trial in result.trials)
+
+
+@pytest.mark.parametrize(("trials", "tried"), [(3, 3), (20, 6)])
+def test_settings_that_can_be_counted_are_tried_once_each(
+    trials: int, tried: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def done(_: Trials, trial: Any, path: Path, *__: Any) -> Iterator[None]:
+        path.mkdir(parents=True)
+        write_json(RunDirectory(path).report_file, {"success_rate": 1 / (1 + trial.number)})
+        yield
+
+    monkeypatch.setattr(Trials, "_train", done)
+    monkeypatch.setattr("reachlab.scale.sweep.LOOK", 0.0)
+    space = {"epochs": {"low": 2, "high": 4}, "gamma": [0.9, 0.95]}
+    seen: list[SweepProgress] = []
+    result = sweep(configure(**TINY), SweepConfig(space, trials=trials), tmp_path / "sweep", seen.append, workers=2)
+    assert len({str(trial.settings) for trial in result.trials}) == len(result.trials) == tried
+    assert seen[-1].total == tried
 
 
 def test_a_sweep_whose_trials_all_fail_is_no_success(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -484,8 +502,8 @@ def test_a_sweep_that_cannot_save_a_training_goes_on_with_it_when_there_is_room(
 @pytest.mark.parametrize("seed", [4295, 2**31 - 1])
 def test_a_study_takes_any_seed(seed: int, tmp_path: Path) -> None:
     study = make_study(tmp_path, configure(seed=seed))
-    assert study.settings(study.ask())
-    assert study.settings(study.ask())
+    assert study.settings(study.ask(20))
+    assert study.settings(study.ask(20))
 
 
 def test_a_robot_file_of_a_space_is_known_by_its_absolute_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

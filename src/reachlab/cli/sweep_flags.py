@@ -24,7 +24,7 @@ class Sweep(Checked):
     # Without a name, its own settings are in the first group of flags, and its parts are groups under their own names.
     run: Annotated[RunConfig, tyro.conf.arg(name="")] = field(default_factory=RunConfig)
     trials: Annotated[Count | None, _UNSAID] = None
-    """Settings that are tried, by default 20."""
+    """Settings that are tried, by default 20, or all if there are fewer."""
     workers: Count = 2
     """Trainings at a time, of one thread each."""
     goal: Annotated[str | None, tyro.conf.arg(metavar="STR", help_behavior_hint="")] = None

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+import math
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -61,6 +62,8 @@ def dimensions(space: Mapping[str, Any], config: RunConfig) -> list[Dimension]:
     Raises:
         InputError: a name that is no setting, or values that are not allowed.
     """
+    if not space:
+        raise InputError(f"space must name a setting that varies, as {{'learning_rate': [1e-3, 3e-3]}}, got {space!r}.")
     idle = unused(flatten(to_json(config)))
     for name in space:
         if (choice := idle.get(name)) and choice not in space and choice not in MILD:
@@ -105,6 +108,11 @@ def _choice(name: str, choice: Any, config: RunConfig) -> Any:
         return choice
     load_robot(chosen.robot)
     return chosen.robot
+
+
+def size(space: Sequence[Dimension]) -> float:
+    """How many settings a space holds; infinity where one of them is a real number."""
+    return math.prod(len(one.choices) or (one.high - one.low + 1 if one.whole else math.inf) for one in space)
 
 
 def label(choice: Any) -> str:

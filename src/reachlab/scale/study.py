@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from reachlab.scale.goals import Goal
-from reachlab.scale.space import Dimension, label
+from reachlab.scale.space import Dimension, label, size
 from reachlab.settings.config import RunConfig
 from reachlab.settings.json_form import flatten, to_json
 from reachlab.settings.validation import InputError, needing
@@ -23,6 +23,12 @@ NAME = "sweep"
 
 UNPRUNED = 5
 """Trials that are not pruned, for those after them to be compared with."""
+
+GUESSED = 10
+"""Trials whose settings are drawn at random, until enough is known to suggest better ones."""
+
+MOST_LISTED = 1000
+"""Settings of which a list is made though they are not all tried."""
 
 WHY = "why"
 """Attribute of a failed trial: a sentence."""
@@ -119,13 +125,27 @@ class Study:
 
     # --- trials -----------------------------------------------------------------------------------
 
-    def ask(self) -> Any:
-        """A new trial, as Optuna has it.
+    def wants(self, total: int) -> bool:
+        """Whether there is one trial more: fewer were begun than there may be, and some settings are untried."""
+        tried = {label(sorted(one.settings.items())) for one in self.trials}
+        return len(self.trials) < total and len(tried) < size(self._space)
 
-        What is suggested depends on the sweep's seed, the number, and what is known of the trials before.
+    def ask(self, total: int) -> Any:
+        """A new trial, as Optuna has it, of `total`.
+
+        What is suggested depends on the sweep's seed, the number, and what is known of the trials before. Where all
+        settings can be tried, each of them is, once; where they are few, none of the first is suggested twice.
         """
-        self._seed_sampler(len(self._study.get_trials(deepcopy=False)))
-        return self._suggest(self._study.ask())
+        number, settings = len(self._study.get_trials(deepcopy=False)), size(self._space)
+        self._seed_sampler(number)
+        usual = self._study.sampler
+        if settings <= (max(total, MOST_LISTED) if number < GUESSED else total):
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # that it is experimental
+                self._study.sampler = self._optuna.samplers.BruteForceSampler(seed=self._seed_of(number))
+        trial = self._suggest(self._study.ask())
+        self._study.sampler = usual  # the other one would end the study itself
+        return trial
 
     def begun(self) -> list[Any]:
         """The trials that an earlier process began and did not end."""
@@ -138,7 +158,10 @@ class Study:
         return found
 
     def _seed_sampler(self, number: int) -> None:
-        self._study.sampler = self._optuna.samplers.TPESampler(seed=(self._seed * 1_000_003 + number) % 2**32)
+        self._study.sampler = self._optuna.samplers.TPESampler(n_startup_trials=GUESSED, seed=self._seed_of(number))
+
+    def _seed_of(self, number: int) -> int:
+        return (self._seed * 1_000_003 + number) % 2**32
 
     def settings(self, trial: Any) -> dict[str, Any]:
         """Settings of a trial that vary."""

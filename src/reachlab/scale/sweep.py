@@ -19,16 +19,19 @@ from reachlab.runs.lock import locked
 from reachlab.scale import ENGINES
 from reachlab.scale.engines import Engine
 from reachlab.scale.goals import check_goal
-from reachlab.scale.space import dimensions, label
+from reachlab.scale.space import dimensions, label, size
 from reachlab.scale.study import Study, Trial, load_optuna
 from reachlab.scale.trials import SweepConfig, Trials
 from reachlab.settings.arguments import typed
 from reachlab.settings.config import RunConfig
 from reachlab.settings.json_form import override, to_json
-from reachlab.settings.validation import InputError, choose
+from reachlab.settings.validation import InputError, choose, whole_number
 
 LOOK = 0.25
 """Time between two looks at the trainings [s]."""
+
+MOST_AT_A_TIME = 1024
+"""Trainings at a time, at most."""
 
 
 @dataclass(frozen=True)
@@ -114,6 +117,7 @@ def sweep(
         Interrupted: a signal asked for it.
     """
     load_optuna()
+    whole_number("workers", workers, 1, MOST_AT_A_TIME)
     check(config, config if resume else base)
     space, goal = dimensions(settings.space, config), check_goal(settings.goal, config)
     kind = ENGINES[choose("engine", engine, ENGINES)]
@@ -130,11 +134,11 @@ def sweep(
             write_json(run.sweep_file, vars(settings))
             study = Study(run.path / "study.journal", space, goal, config)
             under_way = Trials(settings, config, folder, study, carrier)
-            left, trials = True, settings.trials
+            left, expected = True, int(min(settings.trials, size(space)))
             while left:
-                left = under_way.advance(trials, workers)
+                left = under_way.advance(settings.trials, workers)
                 begun, best = study.trials, next(iter(study.ranked), None)
-                watch(SweepProgress(begun, max(trials, len(begun)), under_way.shares, best))
+                watch(SweepProgress(begun, max(expected, len(begun)), under_way.shares, best))
                 if interrupts.received is not None:
                     how = f"`reachlab sweep --resume {quote(str(run.path))}` continues from there"
                     raise Interrupted(interrupts.received, f"interrupted; every trial is saved: {how}.")

@@ -38,7 +38,7 @@ class SweepConfig(Checked):
         goal: name of the figure that is sought, see `goals.GOALS`.
         seeds: trainings of each setting, whose seeds follow each other.
         validations: how often a training is validated on the way; by these trials are pruned, with 0 none.
-        trials: how many settings are tried in all.
+        trials: how many settings are tried in all; no more than the space holds.
     """
 
     space: dict[str, Any]
@@ -68,11 +68,11 @@ class Trials:
 
     def advance(self, total: int, workers: int) -> bool:
         """Begin trials while there is room, and look at those under way; whether there are any."""
-        while len(self._open) < workers and (self._begun or len(self._study.trials) < total):
-            self._open.append(self._run(self._begun.pop(0) if self._begun else self._study.ask()))
+        while len(self._open) < workers and (self._begun or self._study.wants(total)):
+            self._open.append(self._run(self._begun.pop(0) if self._begun else self._study.ask(total)))
         ended = object()
         self._open = [trial for trial in self._open if next(trial, ended) is not ended]
-        return bool(self._open or self._begun) or len(self._study.trials) < total
+        return bool(self._open or self._begun) or self._study.wants(total)
 
     def _run(self, trial: Any) -> Iterator[None]:
         """Carry out a trial of the study, one look after the other."""
