@@ -141,7 +141,7 @@ def _time_in_c(folder: Path, controller: Any) -> float:
     """Time of a control step of the C sources [µs], with what Python takes to call it left out: a tenth of a µs."""
     facts = json.loads((folder / "policy.json").read_text())
     with tempfile.TemporaryDirectory() as build:
-        c = CPolicy(folder, facts["inputs"], len(controller.joints), Path(build))
+        c = CPolicy(folder, facts["inputs"], len(controller.joints), Path(build), "-O2")
         c.set(c.state, position=controller.home, stop_step=[controller.limits.steps] * len(controller.joints))
         c.set(c.input, q=controller.home, goal_position=controller.goal_box.mean(axis=0))
         took = []

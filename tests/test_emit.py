@@ -165,7 +165,7 @@ def in_c(program: Program, build: Path) -> Callable[..., Any]:
     call = f"void call({given}, real result[{size}]) {{ f(a, b, result); }}"
     (build / "f.c").write_text(f"{head}\n{c_function(program)}\nvoid call({given}, real result[{size}]);\n{call}\n")
     library = build / "f.so"
-    subprocess.run([str(compiler()), *FLAGS, "-o", str(library), str(build / "f.c"), "-lm"], check=True)
+    subprocess.run([str(compiler()), *FLAGS, "-O2", "-o", str(library), str(build / "f.c"), "-lm"], check=True)
     called = ctypes.CDLL(str(library)).call
 
     def function(a: list[float], b: list[float]) -> tuple[list[float]]:
@@ -323,6 +323,6 @@ def test_the_header_is_one_of_cpp_too(folder: Path, tmp_path: Path) -> None:
 @needs_compiler
 def test_single_precision_compiles_without_a_warning(folder: Path, tmp_path: Path) -> None:
     source, library = str(folder / "reachlab_policy.c"), str(tmp_path / "f.so")
-    words = [str(compiler()), *FLAGS, "-DREACHLAB_FLOAT", "-o", library, source, "-lm"]
+    words = [str(compiler()), *FLAGS, "-O2", "-DREACHLAB_FLOAT", "-o", library, source, "-lm"]
     done = subprocess.run(words, capture_output=True, text=True, check=False)
     assert done.stderr == ""

@@ -13,11 +13,12 @@ import numpy as np
 from faults.controllers import broken, exported
 from faults.saves import Trial
 from reachlab.control.motion_limits import MotionLimits
-from reachlab.deploy.c_library import FLAGS, OWN, CPolicy, compiler
+from reachlab.deploy.c_library import FLAGS, OWN, QUICKLY, CPolicy, compiler
 from reachlab.deploy.onboard.aiming import NEARBY
 from reachlab.deploy.onboard.controller import Controller
 
 SANITIZED = [flag for flag in FLAGS if flag not in ("-shared", "-fPIC")] + [
+    QUICKLY,
     "-fsanitize=address,undefined",
     "-fno-sanitize-recover=all",
 ]

@@ -19,7 +19,10 @@ COMPILERS = ("cc", "gcc", "clang")
 OWN = ("command", "last_action", "memory")
 """Inputs of a decision that are part of the state."""
 
-FLAGS = ("-std=c99", "-O2", "-shared", "-fPIC", "-Wall", "-Wextra", "-Werror", "-pedantic")
+FLAGS = ("-std=c99", "-shared", "-fPIC", "-Wall", "-Wextra", "-Werror", "-pedantic")
+
+QUICKLY = "-Og"
+"""Optimisation that compiles a step in a quarter of the time of -O2, and gives the same numbers."""
 
 
 def compiler() -> str | None:
@@ -34,14 +37,16 @@ class CPolicy:
         state, input: the records of `reachlab_policy.h`, whose fields may be set.
     """
 
-    def __init__(self, folder: Path, inputs: dict[str, list[int]], n: int, build: Path) -> None:
+    def __init__(self, folder: Path, inputs: dict[str, list[int]], n: int, build: Path, how: str = QUICKLY) -> None:
         """Compile the sources in a folder into another; `inputs` and joints `n` as `policy.json` has them.
+
+        `how` is the compiler's flag of optimisation.
 
         Raises:
             InputError: they cannot be compiled.
         """
         library = build / "reachlab_policy.so"
-        words = [str(compiler()), *FLAGS, "-o", str(library), str(folder / "reachlab_policy.c"), "-lm"]
+        words = [str(compiler()), *FLAGS, how, "-o", str(library), str(folder / "reachlab_policy.c"), "-lm"]
         done = subprocess.run(words, capture_output=True, text=True, check=False)  # noqa: S603
         if done.returncode:
             raise InputError(f"the C sources cannot be compiled: {' '.join(done.stderr.split())[:500]}.")
