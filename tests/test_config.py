@@ -5,6 +5,8 @@ import json
 import math
 from importlib import metadata
 
+import jax.numpy as jnp
+import numpy as np
 import pytest
 
 from reachlab.envs.earlier_configs import from_json
@@ -266,3 +268,11 @@ def test_an_extra_is_installed_in_the_way_in_which_reachlab_was(
     monkeypatch.setattr(metadata.Distribution, "read_text", lambda _self, _name: origin, raising=False)
     monkeypatch.setattr(metadata.PathDistribution, "read_text", lambda _self, _name: origin)
     assert installing("video") == command
+
+
+@pytest.mark.parametrize("kind", [list, tuple, np.array, jnp.array])
+def test_lists_and_arrays_are_what_a_list_of_flags_is(kind):
+    corner = (0.25, -0.5, 0.125)
+    config = configure("precise", target_low=kind(corner), hidden=kind((16, 8)))
+    assert config == configure("precise", target_low=corner, hidden=(16, 8))
+    assert from_json(json.loads(json.dumps(to_json(config)))) == config

@@ -24,6 +24,8 @@ from reachlab.control.situation import Goal
 from reachlab.envs.consistency import check
 from reachlab.envs.gymnasium_single import ReachEnv
 from reachlab.envs.random_streams import env_keys
+from reachlab.learn.load import POLICY
+from reachlab.runs.shipped import find_run
 from reachlab.scale.training import failure_file, run_training
 from reachlab.settings import extensions
 from reachlab.settings.config import RunConfig
@@ -180,11 +182,35 @@ def test_lists_are_taken_and_what_is_loaded_is_short() -> None:
     assert len(shown) < 120
 
 
+def test_what_is_loaded_has_the_settings_of_its_training_and_the_name_of_its_weights() -> None:
+    loaded = reachlab.load("panda/precise", sim="kinematic")
+    assert (loaded.config.sim, loaded.config.randomise) == ("mujoco", ("dynamics",))
+    assert (loaded.env.config.sim, loaded.env.config.randomise) == ("kinematic", ())
+    assert loaded.checkpoint == find_run("panda/precise").read_identified(POLICY, loaded.policy)[0]
+
+
+def test_a_sweep_of_nothing_and_by_nobody_is_refused_before_it_begins(tmp_path: Path) -> None:
+    config, out = reachlab.configure("tutorial"), tmp_path / "sweep"
+    space = reachlab.SweepConfig(space={"learning_rate": [1e-3, 1e-2]})
+    for workers in (0, "2"):
+        with pytest.raises(InputError, match="workers must be a whole number from 1 to 1024"):
+            reachlab.sweep(config, space, out, workers=cast("Any", workers))
+    with pytest.raises(InputError, match=r"space must name a setting that varies, as .*, got \{\}"):
+        reachlab.sweep(config, reachlab.SweepConfig(space={}), out)
+    with pytest.raises(InputError, match=r"sinks must be a list of names, as \['tensorboard'\]"):
+        reachlab.train(config, out, sinks="tensorboard")
+    assert not out.exists()
+
+
 def test_what_is_no_environment_agent_or_setting_is_told_so(tmp_path: Path) -> None:
     env = reachlab.Env(reachlab.configure("tutorial"), 2)
     for given, sentence in (
         ((ReachEnv("tutorial"), "ik"), r"evaluate needs an Env, as reachlab.Env\(.*, got ReachEnv"),
         ((env, SimpleNamespace()), r"evaluate needs a name or a function \(.* as agent, got SimpleNamespace"),
+        (
+            (env, lambda _: [0.0, 0.0, 0.0]),
+            r"action must have shape \(2, 3\), a row for each environment, got \(3,\)",
+        ),
         ((env, "trained", reachlab.load("panda/precise")), "needs a Policy, .* got LoadedRun: give its `policy`"),
     ):
         with pytest.raises(InputError, match=sentence):
@@ -194,6 +220,8 @@ def test_what_is_no_environment_agent_or_setting_is_told_so(tmp_path: Path) -> N
         (lambda: reachlab.train(cast("Any", "x"), tmp_path / "run"), "train needs a RunConfig, .* as config, got 'x'"),
         (lambda: reachlab.train(config, cast("Any", None)), "train needs a path as out, got None"),
         (lambda: reachlab.train(config, tmp_path / "run", cast("Any", 3)), "train needs a function as watch, got 3"),
+        (lambda: reachlab.configure("tutorial", config=config), "setting 'config' is not one of"),
+        (lambda: reachlab.record(env, "ik", None, "x", config), r"needs a RecordConfig, as reachlab.RecordConfig\("),
         (lambda: reachlab.distil(config, tmp_path / "run"), "distil needs a DistilRunConfig, .* got RunConfig"),
         (
             lambda: reachlab.load("panda/precise").policy.act(cast("Any", ReachEnv("precise").reset(seed=0))),

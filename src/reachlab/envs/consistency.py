@@ -127,6 +127,8 @@ def _contradictions(config: RunConfig, changed: set[str]) -> Iterator[str]:
         )
     if "hidden" in changed and not config.learner.hidden:
         yield "hidden needs a layer at least, as --hidden 64: without one a policy is linear, and learns little."
+    if "initial_std" in changed and config.learner.initial_policy and config.ppo.final_std is None:
+        yield "initial_std has no effect with initial_policy, which has the noise that it learnt: leave it out."
     yield from _remembered_otherwise(config)
     if "action_repeat" in changed and loop.action_repeat > rules.max_steps:
         yield (

@@ -202,6 +202,8 @@ def checked_actions(given: Any, shape: tuple[int, ...]) -> np.ndarray:
         actions = np.asarray(given)
     except ValueError:
         raise _misshapen("a ragged one", shape) from None
+    if actions.shape == shape[1:]:
+        raise InputError(f"action must have shape {shape}, a row for each environment, got {actions.shape}.")
     if actions.shape != shape:
         raise _misshapen(str(actions.shape[1:] if actions.shape[:1] == (1,) == shape[:1] else actions.shape), shape)
     if actions.dtype != np.float32:

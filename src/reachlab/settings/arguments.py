@@ -20,6 +20,8 @@ Result = TypeVar("Result")
 MADE = {
     "RunConfig": "reachlab.configure('tutorial')",
     "DistilRunConfig": "reachlab.distillation(teacher, config)",
+    "SweepConfig": "reachlab.SweepConfig(space={'learning_rate': [1e-3, 3e-3]})",
+    "RecordConfig": "reachlab.RecordConfig(episodes=10)",
     "Env": "reachlab.Env(reachlab.configure('tutorial'), num_envs=4)",
     "Policy": "reachlab.load('panda/lift').policy",
     "Chain": "reachlab.load_robot('panda').chain",

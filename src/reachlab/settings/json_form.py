@@ -13,7 +13,7 @@ from reachlab.settings.validation import InputError, choose, hints
 Config = TypeVar("Config", bound=RunConfig)
 
 
-def override(config: Config, **settings: Any) -> Config:
+def override(config: Config, /, **settings: Any) -> Config:
     """A configuration with the named settings changed.
 
     Raises:
@@ -83,5 +83,5 @@ def build(cls: type, data: Any, where: str, **known: Any) -> Any:
         if dataclasses.is_dataclass(fields[name]):
             values[name] = build(typing.cast("type", fields[name]), value, f"{where}, {name},")
         else:
-            values[name] = tuple(value) if isinstance(value, list) else value
+            values[name] = value
     return cls(**values)

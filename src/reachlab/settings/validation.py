@@ -175,9 +175,10 @@ class Checked:
 
     def __post_init__(self) -> None:
         for name, hint in hints(type(self)).items():
-            value: Any = getattr(self, name)
-            if getattr(value, "shape", None) == ():  # a number of NumPy or JAX
-                value = value.item()
+            given: Any = getattr(self, name)
+            value = given.tolist() if hasattr(given, "tolist") else given  # a number or an array of NumPy or JAX
+            value = tuple(value) if isinstance(value, list) else value
+            if value is not given:
                 object.__setattr__(self, name, value)
             _check(name, value, hint)
 
