@@ -103,6 +103,7 @@ PATHS: dict[str, Sequence[str]] = {
     "live": ["page.html", "no/page.html", "."],
     "resume": [*RUNS, "."],
     "teacher": [*RUNS],
+    "initial_policy": [*RUNS, "panda/precise"],
     "normaliser": ["gone.pkl", "."],
     "run": [*RUNS],
     "runs": [*RUNS],

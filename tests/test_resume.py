@@ -234,7 +234,8 @@ def test_a_finished_run_says_so(unbroken: Path, capsys: pytest.CaptureFixture[st
     status, out, err = say(capsys, "train", "--resume", unbroken, "--json")
     assert status == 0
     assert json.loads(out) == json.loads((unbroken / "report.json").read_text())
-    assert err == f"Run {unbroken} is finished: {unbroken / 'report.json'} holds its report.\n"
+    further = f"train its policy further with --initial-policy {unbroken}, as a new run"
+    assert err == f"Run {unbroken} is finished: {unbroken / 'report.json'} holds its report; {further}.\n"
 
 
 def test_a_run_whose_report_is_cut_short_is_not_called_finished(

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from reachlab.robots.robot import Robot
     from reachlab.scale.sweep import sweep
     from reachlab.scale.trials import SweepConfig
-    from reachlab.settings.config import RunConfig
+    from reachlab.settings.config import RecordConfig, RunConfig
     from reachlab.settings.validation import InputError
     from reachlab.watch.page.view import view
     from reachlab.watch.plots import plot
@@ -50,6 +50,7 @@ _HOMES = {
     "Policy": "agents.policy",
     "ReachEnv": "envs.gymnasium_single",
     "ReachVectorEnv": "envs.gymnasium_vector",
+    "RecordConfig": "settings.config",
     "Report": "evaluation.report",
     "Robot": "robots.robot",
     "RunConfig": "settings.config",
@@ -81,6 +82,7 @@ __all__ = [
     "Policy",
     "ReachEnv",
     "ReachVectorEnv",
+    "RecordConfig",
     "Report",
     "Robot",
     "RunConfig",

@@ -127,6 +127,8 @@ class TrainDisplay(Bar):
     def begun(self) -> None:
         """Show what begins, where nothing is refused any more."""
         note(explained(self._config))
+        if first := self._config.learner.initial_policy:
+            note(f"Its first policy is that of '{first}'.")
 
     def report(self, ended: int) -> None:
         """Show how many episodes of the report at the end have ended."""

@@ -135,5 +135,6 @@ def _is_finished(arguments: Train | Distil, config: RunConfig, folder: Path) -> 
     report = read_json(run.report_file)
     if arguments.json:
         print(jsonlib.dumps(report))
-    print(f"Run {folder} is finished: {run.report_file} holds its report.", file=sys.stderr)
+    how = f"train its policy further with --initial-policy {quote(str(folder))}, as a new run"
+    print(f"Run {folder} is finished: {run.report_file} holds its report; {how}.", file=sys.stderr)
     return True

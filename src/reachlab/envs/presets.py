@@ -31,6 +31,7 @@ DISTILLATION: dict[str, Any] = {
     "final_learning_rate": 1e-4,
     "max_grad_norm": 1.0,
     "chained_starts": 0.0,
+    "initial_policy": None,
 }
 """Settings with which a distillation starts, beside those of its teacher's task."""
 
@@ -94,7 +95,6 @@ def configure(task: str = "tutorial", **settings: Any) -> RunConfig:
     Raises:
         InputError: a name that is no setting of the task, or a value that is not allowed.
     """
-    settings = {name: tuple(value) if isinstance(value, list) else value for name, value in settings.items()}
     settings |= {name: str(value) for name, value in settings.items() if isinstance(value, os.PathLike)}
     chosen = {name: settings[name] for name in CHOICES if settings.get(name) is not None}
     config = preset(task, **chosen)

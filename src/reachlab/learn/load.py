@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
+import numpy as np
 
 from reachlab.agents.policy import Policy
 from reachlab.envs.core import Env
@@ -15,9 +17,14 @@ from reachlab.learn.learner import make_initial_policy
 from reachlab.runs.directory import RunDirectory
 from reachlab.runs.shipped import find_run
 from reachlab.settings.config import RunConfig
+from reachlab.settings.json_form import flatten, to_json
+from reachlab.settings.validation import InputError
 
 POLICY = "learner/policy"
 """Name of the policy in a checkpoint."""
+
+BUILT_BY = ("observation", "action", "hidden", "memory")
+"""Settings that say what a policy is built like."""
 
 
 @dataclass(frozen=True)
@@ -55,11 +62,13 @@ class LoadedRun:
         policy: what was learnt, of the newest checkpoint.
         config: the settings of the training.
         env: the environment; without what varied in training.
+        checkpoint: what names the policy in reports and datasets, see `Manifest.identity`.
     """
 
     policy: Policy
     config: RunConfig
     env: Env
+    checkpoint: dict[str, Any]
 
     def __repr__(self) -> str:
         """What it is, without its weights."""
@@ -83,6 +92,38 @@ def load(run: str | Path, *, sim: str | None = None, num_envs: int = 1) -> Loade
     """
     directory = find_run(run)
     trained = directory.read_config()
-    config = in_evaluation(trained, sim or trained.sim)
-    env = Env(config, num_envs)
-    return LoadedRun(load_policy(directory, env), config, env)
+    env = Env(in_evaluation(trained, sim), num_envs)
+    saved = load_saved(directory, env)
+    return LoadedRun(saved.policy, trained, env, saved.checkpoint)
+
+
+def load_initial(env: Env) -> Policy | None:
+    """Policy that a training in `env` begins with, for its box of actions; None where its settings name none.
+
+    Observations are normalised as it is used to until the first are known, and then by these alone: on another arm what
+    it knows of their scale holds training back.
+
+    Raises:
+        InputError: see `load`, or the policy is built otherwise than that of the training.
+    """
+    if not (named := env.config.learner.initial_policy):
+        return None
+    loaded, own = load(named), _template(env)
+    loaded.env.close()
+    here, there = (flatten(to_json(config)) for config in (env.config, loaded.config))
+    if differing := [name for name in BUILT_BY if here[name] != there[name]]:
+        values = ", ".join(" ".join(map(str, (name, *np.atleast_1d(there[name])))) for name in differing)
+        raise InputError(f"initial_policy '{named}' was trained with {values}: choose that too, or another policy.")
+    if _shapes(loaded.policy) != _shapes(own):
+        counts = [(one.schema.vector_size, one.centre.size) for one in (loaded.policy, own)]
+        raise InputError(
+            f"initial_policy '{named}' observes {counts[0][0]} numbers for actions of {counts[0][1]}, and this training"
+            f" {counts[1][0]} for {counts[1][1]}: choose one of an arm with as many joints, and of a like task."
+        )
+    low, high = map(jnp.asarray, env.action_bounds)
+    normaliser = replace(loaded.policy.normaliser, count=jnp.zeros(()))
+    return Policy(loaded.policy.parameters, normaliser, (low + high) / 2, (high - low) / 2, own.schema)
+
+
+def _shapes(policy: Policy) -> list[tuple[int, ...]]:
+    return [leaf.shape for leaf in jax.tree.leaves(policy)]

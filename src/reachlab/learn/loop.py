@@ -83,9 +83,14 @@ class Loop:
         method: Method,
         given: Any,
         collect: Collect | None = None,
+        initial: Policy | None = None,
     ) -> None:
-        """Loop that has taken no step yet; `start` is when training began [s], `given` what the method loaded."""
-        self.method, self.given, self.collect = method, given, collect
+        """Loop that has taken no step yet.
+
+        `start` is when training began [s], `given` what the method loaded, and `initial` a policy to begin with, by
+        default an untrained one.
+        """
+        self.method, self.given, self.collect, self.initial = method, given, collect, initial
         self.config, self.env, self.run, self.watch, self.start = config, env, run, watch, start
         self.now = Counters(0)
         self.checkpoints = Checkpoints(run, config)
@@ -113,7 +118,7 @@ class Loop:
         if not env.traced:
             state = self.method.initial_state(env, config, config.seed, self.given)
             self._step = self.method.compile_iteration(env, config, state, self.collect)
-            return self._saved_state(state) if resume else state
+            return self._saved_state(state) if resume else self._begun(state)
         shape = jax.eval_shape(lambda: self.method.initial_state(env, config, config.seed, self.given))
         saved = self._saved_state(shape) if resume else None
         self._step = self.method.compile_iteration(env, config, shape, None)
@@ -124,9 +129,13 @@ class Loop:
                 env.identity,
                 like=shape,
             )
-            saved = jit(begin, brief=True)(np.uint32(config.seed))
+            saved = self._begun(jit(begin, brief=True)(np.uint32(config.seed)))
         self.runner = self._compiled_runner(shape.learner.policy)
         return saved
+
+    def _begun(self, state: Any) -> Any:
+        """A first state, with the policy that training begins with where one is given."""
+        return state if self.initial is None else replace(state, learner=replace(state.learner, policy=self.initial))
 
     def _saved_state(self, template: Any) -> Any:
         self.now, state = self.run.read_state(template)

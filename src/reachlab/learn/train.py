@@ -20,6 +20,7 @@ from reachlab.learn import METHODS
 from reachlab.learn.checkpointing import UnwritableError, unwritable
 from reachlab.learn.interrupts import Interrupts
 from reachlab.learn.learner import check_memory
+from reachlab.learn.load import load_initial
 from reachlab.learn.loop import Loop, Progress
 from reachlab.learn.method import Method
 from reachlab.learn.rollout import Collect
@@ -118,13 +119,13 @@ def train(
         check_reach(asked)
     env = Env(config, config.loop.num_envs, threads=threads or 0)
     try:
-        if collect:
-            _check_shared(env, method)
+        _check_shared(env, method, collect)
         env.check_rendering()
+        initial = None if resume and run.has_checkpoints else load_initial(env)
         if not resume:
             run.create(config)
         with _held(run, new=not resume):
-            loop = Loop(config, env, run, watch, start, method, given, collect)
+            loop = Loop(config, env, run, watch, start, method, given, collect, initial)
             return _train(loop, wanted, begun, watch_report, resume=resume)
     finally:
         env.close()
@@ -172,7 +173,9 @@ def _settled(config: RunConfig) -> RunConfig:
     return settled(config, setup)
 
 
-def _check_shared(env: Env, method: Method) -> None:
+def _check_shared(env: Env, method: Method, collect: Collect | None) -> None:
+    if collect is None:
+        return
     if not method.shares:
         raise InputError(
             f"what action {env.config.rules.action!r} is learnt from is planned on all cores here, and shared with no"
@@ -189,7 +192,10 @@ def _check_unfinished(run: RunDirectory, config: RunConfig) -> None:
     refuse_sweep(run)
     run.read_unfinished(config)
     if run.finished:
-        raise InputError(f"run '{run.path}' is finished: its report is '{run.report_file}'.")
+        raise InputError(
+            f"run '{run.path}' is finished: its report is '{run.report_file}'. A new run begins with its policy by"
+            f" initial_policy '{run.path}'."
+        )
 
 
 def _choose_threads(run: RunDirectory, config: RunConfig, wanted: int | None) -> None:

@@ -113,6 +113,9 @@ class LearnerConfig(Checked):
     """The gradient of all parameters together is shortened to this norm."""
     initial_std: Positive = 0.4
     """Noise of the actions at the start: standard deviation, where 1 is half the range of an action."""
+    initial_policy: str | None = None
+    """Run whose policy training begins with. It is a run directory or a name of `reachlab list`; without it the first
+    policy is an untrained one."""
 
 
 @dataclass(frozen=True)
@@ -155,7 +158,7 @@ class RunConfig(Checked):
     base: str | None = None
     """Body of the robot's file that holds the arm; joints before it are locked. By default its first."""
     package: Annotated[tuple[str, ...], Length(64)] = ()
-    """Folders of ROS packages that the robot's file names, each as NAME=FOLDER."""
+    """Folders of ROS packages that the robot's file names, as NAME=FOLDER."""
     sim: str = "kinematic"
     """Simulator: kinematic, mujoco or pybullet."""
     seed: Seed = 0
