@@ -568,9 +568,9 @@ def at_once(controller: Any) -> Any:
 
 
 LATE = (
-    (0.0, "joints follow their commands 0.00 s late, and in training 0.10 s: the arm may swing about its goal"),
+    (0.0, "joints are measured 0.00 s behind their commands, and 0.10 s in training: the arm may swing about its goal"),
     (0.1, ""),
-    (0.3, "joints follow their commands 0."),
+    (0.3, "joints are measured 0."),
 )
 """Times by which joints follow [s], and what is said of them."""
 
@@ -594,6 +594,24 @@ def test_joints_that_follow_otherwise_than_in_training_are_told(precise: Path, l
     assert set(told[: FOLLOWED - 1]) == {""}
     assert told[-1].startswith(said)
     assert bool(said) == bool(told[-1])
+
+
+def test_a_turn_that_a_driver_leaves_out_and_a_measurement_that_stays_are_named(precise: Path) -> None:
+    controller = at_once(Controller(precise))
+    controller._watch._lower, controller._watch._upper = controller._watch._lower - 9, controller._watch._upper + 9
+    turn = np.eye(len(controller.home))[0] * 2 * np.pi
+    controller.reset(controller.home)
+    play(controller, 3)
+    wrapped = ", by a full turn: give angles that go on where the driver begins anew"
+    told = play(controller, 200, 3, q=controller.home + turn)
+    assert told[0].endswith(f"is measured to have jumped{wrapped}")
+    assert told[-1].endswith(f"is not where it was sent{wrapped}")
+    assert controller.braking
+    controller.reset(controller.home)
+    stays = {"q": controller.home, "qd": 0.3 * np.ones(len(controller.home))}
+    told = [one for one in play(controller, 60, **stays) if "not changed" in one]
+    assert len(told) > 20
+    assert len(set(told)) == 1, "one sentence, which logs tell once"
 
 
 # --- what is given in other units, or is not believed ---------------------------------------------

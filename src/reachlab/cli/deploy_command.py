@@ -69,7 +69,7 @@ def deploy(arguments: Deploy) -> None:
         run_node(arguments.policy, **{flag: getattr(arguments, flag) for flag in NODE})
         return
     prepare()
-    from reachlab.deploy.check import check
+    from reachlab.deploy.check import check, read_facts
     from reachlab.deploy.ros2_check import check_over_ros2
 
     run = check_over_ros2 if arguments.over_ros2 else check
@@ -81,8 +81,9 @@ def deploy(arguments: Deploy) -> None:
     from reachlab.cli.console import say
 
     low, high = outcome["success_interval"]
+    sim = arguments.sim or read_facts(arguments.policy)["settings"]["sim"]
     say(
-        f"{outcome['episodes']} held-out episodes in real time: success {100 * outcome['success_rate']:.1f} %"
+        f"{outcome['episodes']} held-out episodes in real time, in {sim}: success {100 * outcome['success_rate']:.1f} %"
         f" (95 % interval {100 * low:.1f} to {100 * high:.1f})."
     )
     say(

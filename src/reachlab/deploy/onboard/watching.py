@@ -156,7 +156,9 @@ class Watch:
             (behind, trained), moved = self._followed[:2] / max(self._followed[2], TINY), self._followed[2]
             if moved > FOLLOWED * FAST_ENOUGH**2:
                 off = abs(behind - trained) > max(OFF_LAG * trained, OFF_LEAST)
-                late = f"joints follow their commands {max(behind, 0):.2f} s late, and in training {trained:.2f} s"
+                late = (
+                    f"joints are measured {max(behind, 0):.2f} s behind their commands, and {trained:.2f} s in training"
+                )
                 self._behind = f"{late}: the arm may swing about its goal" if off else ""
             self._followed, self._calls = np.zeros(3), 0
         return self._behind
@@ -192,7 +194,10 @@ class Watch:
             (np.abs(q - command) > self._away, "not where it was sent"),
         ):
             if wrong.any():
-                return f"joint {self._names[int(wrong.argmax())]!r} is {what}"
+                i = int(wrong.argmax())
+                turned = abs(abs(q[i] - command[i]) - 2 * np.pi) < self._away[i]
+                wrapped = ", by a full turn: give angles that go on where the driver begins anew" if turned else ""
+                return f"joint {self._names[i]!r} is {what}{wrapped}"
         return ""
 
     def _frozen(self, q: np.ndarray, qd: np.ndarray, command: np.ndarray) -> str:
@@ -204,4 +209,5 @@ class Watch:
             return ""
         moved = np.abs(command - self._command).max() > MOVED
         drifted = np.abs(qd).max() * self._same * self._period > DRIFTED
-        return f"the measurement has not changed for {self._same} steps, and the arm moves" if moved or drifted else ""
+        stale = f"the measurement has not changed for {self._repeats} steps and more, and the arm was moved"
+        return stale if moved or drifted else ""
