@@ -4,6 +4,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 RUN := runs/demo-$(shell date +%Y%m%d-%H%M%S)
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
+# Hundreds of processes import the same modules: what Python has compiled of them is kept also where the environment says otherwise.
+unexport PYTHONDONTWRITEBYTECODE
 # A process each core, which computes with one thread: two that share both cores wait for each other. Each begins with half
 # of the tests in their order, so that what a file's tests share is made once.
 PYTEST := NPROC=1 $(BIN)/python -m pytest -n 2 --dist worksteal
@@ -47,10 +49,11 @@ types: $(VENV)/installed-dev
 unit: $(VENV)/installed-dev
 	$(QUICK) $(PYTEST) -m "not slow"
 
-# The tests that `make test` leaves out since each takes long: marked `slow`. Programs of the tests that look at last bits or at
+# The tests that `make test` leaves out since each takes long: marked `slow`. Many wait for processes, a browser or the clock, so
+# three processes share two cores. Programs of the tests that look at last bits or at
 # compiled programs, marked `compiled`, are compiled as users' are.
 slow: $(VENV)/installed-dev
-	$(QUICK) $(PYTEST) -m "slow and not compiled"
+	$(QUICK) $(PYTEST) -n 3 -m "slow and not compiled"
 	$(PYTEST) -m compiled $(shell grep -l mark.compiled tests/test_*.py)
 
 # What is derived of arms and compared, with the kernels of other CPUs: two of OpenBLAS's, and XLA's without AVX-512.
@@ -123,11 +126,12 @@ BROWSER := src/reachlab/watch/page
 PACK := import sys, zlib; sys.stdout.buffer.write(zlib.compress(sys.stdin.buffer.read(), 9))
 three:
 	rm -rf build/three && mkdir -p build/three && cp $(BROWSER)/three.entry.js build/three/
-	cd build/three && npm install --silent --no-save three@0.187.0 esbuild@0.28.2 @mujoco/mujoco@3.14.0
+	cd build/three && npm install --silent --no-save three@0.187.0 meshoptimizer@1.3.0 esbuild@0.28.2 @mujoco/mujoco@3.14.0
 	cd build/three && npx esbuild three.entry.js --bundle --minify --format=iife --global-name=THREE \
 		--legal-comments=none --log-level=warning --outfile=three.min.js
 	cp build/three/three.min.js $(BROWSER)/three.min.js
 	cp build/three/node_modules/three/LICENSE $(BROWSER)/three.LICENSE
+	cp build/three/node_modules/meshoptimizer/LICENSE.md $(BROWSER)/meshoptimizer.LICENSE
 	cp $(VENV)/lib/python*/site-packages/mujoco-*.dist-info/licenses/LICENSE $(BROWSER)/mujoco.LICENSE
 	for part in wasm js; do $(PYTHON) -c "$(PACK)" < build/three/node_modules/@mujoco/mujoco/mujoco.$$part \
 		> $(BROWSER)/mujoco.$$part.zlib || exit 1; done
@@ -140,8 +144,9 @@ $(VENV)/installed: $(VENV)/bin/python pyproject.toml constraints.txt
 	$(PIP) install --constraint constraints.txt --editable .
 	@touch $@
 
+# Python compiles the modules that are used, a tenth of those that are installed.
 $(VENV)/installed-dev: $(VENV)/bin/python pyproject.toml constraints.txt
-	$(PIP) install --constraint constraints.txt --editable '.[dev]'
+	$(PIP) install --no-compile --constraint constraints.txt --editable '.[dev]'
 	@touch $@ $(VENV)/installed
 
 $(GYMNAX_VENV)/installed: $(GYMNAX_VENV)/bin/python pyproject.toml constraints.txt tests/gymnax/constraints.txt

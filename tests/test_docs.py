@@ -18,7 +18,7 @@ import pytest
 import benchmarks
 import reachlab
 from blocks.__main__ import main as run_pages
-from blocks.pages import BLOCK, MARK, fenced, lanes
+from blocks.pages import BLOCK, MARK, fenced, lanes, others
 from blocks.pages import blocks as commands_of
 from blocks.stand_in import check_pip, shortened
 from reachlab.agents import AGENTS
@@ -188,7 +188,7 @@ def test_what_is_marked_as_not_run_is_there(page: str) -> None:
 
 
 def test_every_page_is_in_one_lane() -> None:
-    found = [page for lane in lanes() for page in lane]
+    found = [page for lane in [*lanes(), others()] for page in lane]
     assert sorted(found) == sorted(page for page in PAGES if page not in (CONTRIBUTING, SECURITY))
 
 
@@ -206,7 +206,10 @@ def test_a_command_that_fails_is_reported_and_a_marked_one_is_not_run(
 @pytest.mark.parametrize(
     ("words", "short"),
     [
-        ("train --seed 3", "train --seed 3 --total-steps 1 --report-episodes 4 --max-steps 60"),
+        (
+            "train --seed 3 --num-envs 5",
+            "train --seed 3 --num-envs 32 --rollout-steps 8 --total-steps 1 --report-episodes 4 --max-steps 60",
+        ),
         ("eval runs/first --episodes 300 --seed 1", "eval runs/first --seed 1 --episodes 4"),
         ("train --resume runs/first", "train --resume runs/first"),
         ("view runs/first", "view runs/first"),

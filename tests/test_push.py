@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 
 from faults.controllers import written
-from params import tried
 from reachlab.agents.acting import make_act
 from reachlab.deploy.onboard.controller import Controller
 from reachlab.deploy.ros2 import PolicyNode
@@ -134,8 +133,16 @@ def test_objects_that_vary_lie_on_the_table_and_are_measured_beside_where_they_a
 # --- the task -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("randomise", tried([(), ("objects",), ("objects", "sight")], [("objects", "sight")]))
-@pytest.mark.parametrize("robot", tried(ROBOTS, ["panda"]))
+VARIED = ("objects", "sight")
+"""All that varies in training; with less of it the controller is tried on one arm."""
+
+
+OTHERS = [*((robot, VARIED) for robot in ROBOTS if robot != "panda"), ("panda", ()), ("panda", ("objects",))]
+
+
+@pytest.mark.parametrize(
+    ("robot", "randomise"), [("panda", VARIED), *(pytest.param(*one, marks=pytest.mark.slow) for one in OTHERS)]
+)
 def test_the_controller_pushes_objects_to_their_goals(robot: str, randomise: tuple[str, ...]) -> None:
     env = Env(configure("push", robot=robot, randomise=randomise), TRIALS)
     state, key = env.init(episode_keys(1, REPORT_STREAM, 0, TRIALS)), jax.random.key(0)

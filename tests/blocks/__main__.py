@@ -9,6 +9,7 @@ again. Whatever is not run is marked on its page, `<!-- not run: why -->` above 
 
 from __future__ import annotations
 
+import contextlib
 import os
 import resource
 import signal
@@ -16,12 +17,14 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 
-from blocks.pages import ROOT, Block, blocks, fenced, lanes
+from blocks.pages import ROOT, Block, blocks, fenced, lanes, others
 from blocks.stand_in import install
 from reachlab.cli.console import say
 from reachlab.jax_setup import VARIABLE
@@ -87,7 +90,7 @@ def _fault(words: list[str], folder: Path, env: dict[str, str]) -> str:
     return "" if process.returncode == 0 else f"exit status {process.returncode}: {errors[-1500:]}"
 
 
-def run_lane(pages: Sequence[Path]) -> Tally:
+def run_lane(pages: Iterable[Path]) -> Tally:
     """What became of the commands of pages, run one after the other in a new folder."""
     tally = Tally()
     with tempfile.TemporaryDirectory() as place:
@@ -98,10 +101,11 @@ def run_lane(pages: Sequence[Path]) -> Tally:
     return tally
 
 
-def main(lanes: Sequence[Sequence[Path]]) -> int:
-    """Exit status: 1 where a command fails."""
+def main(lanes: Sequence[Sequence[Path]], others: Sequence[Path] = ()) -> int:
+    """Exit status of running pages in their lanes, and others in the one that is free: 1 where a command fails."""
+    left = deque(others)
     with ThreadPoolExecutor(len(lanes)) as pool:
-        tallies = list(pool.map(run_lane, lanes))
+        tallies = list(pool.map(run_lane, [chain(lane, _taken(left)) for lane in lanes]))
     left_out = [line for tally in tallies for line in tally.left_out]
     failures = [line for tally in tallies for line in tally.failures]
     total, without = sum(tally.blocks for tally in tallies), sum(tally.without for tally in tallies)
@@ -116,5 +120,13 @@ def main(lanes: Sequence[Sequence[Path]]) -> int:
     return int(bool(failures))
 
 
+def _taken(left: deque[Path]) -> Iterator[Path]:
+    """Pages that nobody has taken yet, one whenever it is asked for."""
+    with contextlib.suppress(IndexError):  # another lane may take the last one at any moment
+        while True:
+            yield left.popleft()
+
+
 if __name__ == "__main__":
-    sys.exit(main([[ROOT / word for word in sys.argv[1:]]] if sys.argv[1:] else lanes()))
+    named = [ROOT / word for word in sys.argv[1:]]
+    sys.exit(main([named]) if named else main(lanes(), others()))

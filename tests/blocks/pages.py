@@ -14,7 +14,7 @@ LANES = (
     ("docs/start.md", "docs/tutorial.md", "docs/own-arm.md", "docs/pose.md", "docs/track.md", "docs/learners.md"),
 )
 """Pages that are run one after the other in a folder of their own, because they use the same runs; lanes are run at the
-same time. Pages that are not named are run at the end of the last one."""
+same time. Pages that are not named use their own runs or that of each lane's first page: the free lane takes one."""
 
 BLOCK = re.compile(r"((?:^<!-- not run.*? -->\n+)*)^```([\w{}-]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
@@ -50,10 +50,14 @@ class Block:
 
 
 def lanes() -> list[list[Path]]:
-    """README and docs, in the order in which the commands of each lane are run."""
-    found = [[ROOT / name for name in lane] for lane in LANES]
-    others = sorted(page for page in (ROOT / "docs").glob("*.md") if all(page not in lane for lane in found))
-    return [*found[:-1], [*found[-1], *others]]
+    """Pages of each lane, in the order in which their commands are run."""
+    return [[ROOT / name for name in lane] for lane in LANES]
+
+
+def others() -> list[Path]:
+    """Pages of no lane."""
+    named = {page for lane in lanes() for page in lane}
+    return sorted(page for page in (ROOT / "docs").glob("*.md") if page not in named)
 
 
 def fenced(text: str, language: str) -> Iterator[tuple[str, tuple[tuple[str, str], ...]]]:

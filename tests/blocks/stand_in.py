@@ -15,10 +15,13 @@ from pathlib import Path
 
 from reachlab.cli.console import note
 
+LITTLE = {"--num-envs": "32", "--rollout-steps": "8", "--total-steps": "1"}
+"""Flags of a training of one short iteration; 32 environments are enough for two workers."""
+
 FEW = {
-    "train": {"--total-steps": "1", "--report-episodes": "4", "--max-steps": "60"},
+    "train": {**LITTLE, "--report-episodes": "4", "--max-steps": "60"},
     "distil": {"--total-steps": "1", "--guided": "0", "--updates": "2", "--report-episodes": "2"},
-    "sweep": {"--total-steps": "1", "--report-episodes": "4", "--max-steps": "60", "--trials": "2"},
+    "sweep": {**LITTLE, "--report-episodes": "4", "--max-steps": "60", "--trials": "2"},
     "eval": {"--episodes": "4"},
     "video": {"--episodes": "1", "--fps": "4"},
     "deploy": {"--episodes": "1"},
@@ -29,13 +32,14 @@ FEW = {
 REACHLAB = """
 import sys
 from reachlab.cli.main import main
+from reachlab.envs.presets import DISTILLATION
 from reachlab.evaluation import episodes
 from reachlab.tasks.scenes import bank
 bank.TRAINING = bank.HELD_OUT = 8
-episodes.BATCH = 16
+DISTILLATION["num_envs"] = episodes.BATCH = 16
 sys.exit(main())
 """
-"""`python -m reachlab`, with few scenes to draw, and few episodes at a time."""
+"""`python -m reachlab`, with few scenes to draw, and few environments and episodes at a time."""
 
 ENDLESS = {("view",): 60.0, ("deploy", "ros2"): 8.0}
 """Commands that run until they are interrupted, and after how long they are at the latest [s]."""
