@@ -144,9 +144,8 @@ $(VENV)/installed: $(VENV)/bin/python pyproject.toml constraints.txt
 	$(PIP) install --constraint constraints.txt --editable .
 	@touch $@
 
-# Python compiles the modules that are used, a tenth of those that are installed.
 $(VENV)/installed-dev: $(VENV)/bin/python pyproject.toml constraints.txt
-	$(PIP) install --no-compile --constraint constraints.txt --editable '.[dev]'
+	$(PIP) install --constraint constraints.txt --editable '.[dev]'
 	@touch $@ $(VENV)/installed
 
 $(GYMNAX_VENV)/installed: $(GYMNAX_VENV)/bin/python pyproject.toml constraints.txt tests/gymnax/constraints.txt
@@ -160,7 +159,7 @@ $(LEROBOT_VENV)/bin/python: | lerobot-python
 
 $(LEROBOT_VENV)/installed: $(LEROBOT_VENV)/bin/python pyproject.toml constraints.txt tests/lerobot/constraints.txt lerobot_policy_reachlab/pyproject.toml
 	grep -vE '^(fsspec|numpy|packaging|pillow|setuptools|torch|wandb)==' constraints.txt | cat - tests/lerobot/constraints.txt > $(LEROBOT_VENV)/constraints.txt
-	$(LEROBOT_VENV)/bin/python -m pip --disable-pip-version-check --quiet install --no-compile --constraint $(LEROBOT_VENV)/constraints.txt \
+	$(LEROBOT_VENV)/bin/python -m pip --disable-pip-version-check --quiet install --constraint $(LEROBOT_VENV)/constraints.txt \
 		--editable '.[deploy,lerobot]' --editable ./lerobot_policy_reachlab 'lerobot[dataset,evaluation,feetech,training]' pytest pytest-timeout
 	@touch $@
 

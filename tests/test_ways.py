@@ -476,6 +476,17 @@ def test_branches_have_their_pose(robot: str) -> None:
         assert ((arm.lower <= one) & (one <= arm.upper)).all()
 
 
+def test_what_times_a_motion_says_nothing_where_python_compiles_it_anew(tmp_path: Path) -> None:
+    program = """if True:
+        import numpy as np
+        from reachlab.control.planning.timing import timed
+        assert timed(np.eye(3), np.ones(3), np.ones(3), 0.02) is not None
+    """
+    command = [sys.executable, "-W", "error", "-X", f"pycache_prefix={tmp_path}", "-c", program]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
 @pytest.mark.parametrize("robot", ["panda", "ur5e", "iiwa14", "gen3"])
 def test_commands_of_a_smoothed_motion_are_within_limits(robot: str) -> None:
     made = load_robot(robot)

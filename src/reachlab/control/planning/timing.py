@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import logging
+import warnings
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,6 @@ FEWEST = 30
 
 SHORT = 1e-6
 """Parts of a path that are left out [rad]."""
-
 
 SETTLED = 5.0
 """Times of its servos' lag after which an arm stands where it was sent."""
@@ -55,19 +55,17 @@ def timed(
     Raises:
         ModuleNotFoundError: TOPP-RA is not installed.
     """
-    from toppra import SplineInterpolator
-    from toppra.algorithm import TOPPRA
-
-    logging.getLogger("toppra").setLevel(logging.ERROR)
+    toppra = _library()
     lengths = np.linalg.norm(np.diff(path, axis=0), axis=1)
     path = path[np.append(True, lengths > SHORT)]
     along = np.append(0.0, np.cumsum(lengths[lengths > SHORT]))
     if len(path) == 1:
         return path, np.zeros_like(path)
-    spline = SplineInterpolator(along, path, bc_type="natural")
+    spline = toppra.SplineInterpolator(along, path, bc_type="natural")
     limits = _limits(tuple(speed), tuple(acceleration))
     points = np.linspace(0.0, along[-1], max(int(along[-1] / STEP), FEWEST))
-    motion: Any = TOPPRA(limits, spline, gridpoints=points, solver_wrapper="seidel").compute_trajectory(0.0, 0.0)
+    timing = toppra.algorithm.TOPPRA(limits, spline, gridpoints=points, solver_wrapper="seidel")
+    motion = timing.compute_trajectory(0.0, 0.0)
     if motion is None:
         return None
     times = np.minimum(np.arange(0.0, motion.duration + period, period), motion.duration)
@@ -75,8 +73,19 @@ def timed(
 
 
 @functools.cache
-def _limits(speed: tuple[float, ...], acceleration: tuple[float, ...]) -> list[Any]:
-    from toppra.constraint import JointAccelerationConstraint, JointVelocityConstraint
+def _library() -> Any:
+    """TOPP-RA, which says nothing. Its docstrings hold backslashes, of which Python warns where it compiles them."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        import toppra
+        import toppra.algorithm
+        import toppra.constraint
+    logging.getLogger("toppra").setLevel(logging.ERROR)
+    return toppra
 
-    both = (np.array(speed), JointVelocityConstraint), (np.array(acceleration), JointAccelerationConstraint)
-    return [kind(np.stack([-most, most], axis=1)) for most, kind in both]
+
+@functools.cache
+def _limits(speed: tuple[float, ...], acceleration: tuple[float, ...]) -> list[Any]:
+    kinds = _library().constraint
+    both = (speed, kinds.JointVelocityConstraint), (acceleration, kinds.JointAccelerationConstraint)
+    return [kind(np.stack([-np.array(most), np.array(most)], axis=1)) for most, kind in both]
