@@ -313,8 +313,9 @@ def senseless(words: Sequence[str]) -> str | None:
     for name, effective in only.items():
         if changed(name) and not effective:
             return f"--{name} has no effect"
-    if "view" in said.get("randomise", []) and not str(now("observation")).startswith("image"):
-        return "a view of nothing varies"
+    seen, real = str(now("observation")).startswith("image"), now("sim") == "mujoco"
+    if vain := {"view": not seen, "lag": not real}.items() & {(one, True) for one in said.get("randomise", [])}:
+        return f"{vain} of what does not vary"
     own = dict(zip(("target_low", "target_high"), ROBOTS["iiwa14"].goal_box or (), strict=True))
     low, high = ([float(x) for x in said.get(name.replace("_", "-")) or corner] for name, corner in own.items())
     return _misplaced(now, low, high)

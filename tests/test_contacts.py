@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -41,7 +41,7 @@ NEAR = 1e-3
 """Distance within which the engine may tell either [m]."""
 
 
-def simulator(robot: Robot, num_envs: int, count: int = COUNT, **settings: bool) -> Simulator:
+def simulator(robot: Robot, num_envs: int, count: int = COUNT, **settings: Sequence[str]) -> Simulator:
     """MuJoCo with obstacles around each arm."""
     return make_simulator("mujoco", robot, PHYSICS, num_envs, scene=Scene(count, contacts=count > 0), **settings)
 
@@ -289,13 +289,13 @@ def test_a_reset_changes_only_the_environments_of_its_mask() -> None:
     assert np.array_equal(mixed.q, np.where(mask[:, None], two.q, one.q))
 
 
-@pytest.mark.parametrize("varied", [False, True])
+@pytest.mark.parametrize("varied", [(), ("dynamics",), ("lag", "dynamics")])
 @pytest.mark.compiled
-def test_any_state_is_continued_from_bit_for_bit(varied: bool) -> None:
+def test_any_state_is_continued_from_bit_for_bit(varied: tuple[str, ...]) -> None:
     robot, num_envs = load_robot("iiwa14"), 6
-    whole, other = (simulator(robot, num_envs, randomise_dynamics=varied) for _ in range(2))
+    whole, other = (simulator(robot, num_envs, randomise=varied) for _ in range(2))
     home, random = at_home(robot, num_envs), np.random.default_rng(0)
-    arms = random.uniform(-1, 1, (num_envs, 15)) if varied else None
+    arms = random.uniform(-1, 1, (num_envs, 14 + len(varied))) if varied else None
     state = whole.reset(None, episodes(home, bodies=scene(num_envs, 3), dynamics=arms), None)
     commands = home + np.cumsum(random.uniform(-0.1, 0.1, (60, num_envs, 7)), axis=0).astype(np.float32)
     saved, told = state, []
@@ -316,7 +316,7 @@ def test_any_state_is_continued_from_bit_for_bit(varied: bool) -> None:
 
 def test_arms_that_vary_still_do_among_obstacles() -> None:
     robot = load_robot("iiwa14")
-    sim, home = simulator(robot, 2, randomise_dynamics=True), at_home(robot, 2)
+    sim, home = simulator(robot, 2, randomise=("dynamics",)), at_home(robot, 2)
     arms = np.array([[-1.0] * 15, [1.0] * 15])
     state = sim.reset(None, episodes(home, bodies=absent(2, COUNT), dynamics=arms), None)
     for _ in range(50):

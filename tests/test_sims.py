@@ -22,6 +22,7 @@ from reachlab.render.marks import Marks
 from reachlab.render.offscreen import Camera
 from reachlab.robots.kinematics.forward import forward_kinematics
 from reachlab.robots.loading import load_robot
+from reachlab.settings.config import SimConfig
 from reachlab.sims import SIMULATORS
 from reachlab.sims.mujoco import MujocoSimulator
 from reachlab.sims.rendering import Drawn
@@ -105,6 +106,52 @@ def test_gravity_pulls_the_mujoco_arm_down_unless_compensated():
         sag[compensated] = float(start.tool_position[0, 2] - forward_kinematics(robot.chain, arm.q).position[0, 2])
     assert 0.005 < sag[False] < 0.05
     assert abs(sag[True]) < 1e-4
+
+
+def measured_lag(robot: str, physics: SimConfig, dynamics: np.ndarray, randomise: tuple[str, ...]) -> np.ndarray:
+    """Times `[B, n]` by which joints follow commands that go on evenly, of arms of `dynamics [B, k]` [s]."""
+    arm, num_envs, steps = load_robot(robot), len(dynamics), 60
+    simulator = make_simulator("mujoco", arm, physics, num_envs, randomise=randomise)
+    middle, speed = np.mean([arm.chain.lower, arm.chain.upper], axis=0), 0.1 * np.array(arm.speed)
+    ways = middle + speed * physics.control_period * np.arange(steps + 1)[:, None]
+    commands = np.tile(ways.astype(np.float32)[:, None], (1, num_envs, 1))
+    state = simulator.reset(None, begin(commands[0])._replace(dynamics=dynamics), None)
+    for command in commands[1:]:
+        state = simulator.step(state, command)
+    return (ways[-1] - np.asarray(state.q)) / speed + physics.control_period / 2  # a command is held for a period
+
+
+@pytest.mark.parametrize("robot", ["iiwa14", "so101"])
+@pytest.mark.parametrize("lag", [0.03, 0.2])
+def test_mujoco_joints_follow_by_the_lag_that_was_measured(robot: str, lag: float):
+    env = Env(configure("precise", robot=robot, servo_lag=lag, gravity_compensation=True, randomise=()), 1)
+    assert np.allclose(env.setup.lag, lag)
+    assert np.allclose(measured_lag(robot, env.config.physics, np.zeros((1, 0)), ()), lag, atol=0.003)
+
+
+@pytest.mark.parametrize("robot", ["iiwa14", "so101"])
+@pytest.mark.parametrize("others", [(), ("dynamics",)])
+def test_mujoco_joints_follow_a_fifth_to_one_and_a_half_times_as_late_where_that_varies(
+    robot: str, others: tuple[str, ...]
+):
+    env = Env(configure("precise", robot=robot, gravity_compensation=True, randomise=(*others, "lag")), 16)
+    numbers = 2 * env.setup.robot.chain.n + 1 if others else 0
+    drawn = np.asarray(env.functions.sample_episode(env_keys(0, 16)).dynamics)
+    assert drawn.shape == (16, numbers + 1)
+    assert drawn[:, -1].min() < -0.5
+    assert drawn[:, -1].max() > 0.5
+    arms = np.zeros((5, numbers + 1), np.float32)
+    arms[:, -2:-1] = -1  # no payload
+    arms[:, -1] = -1, -0.5, 0, 0.5, 1
+    late = measured_lag(robot, env.config.physics, arms, env.config.randomise)
+    shares = np.array([0.2, 0.6, 1.0, 1.25, 1.5])[:, None]
+    assert np.allclose(late, shares * np.array(env.setup.lag), atol=0.004)
+
+
+def test_what_varies_of_the_arms_is_drawn_alike_whether_their_lag_varies_or_not():
+    envs = [Env(configure("precise", randomise=varied), 3) for varied in (("dynamics",), ("lag", "dynamics"))]
+    one, other = (np.asarray(env.functions.sample_episode(env_keys(0, 3)).dynamics) for env in envs)
+    assert np.array_equal(one, other[:, :-1])
 
 
 @pytest.fixture(scope="module")

@@ -121,6 +121,8 @@ WITHOUT_EFFECT: list[tuple[dict[str, Any], str]] = [
     ({"physics_steps": 2}, "physics_steps has an effect only with sim mujoco"),
     ({"collisions": True}, "collisions has an effect only with sim mujoco"),
     ({"gravity_compensation": True, "sim": "pybullet"}, "gravity_compensation has an effect only with sim mujoco"),
+    ({"servo_lag": 0.05}, "servo_lag has an effect only with sim mujoco"),
+    ({"randomise": ("lag",)}, "randomise lag needs arms that differ, as in simulator mujoco: in 'kinematic' all"),
     ({"gui": True}, "gui has an effect only with sim pybullet"),
     ({"slow": True, "sim": "mujoco"}, "slow has an effect only with sim pybullet"),
     ({"success_angle": 0.1}, "success_angle is a setting of task pose or clutter_pose, and not of tutorial"),

@@ -97,7 +97,7 @@ class Distil(Training):
     seed: Seed = 0
     """Seed of everything random."""
     randomise: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="[STR ...]", help_behavior_hint="")] = None
-    """What varies from episode to episode, of dynamics, delay and view; by default what varied for the teacher."""
+    """What varies from episode to episode, of dynamics, delay, lag and view; by default what varied for the teacher."""
     total_steps: Steps = DISTILLATION["total_steps"]
     """Environment steps after which training ends: 4,096 an iteration with the default `--action-repeat`."""
     report_episodes: Count = DISTILLATION["report_episodes"]
@@ -200,8 +200,8 @@ class Eval(Subjects):
     seed: Seed = 1
     """Seed of the targets."""
     randomise: tuple[str, ...] = ()
-    """What varies from episode to episode: dynamics, delay, of tasks with an object objects and sight, and for a policy
-    that gets pictures view."""
+    """What varies from episode to episode: dynamics, delay, lag, of tasks with an object objects and sight, and for a
+    policy that gets pictures view."""
     gui: bool = False
     """PyBullet: open its window."""
     slow: bool = False

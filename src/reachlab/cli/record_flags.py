@@ -23,6 +23,6 @@ class Record(Subjects):
     """Folder to make."""
     settings: RecordConfig = field(default_factory=RecordConfig)
     randomise: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="[STR ...]", help_behavior_hint="")] = None
-    """What varies from episode to episode: dynamics, delay, view, objects, sight; by default what does in training."""
+    """What varies from episode to episode: dynamics, delay, lag, view, objects, sight; by default as in training."""
     json: bool = False
     """Print what was recorded as one JSON object on standard output."""

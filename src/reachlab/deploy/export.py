@@ -107,8 +107,8 @@ def export(
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError(f"'{out}' exists and is not empty: choose another --out, or remove it.")
     trained = run.read_config()
-    # Its controller counts on measurements as late as they were in training.
-    late = tuple({"delay"} & set(trained.randomise))
+    # Its controller counts on measurements as late as they were in training, and on joints that follow as late.
+    late = [varies for varies in trained.randomise if varies in ("delay", "lag")]
     asked = override(in_evaluation(trained, trained.sim, **goals), randomise=late)
     env = Env(override(asked, shaping=True), TOGETHER)  # as its controller shapes what it commands
     try:

@@ -13,6 +13,7 @@ from reachlab.envs.core import Env
 from reachlab.robots.derive.frame import frame_of
 from reachlab.robots.robot import CATALOGUE, DERIVED, GRIPPER, Robot
 from reachlab.settings.json_form import to_json
+from reachlab.sims.mujoco import LEAST_LAG, MOST_LAG
 from reachlab.tasks import actions, observations, terms
 from reachlab.tasks.schema import SIZE
 from reachlab.tasks.task import TaskSetup
@@ -57,6 +58,7 @@ def describe(env: Env, policy: Policy, step: Behaviour) -> dict[str, Any]:
         "arm": {
             "home": list(robot.at_home),
             "lag": [*setup.lag, *[0.0] * (len(rows) - robot.chain.n)],
+            "lag_range": [LEAST_LAG, MOST_LAG] if "lag" in config.randomise else [1.0, 1.0],
             "held_quaternion": list(robot.held_quaternion),
         },
         "settings": to_json(config),

@@ -42,7 +42,7 @@ NAMES: dict[str, tuple[str, Mapping[str, object]]] = {
 LONGEST = 0.005
 """Longest step of the engine with which objects neither sink into what they lie on nor slip out of hands [s]."""
 
-RANDOMISED = ("dynamics", "delay", "view", "objects", "sight")
+RANDOMISED = ("dynamics", "delay", "lag", "view", "objects", "sight")
 """Parts that can vary from episode to episode; see `RunConfig.randomise`."""
 
 log = logging.getLogger(__name__)
@@ -96,6 +96,8 @@ def _impossible(config: RunConfig) -> Iterator[str]:
             yield f"{who} needs {WORDS.get(word, f'{word!r}, which nothing gives')}."
     for name in config.randomise:
         choose("randomise", name, RANDOMISED)
+    if "lag" in config.randomise and "dynamics" not in SIMULATORS[sim].gives:
+        yield f"randomise lag needs arms that differ, as in simulator mujoco: in {sim!r} all follow alike."
     step, period = config.physics.control_period / config.physics.physics_steps, config.physics.control_period
     if "object" in rules.gives and "physics_steps" in SIMULATORS[sim].settings and step > LONGEST * (1 + 1e-6):
         yield (

@@ -77,7 +77,7 @@ class Env:
             config.physics,
             num_envs,
             threads,
-            randomise_dynamics="dynamics" in config.randomise,
+            randomise=config.randomise,
             scene=setup.scene,
         )
         self.setup = replace(setup, lag=self.simulator.lag)

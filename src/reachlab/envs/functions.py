@@ -130,12 +130,16 @@ class EnvFunctions:
     def sample_episode(self, keys: Array, goal: Goal | None = None, held_out: Array | bool = False) -> Begin:
         """Beginnings of episodes, of those of a `goal` if one is given, and their next keys; see `Task.sample`."""
         setup, task = self.setup, self.setup.task
-        numbers = 2 * setup.robot.chain.n + 1 if "dynamics" in self.randomise else 0
-        numbers += 2 if "objects" in self.randomise else 0
+        arm = 2 * setup.robot.chain.n + 1 if "dynamics" in self.randomise else 0
+        numbers = arm + 2 if "objects" in self.randomise else arm
 
         def one(key: Array, goal: Goal | None) -> Begin:
             of_episode, (key, for_goal, for_start, for_arm) = key, jax.random.split(key, streams.PARTS)
             dynamics = jax.random.uniform(for_arm, (numbers,), minval=-1.0)
+            if "lag" in self.randomise:
+                for_lag = jax.random.fold_in(of_episode, streams.LAG_STREAM)
+                lag = jax.random.uniform(for_lag, (1,), minval=-1.0)
+                dynamics = jnp.concatenate([dynamics[:arm], lag, dynamics[arm:]])
             parts = Keys(for_goal, for_start, jax.random.fold_in(of_episode, streams.SCENE_STREAM))
             start, goal, bodies = task.sample(setup, parts, goal, held_out)
             if "objects" in self.randomise:

@@ -26,10 +26,10 @@ PARTS = 4
 VIEW_STREAM, NOISE_STREAM, AGENT_STREAM, CHAIN_STREAM, SCENE_STREAM, DELAY_STREAM, OBJECT_STREAM, PLACE_STREAM = (
     2**32 - 1 - i for i in range(8)
 )
-SIGHT_STREAM, GOAL_STREAM, WRENCH_STREAM = 2**32 - 9, 2**32 - 10, 2**32 - 11
+SIGHT_STREAM, GOAL_STREAM, WRENCH_STREAM, LAG_STREAM = (2**32 - 9 - i for i in range(4))
 """Streams of an episode's key beside these parts: its view, the noise of its measurements, what its agent samples,
 where the next episode begins, its bodies, how late its measurements are, which objects it has, where they are
-measured and how late, when its goal is seen, and the noise of the wrench at its wrist."""
+measured and how late, when its goal is seen, the noise of the wrench at its wrist, and its arm's lag."""
 
 
 def checked_keys(keys: Any) -> Array:

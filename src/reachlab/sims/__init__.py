@@ -37,7 +37,7 @@ SIMULATORS: dict[str, SimulatorEntry] = Table(
             "full dynamics: gravity, inertia, position servos with torque limits; batched on all cores",
             "reachlab.sims.mujoco:MujocoSimulator",
             gives=frozenset({"dynamics", "contacts", "objects", "wrench"}),
-            settings=("physics_steps", "collisions", "gravity_compensation"),
+            settings=("physics_steps", "collisions", "gravity_compensation", "servo_lag"),
             # Where time is real a command takes longer to be followed.
             defaults={"control_period": 0.02, "validation_episodes": 1000},
         ),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import operator
+from collections.abc import Sequence
 from typing import cast
 
 import jax
@@ -18,7 +19,7 @@ from reachlab.robots.kinematics.forward import forward_kinematics
 from reachlab.robots.kinematics.limits import own_servos
 from reachlab.robots.robot import Robot
 from reachlab.settings.config import SimConfig
-from reachlab.sims.mujoco_model import PAYLOAD, Layout, physics_model, servo_lag
+from reachlab.sims.mujoco_model import PAYLOAD, Layout, physics_model, servo_lag, stiffening
 from reachlab.sims.mujoco_objects import FreeBodies
 from reachlab.sims.rendering import Drawn
 from reachlab.sims.simulator import BatchArray, Begin, Kind, Moved, SimState, chosen
@@ -27,6 +28,12 @@ from reachlab.tasks.task import EMPTY, Scene
 
 GAIN_SPREAD, DAMPING_SPREAD = 0.15, 0.3
 """Where dynamics vary: relative spread of each joint's servo gains and of its damping."""
+
+LEAST_LAG, MOST_LAG = 0.2, 1.5
+"""Where the lag varies: by which share of their own lag servos follow, at least and at most."""
+
+VARIED = frozenset({"dynamics", "lag"})
+"""What varies of the arms, of the words of `RunConfig.randomise`."""
 
 
 class MujocoSimulator(Drawn):
@@ -50,12 +57,13 @@ class MujocoSimulator(Drawn):
         num_envs: int,
         threads: int = 0,
         *,
-        randomise_dynamics: bool = False,
+        randomise: Sequence[str] = (),
         scene: Scene = EMPTY,
     ) -> None:
         """Simulator of `num_envs` arms on `threads` threads, 0 for one a core; results do not depend on them."""
-        super().__init__(robot, config, num_envs, threads, randomise_dynamics=randomise_dynamics, scene=scene)
-        self._model = physics_model(robot, config, scene, payload=randomise_dynamics)
+        super().__init__(robot, config, num_envs, threads, randomise=randomise, scene=scene)
+        varied = VARIED.intersection(randomise)
+        self._model = physics_model(robot, config, scene, payload=bool(varied))
         self._substeps = config.physics_steps
         self._batch = Batch(self._model, nsim=num_envs, nthread=threads)
         self._qpos, self._qvel, self._ctrl = (self._batch.bind(name) for name in ("qpos", "qvel", "ctrl"))
@@ -67,7 +75,7 @@ class MujocoSimulator(Drawn):
         self._gripper, fingers = robot.gripper, list(range(n, n + len(robot.gripper.open) if robot.gripper else n))
         self._fingers = self._model.jnt_qposadr[fingers]
         self._finger_servos = np.array([servos[joint] for joint in fingers], int)
-        self._arms = _Arms(self._batch, self._servos, self._speeds) if randomise_dynamics else None
+        self._arms = _Arms(self._batch, self._servos, self._speeds, varied) if varied else None
         self._fixed = FixedBodies(self._batch)
         self._free = FreeBodies(self._batch, scene)
         self._numbers = np.zeros((num_envs, 0))
@@ -173,7 +181,7 @@ class MujocoSimulator(Drawn):
 
     def _become(self, numbers: np.ndarray, bodies: Bodies) -> None:
         """Make arms and objects those of `numbers`, see `Begin.dynamics`, and objects of the size that bodies have."""
-        self._numbers, arm = numbers, 2 * len(self._servos) + 1 if self._arms else 0
+        self._numbers, arm = numbers, self._arms.count if self._arms else 0
         if self._arms:
             self._arms.become(numbers[:, :arm])
         self._free.become(bodies, numbers[:, arm:])
@@ -195,9 +203,9 @@ class MujocoSimulator(Drawn):
 
 
 class _Arms:
-    """Arms that differ from each other by `numbers [B, 2 n + 1]` in -1 to 1: servo gains, damping and payload."""
+    """Arms that differ from each other by numbers `[B, count]` in -1 to 1: those of `Begin.dynamics` that vary."""
 
-    def __init__(self, batch: Batch, servos: np.ndarray, joints: np.ndarray) -> None:
+    def __init__(self, batch: Batch, servos: np.ndarray, joints: np.ndarray, varied: frozenset[str]) -> None:
         self._batch, self._servos, self._joints = batch, servos, joints
         names = ("actuator_gainprm", "actuator_biasprm", "dof_damping", "body_mass", "body_inertia")
         self._gain, self._bias, self._damping, self._mass, self._inertia = map(batch.expand, names)
@@ -205,19 +213,28 @@ class _Arms:
             np.array(field) for field in (self._gain, self._bias, self._damping, self._mass, self._inertia)
         ]
         self._payload = batch.model.body(PAYLOAD).id
-        self.numbers = np.full((batch.nsim, 2 * len(joints) + 1), np.nan)
+        kinds = ["dynamics"] * (2 * len(joints) + 1) + ["lag"]
+        self._vary = np.array([kind in varied for kind in kinds])
+        self.count = int(self._vary.sum())
+        self._nothing = np.array([0.0] * 2 * len(joints) + [-1.0, 0.0])
+        self.numbers = np.full((batch.nsim, self.count), np.nan)
 
     def become(self, numbers: np.ndarray) -> None:
         """Make the arms those of `numbers`."""
         if np.array_equal(numbers, self.numbers):
             return
         self.numbers = np.array(numbers)
-        n = len(self._joints)
-        gains, dampings, payload = np.split(self.numbers, (n, 2 * n), axis=1)
+        every, n = np.tile(self._nothing, (len(numbers), 1)), len(self._joints)
+        every[:, self._vary] = numbers
+        gains, dampings, payload, lags = np.split(every, (n, 2 * n, 2 * n + 1), axis=1)
         gain, bias, damping, mass, inertia = self._nominal
-        stiff = 1 + GAIN_SPREAD * gains[:, :, None]
-        self._gain[:, self._servos] = gain[:, self._servos] * stiff
-        self._bias[:, self._servos] = bias[:, self._servos] * stiff
+        share = 1 + np.where(lags < 0, 1 - LEAST_LAG, MOST_LAG - 1) * lags
+        stiffer = stiffening(1 / share)
+        damped = bias[:, self._servos, 2] - damping[:, self._joints]
+        stiff = (1 + GAIN_SPREAD * gains)[:, :, None]
+        self._gain[:, self._servos] = gain[:, self._servos] * (stiff * stiffer[:, :, None])
+        self._bias[:, self._servos] = bias[:, self._servos] * (stiff * stiffer[:, :, None])
+        self._bias[:, self._servos, 2] = stiff[..., 0] * (bias[:, self._servos, 2] + (stiffer * share - 1) * damped)
         self._damping[:, self._joints] = damping[:, self._joints] * (1 + DAMPING_SPREAD * dampings)
         load = (1 + payload[:, 0]) / 2
         self._mass[:, self._payload] = mass[:, self._payload] * load

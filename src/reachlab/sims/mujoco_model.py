@@ -6,11 +6,13 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
+import numpy.typing as npt
 
 from reachlab.control.contact_model import add_contacts
 from reachlab.render.scene import add_table
 from reachlab.robots.files.gripper import TIPS
 from reachlab.robots.files.pictures import without_shapes
+from reachlab.robots.kinematics.limits import own_servos
 from reachlab.robots.robot import Robot
 from reachlab.settings.config import SimConfig
 from reachlab.settings.validation import InputError
@@ -93,6 +95,8 @@ def physics_spec(robot: Robot, config: SimConfig, scene: Scene = EMPTY, *, paylo
     if config.gravity_compensation:
         for body in spec.bodies:
             body.gravcomp = 1.0
+    if config.servo_lag is not None:
+        _follow(spec, robot.chain.n, config.servo_lag)
     if payload:
         _add_payload(spec, robot.tool, robot.payload)
     if scene.objects:
@@ -100,6 +104,25 @@ def physics_spec(robot: Robot, config: SimConfig, scene: Scene = EMPTY, *, paylo
     if scene.wrench:
         add_wrist(spec, robot)
     return spec
+
+
+def _follow(spec: mujoco.MjSpec, n: int, lag: float) -> None:
+    """Change the servos of an arm of `n` joints, which then follow a moving command by `lag` [s]."""
+    model = spec.compile()
+    servos, joints = own_servos(model), model.jnt_dofadr[:n]
+    before = servo_lag(model, np.array([servos[joint] for joint in range(n)]), joints)
+    for joint, (own, late) in enumerate(zip(model.dof_damping[joints], before, strict=True)):
+        servo = spec.actuators[servos[joint]]
+        stiffness = max(servo.gainprm[0] * float(stiffening(late / lag)), own / lag)
+        servo.gainprm[0], servo.biasprm[1:3] = stiffness, [-stiffness, own - lag * stiffness]
+
+
+def stiffening(sooner: npt.ArrayLike) -> np.ndarray:
+    """By what servos become stiffer that follow so many times sooner: they stay damped as they were.
+
+    Those that follow later are as stiff as before, and damped more.
+    """
+    return np.maximum(sooner, 1.0) ** 2
 
 
 def servo_lag(model: mujoco.MjModel, servos: np.ndarray, joints: np.ndarray) -> tuple[float, ...]:

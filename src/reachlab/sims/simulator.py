@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, Protocol
 
@@ -94,8 +95,8 @@ class Begin(NamedTuple):
         q: joints `[B, n]` [rad or m].
         goal: what is asked for.
         bodies: what is beside the arms `[B, K]`.
-        dynamics: which arms they are `[B, 2 n + 1]` in -1 to 1: the gain of each servo, the damping of each joint, and
-            the payload; then which objects, by the mass and the friction of all; without what does not vary.
+        dynamics: which arms they are `[B, 2 n + 2]` in -1 to 1: the gain of each servo, the damping of each joint, the
+            payload and the lag; then which objects, by the mass and the friction of all; without what does not vary.
     """
 
     key: Array
@@ -167,10 +168,10 @@ def make_simulator(
     num_envs: int,
     threads: int = 0,
     *,
-    randomise_dynamics: bool = False,
+    randomise: Sequence[str] = (),
     scene: Scene = EMPTY,
 ) -> Simulator:
-    """Simulator of that name with `num_envs` arms, which differ where their dynamics vary.
+    """Simulator of that name with `num_envs` arms, which differ in what `randomise` names, see `RunConfig.randomise`.
 
     One that is outside JAX steps them on so many threads if it can, 0 for one a core. The scene says what may be beside
     each arm.
@@ -184,5 +185,5 @@ def make_simulator(
         if wanted and word not in entry.gives:
             able = " or ".join(f"--sim {other}" for other, one in SIMULATORS.items() if word in one.gives)
             raise InputError(f"simulator {name!r} {lacking}: use {able}.")
-    varied = randomise_dynamics and "dynamics" in entry.gives
-    return entry.load()(robot, config, num_envs, threads=threads, randomise_dynamics=varied, scene=scene)
+    varied = tuple(randomise) if "dynamics" in entry.gives else ()
+    return entry.load()(robot, config, num_envs, threads=threads, randomise=varied, scene=scene)

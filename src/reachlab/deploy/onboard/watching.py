@@ -49,8 +49,9 @@ joints together [rad/s or m/s]: at less, what gravity displaces them by counts f
 TINY = 1e-9
 """Divides in place of a smaller number."""
 
-OFF_LAG, OFF_LEAST = 0.5, 0.06
-"""By what share of the time in training they may follow at another one without a word, and by how much at least [s]."""
+SOONER, LATER, USUAL_LAG = 0.4, 0.6, 0.1
+"""By what share of the least time in training they may follow sooner, and of the longest later, without a word; of less
+than the usual one [s], of that."""
 
 
 class Watch:
@@ -70,6 +71,7 @@ class Watch:
         self._away = BEYOND + 2 * np.array(facts["arm"]["lag"], float) * widest["speed"]
         self._period = float(facts["control_period"])
         self._lag = np.array(facts["arm"]["lag"], float)
+        self._lag_range = facts["arm"].get("lag_range", (1.0, 1.0))
         self._grace = max(GRACE, PERIODS * self._period)
         self._repeats = max(int(GRACE / self._period + 1e-6), 2)
         self._asked: float | None = None
@@ -153,13 +155,13 @@ class Watch:
         self._followed += (command - self.q) @ self.qd, self._lag @ squares, squares.sum()
         self._calls += 1
         if self._calls == FOLLOWED:
-            (behind, trained), moved = self._followed[:2] / max(self._followed[2], TINY), self._followed[2]
+            (behind, usual), moved = self._followed[:2] / max(self._followed[2], TINY), self._followed[2]
             if moved > FOLLOWED * FAST_ENOUGH**2:
-                off = abs(behind - trained) > max(OFF_LAG * trained, OFF_LEAST)
-                late = (
-                    f"joints are measured {max(behind, 0):.2f} s behind their commands, and {trained:.2f} s in training"
-                )
-                self._behind = f"{late}: the arm may swing about its goal" if off else ""
+                least, most = (share * usual for share in self._lag_range)
+                low, high = least - SOONER * max(least, USUAL_LAG), most + LATER * max(most, USUAL_LAG)
+                trained = f"{least:.2f} s" if least == most else f"{least:.2f} to {most:.2f} s"
+                late = f"joints are measured {max(behind, 0):.2f} s behind their commands, and {trained} in training"
+                self._behind = "" if low <= behind <= high else f"{late}: the arm may swing about its goal"
             self._followed, self._calls = np.zeros(3), 0
         return self._behind
 
