@@ -41,9 +41,10 @@ NEAR = 1e-3
 """Distance within which the engine may tell either [m]."""
 
 
-def simulator(robot: Robot, num_envs: int, count: int = COUNT, **settings: Sequence[str]) -> Simulator:
+def simulator(robot: Robot, num_envs: int, count: int = COUNT, randomise: Sequence[str] = ()) -> Simulator:
     """MuJoCo with obstacles around each arm."""
-    return make_simulator("mujoco", robot, PHYSICS, num_envs, scene=Scene(count, contacts=count > 0), **settings)
+    scene = Scene(count, contacts=count > 0)
+    return make_simulator("mujoco", robot, PHYSICS, num_envs, randomise=randomise, scene=scene)
 
 
 def begin(sim: Simulator, q: np.ndarray, obstacles: Bodies | None = None, count: int = COUNT) -> SimState:

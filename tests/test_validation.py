@@ -157,7 +157,7 @@ CONTRADICTIONS: list[tuple[dict[str, Any], str]] = [
     ({"num_envs": 10, "minibatches": 4}, "num_envs 10 cannot be divided among 4 minibatches"),
     ({"action_repeat": 11, "max_steps": 10}, "an action cannot be held for action_repeat 11"),
     ({"randomise": ("view",)}, "randomise view has an effect only with an observation with a picture"),
-    ({"randomise": ("colour",)}, "randomise 'colour' is not one of: delay, dynamics, objects, sight, view"),
+    ({"randomise": ("colour",)}, "randomise 'colour' is not one of: delay, dynamics, lag, objects, sight, view"),
     (
         {"task": "precise", "at_goal": "hold", "hold_steps": 5},
         "'hold' holds the arm at the target, and hold_steps 5",

@@ -134,12 +134,12 @@ def _say_unshaped(folder: Path) -> None:
 
     settings = (facts := read_facts(folder))["settings"]
     if not settings["physics"]["shaping"]:
-        varied = "objects sight" if facts.get("objects") else "dynamics"
+        varied = "objects sight delay" if facts.get("objects") else "dynamics delay lag"
         moved = settings["sim"] == "mujoco"
         scene = settings["rules"].get("scene") if moved else None
         asked = ["--task", settings["task"] if moved else "precise", "--robot", settings["robot"]]
         asked += ["--scene", *scene] if scene else []
         note(
             "The policy was trained without the limits of acceleration and jerk that its controller keeps, and may fail"
-            f" within them: for a robot, train with {' '.join(map(quote, asked))} --shaping --randomise {varied} delay."
+            f" within them: for a robot, train with {' '.join(map(quote, asked))} --shaping --randomise {varied}."
         )

@@ -140,7 +140,7 @@ def _say_elsewhere(reports: Sequence[dict[str, Any]], subjects: Sequence[Subject
         if known and failed and trained and other != own:
             say(
                 f"{subject.name} was trained in {own}, where joints follow their commands otherwise than in {other}:"
-                " docs/deploy.md says how to train for either."
+                " with --sim mujoco, --randomise lag trains for both, see docs/deploy.md."
             )
 
 

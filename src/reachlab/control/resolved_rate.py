@@ -29,9 +29,10 @@ TOOL_SPEED = 1.5
 """Largest speed that is commanded of the tool [m/s]: with more, most joints are at their own limit, and the arm jerks
 for little gain."""
 
-SHAPED_GAIN = 1.5
-"""Where commands are shaped, how much of the distance from a goal that moves is made up for in `SHAPING_TIME`: with 3,
-and with all of it in a step, as without limits, arms swing."""
+SHAPED_GAIN, FORESEEN = 1.2, 0.75
+"""Where commands are shaped, how much of the distance from a goal that moves is made up for in `SHAPING_TIME`, and the
+share of the lag that is foreseen: with 3, and with all of it in a step, as without limits, arms swing; with 1.5 and 1
+those that are measured late and whose joints follow within half of their usual lag."""
 
 LOOK_AHEAD = 0.9
 """Control periods by which feed-forward looks further ahead than the lag: a command is followed in the next one."""
@@ -55,7 +56,8 @@ def feed_forward(drive: Drive, now: Situation) -> Array:
     The command goes to where the goal will be once the arm has caught up with its command. With less than all of that
     in a step the arm would lag where the velocity changes.
     """
-    chain, lag, period = drive.robot.chain, np.array(drive.lag), drive.period
+    chain, period = drive.robot.chain, drive.period
+    lag = np.array(drive.lag) * (FORESEEN if drive.shaped else 1.0)
     caught_up = now.q + jnp.array(lag) * now.qd
     ahead = now.goal.position + (lag.max() + LOOK_AHEAD * period) * now.goal.velocity
     wanted = ahead - forward_kinematics(chain, caught_up).position
