@@ -138,9 +138,15 @@ def _say_elsewhere(reports: Sequence[dict[str, Any]], subjects: Sequence[Subject
         trained = report["agent"] in AGENTS and AGENTS[report["agent"]].trained
         known = subject.run is not None and report.get("run", subject.name) == subject.name
         if known and failed and trained and other != own:
+            varied = "lag" in subject.config.randomise
+            advice = (
+                f"reachlab deploy check --sim {other} plays its exported controller, which goes on as in training"
+                if varied
+                else "with --sim mujoco, --randomise lag trains for both, see docs/deploy.md"
+            )
             say(
                 f"{subject.name} was trained in {own}, where joints follow their commands otherwise than in {other}:"
-                " with --sim mujoco, --randomise lag trains for both, see docs/deploy.md."
+                f" {advice}."
             )
 
 
