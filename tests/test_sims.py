@@ -20,9 +20,11 @@ from reachlab.envs.presets import configure
 from reachlab.envs.random_streams import env_keys
 from reachlab.render.marks import Marks
 from reachlab.render.offscreen import Camera
+from reachlab.robots.catalogue import ROBOTS
 from reachlab.robots.kinematics.forward import forward_kinematics
 from reachlab.robots.loading import load_robot
 from reachlab.settings.config import SimConfig
+from reachlab.settings.validation import InputError
 from reachlab.sims import SIMULATORS
 from reachlab.sims.mujoco import MujocoSimulator
 from reachlab.sims.rendering import Drawn
@@ -146,6 +148,18 @@ def test_mujoco_joints_follow_a_fifth_to_one_and_a_half_times_as_late_where_that
     late = measured_lag(robot, env.config.physics, arms, env.config.randomise)
     shares = np.array([0.2, 0.6, 1.0, 1.25, 1.5])[:, None]
     assert np.allclose(late, shares * np.array(env.setup.lag), atol=0.004)
+
+
+@pytest.mark.parametrize("robot", tried(ROBOTS, ["panda", "so101"]))
+def test_arms_that_come_with_it_rest_however_soon_they_follow(robot: str):
+    for varied, lag in (("lag", "dynamics"), None), ((), 0.02):
+        Env(configure("precise", robot=robot, randomise=varied, servo_lag=lag), 2).close()
+
+
+def test_servos_that_would_swing_are_refused():
+    said = r"servos of robot 'iiwa14' that follow by 0.02 s swing in steps of the engine of 20 ms"
+    with pytest.raises(InputError, match=said):
+        Env(configure("precise", randomise=("lag",), physics_steps=1), 2)
 
 
 def test_what_varies_of_the_arms_is_drawn_alike_whether_their_lag_varies_or_not():

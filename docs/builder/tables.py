@@ -91,7 +91,7 @@ VARIED = {
     "dynamics": "in MuJoCo servo gains within 15 %, joint damping within 30 % and a payload at the tool; in every"
     " simulator joints measured with noise of 0.5 mrad and 0.01 rad/s, and a wrench with 0.1 N and 0.005 Nm",
     "delay": "measurements are a control period old and up to 10 ms more, and 5 % of them do not come",
-    "lag": "in MuJoCo joints follow a fifth to one and a half times as late as their servos do, by 0.02 to 0.15 s",
+    "lag": "in MuJoCo joints follow a fifth to one and a half times as late as usual, which is by 0.1 s of most arms",
     "sight": "an object is seen one to three steps late, and a tenth of the sights do not come",
     "objects": "an object's mass from 0.3 to 3 times, its friction from 0.3 to 1 and its size within 25 %; all an"
     " episode it is measured up to 5 mm and 5° off",

@@ -97,7 +97,10 @@ def _impossible(config: RunConfig) -> Iterator[str]:
     for name in config.randomise:
         choose("randomise", name, RANDOMISED)
     if "lag" in config.randomise and "dynamics" not in SIMULATORS[sim].gives:
-        yield f"randomise lag needs arms that differ, as in simulator mujoco: in {sim!r} all follow alike."
+        yield (
+            f"randomise lag needs arms that differ, as in simulator mujoco: in {sim!r} all follow alike; name the"
+            " others that vary, if any."
+        )
     step, period = config.physics.control_period / config.physics.physics_steps, config.physics.control_period
     if "object" in rules.gives and "physics_steps" in SIMULATORS[sim].settings and step > LONGEST * (1 + 1e-6):
         yield (

@@ -43,7 +43,7 @@ class SimConfig(Checked):
     """MuJoCo: the arm meets the table. With the tutorial's targets its flange would enter it."""
     gravity_compensation: bool = False
     """MuJoCo: gravity does not pull at the arm."""
-    servo_lag: Annotated[float, Range(0.01, 1.0)] | None = None
+    servo_lag: Annotated[float, Range(0.02, 1.0)] | None = None
     """MuJoCo: time by which joints follow a moving command, as measured at your arm [s]. Without it they follow as the
     servos of the robot's file do, or by 0.1 s."""
     gui: bool = False
@@ -170,9 +170,9 @@ class RunConfig(Checked):
     """What varies from episode to episode in training; the report is without it. `dynamics`: in MuJoCo servo gains
     within 15 %, joint damping within 30 % and a payload of 0 to 2 kg at the tool, and everywhere joints measured with
     noise of 0.5 mrad and 0.01 rad/s. `delay`: measurements are a control period old and up to 10 ms more, and 5 % of
-    them do not come. `lag`: in MuJoCo joints follow a fifth to one and a half times as late as usual, by 0.02 to
-    0.15 s. `view`: light, colours and the camera's pose within 2 cm and 2 degrees. `objects`: their mass from 0.3 to 3
-    times, friction from 0.3 to 1, size within 25 %; all an episode they are measured up to 5 mm and 5 degrees off.
+    them do not come. `lag`: in MuJoCo joints follow a fifth to one and a half times as late as usual, which is by 0.1 s
+    of most arms. `view`: light, colours and the camera's pose within 2 cm and 2 degrees. `objects`: their mass from 0.3
+    to 3 times, friction from 0.3 to 1, size within 25 %; all an episode they are measured up to 5 mm and 5 degrees off.
     `sight`: they are seen one to three steps late, and a tenth of the sights do not come."""
     imports: Annotated[tuple[str, ...], Length(64)] = ()
     """Extensions that the run needs, modules or files; see `extensions.import_extension`."""

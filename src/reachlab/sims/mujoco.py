@@ -19,7 +19,7 @@ from reachlab.robots.kinematics.forward import forward_kinematics
 from reachlab.robots.kinematics.limits import own_servos
 from reachlab.robots.robot import Robot
 from reachlab.settings.config import SimConfig
-from reachlab.sims.mujoco_model import PAYLOAD, Layout, physics_model, servo_lag, stiffening
+from reachlab.sims.mujoco_model import PAYLOAD, Layout, check_rest, physics_model, servo_lag, stiffening
 from reachlab.sims.mujoco_objects import FreeBodies
 from reachlab.sims.rendering import Drawn
 from reachlab.sims.simulator import BatchArray, Begin, Kind, Moved, SimState, chosen
@@ -76,6 +76,9 @@ class MujocoSimulator(Drawn):
         self._fingers = self._model.jnt_qposadr[fingers]
         self._finger_servos = np.array([servos[joint] for joint in fingers], int)
         self._arms = _Arms(self._batch, self._servos, self._speeds, varied) if varied else None
+        if "lag" in varied or config.servo_lag is not None:
+            soonest = self._arms.soonest() if self._arms and "lag" in varied else self._model
+            check_rest(soonest, robot, (self._positions, self._servos), config)
         self._fixed = FixedBodies(self._batch)
         self._free = FreeBodies(self._batch, scene)
         self._numbers = np.zeros((num_envs, 0))
@@ -218,6 +221,13 @@ class _Arms:
         self.count = int(self._vary.sum())
         self._nothing = np.array([0.0] * 2 * len(joints) + [-1.0, 0.0])
         self.numbers = np.full((batch.nsim, self.count), np.nan)
+
+    def soonest(self) -> mujoco.MjModel:
+        """Model of the arm that follows soonest, and is usual otherwise."""
+        numbers = np.tile(self._nothing[self._vary], (self._batch.nsim, 1))
+        numbers[:, -1] = -1.0
+        self.become(numbers)
+        return self._batch.get_model(0)
 
     def become(self, numbers: np.ndarray) -> None:
         """Make the arms those of `numbers`."""

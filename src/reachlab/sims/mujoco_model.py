@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from typing import NamedTuple
 
 import mujoco
@@ -32,6 +33,11 @@ def _add_payload(spec: mujoco.MjSpec, tool: str, mass: float) -> None:
     body, place = (spec.body(tool), [0.0, 0.0, 0.0]) if site is None else (site.parent, site.pos)
     inertia = [0.4 * mass * PAYLOAD_RADIUS**2] * 3  # of a ball
     body.add_body(name=PAYLOAD, pos=place, mass=mass, inertia=inertia, ipos=[0, 0, 0], explicitinertial=True)
+
+
+MOVING, RESTING, SETTLED, AT_REST = 0.3, 1.0, 10.0, 0.02
+"""How long an arm is moved at full speed [s], how long it is waited for then [s], and besides in times of its lag; it
+rests if no joint is as fast then [rad/s or m/s]."""
 
 
 class Layout(NamedTuple):
@@ -115,6 +121,37 @@ def _follow(spec: mujoco.MjSpec, n: int, lag: float) -> None:
         servo = spec.actuators[servos[joint]]
         stiffness = max(servo.gainprm[0] * float(stiffening(late / lag)), own / lag)
         servo.gainprm[0], servo.biasprm[1:3] = stiffness, [-stiffness, own - lag * stiffness]
+
+
+def check_rest(model: mujoco.MjModel, robot: Robot, layout: tuple[np.ndarray, np.ndarray], config: SimConfig) -> None:
+    """Make sure that an arm comes to rest after a motion at full speed: stiff servos swing where torque ends.
+
+    Args:
+        model: the arm's.
+        robot: the arm.
+        layout: numbers of its joints' positions and of their servos `[n]`.
+        config: steps of the engine.
+
+    Raises:
+        InputError: it does not.
+    """
+    model, (positions, servos) = copy.copy(model), layout
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    data, n = mujoco.MjData(model), robot.chain.n
+    home, lag = np.array(robot.home), max(servo_lag(model, servos, model.jnt_dofadr[:n]))
+    low, high = np.array(robot.chain.lower), np.array(robot.chain.upper)
+    way = np.where(home < (low + high) / 2, 1.0, -1.0) * np.array(robot.speed) * config.control_period
+    data.qpos[positions] = data.ctrl[servos] = home
+    for step in range(round((MOVING + RESTING + SETTLED * lag) / config.control_period)):
+        if step * config.control_period < MOVING:
+            data.ctrl[servos] = np.clip(data.ctrl[servos] + way, low, high)
+        mujoco.mj_step(model, data, config.physics_steps)
+    if not np.abs(data.qvel[model.jnt_dofadr[:n]]).max() < AT_REST:
+        raise InputError(
+            f"servos of robot {robot.name!r} that follow by {lag:.2g} s swing in steps of the engine of"
+            f" {1000 * model.opt.timestep:.3g} ms: choose more --physics-steps, a longer --servo-lag, or leave"
+            " randomise lag out."
+        )
 
 
 def stiffening(sooner: npt.ArrayLike) -> np.ndarray:
