@@ -89,6 +89,9 @@ NAMES: dict[str, Sequence[str]] = {
     "host": ["127.0.0.1"],
     "engine": [*ENGINES, "slurm"],
     "address": ["127.0.0.1:1", "auto"],
+    "frame": ["base_link", ""],
+    "joint_names": ["shoulder", "elbow"],
+    "kind": ["task", "robot", "tsk"],
     "goal": [*GOALS, "succes_rate"],
     **{topic.name: [str(topic.default), "no topic"] for topic in dataclasses.fields(Topics)},
 }
@@ -104,6 +107,7 @@ PATHS: dict[str, Sequence[str]] = {
     "resume": [*RUNS, "."],
     "teacher": [*RUNS],
     "initial_policy": [*RUNS, "panda/precise"],
+    "limits": ["gone.json", "arm.xml", "."],
     "normaliser": ["gone.pkl", "."],
     "run": [*RUNS],
     "runs": [*RUNS],
@@ -230,7 +234,9 @@ def command(chance: random.Random, verbs: Sequence[str]) -> list[str]:
         words += [chance.choice(runs)]
     elif verb == "sweep":
         words += values("space", Path, chance, sound=sound) or []
-    positional = {"run", "runs", "teacher", "space"} | ({"robot"} if verb == "robot" else set())
+    elif verb == "deploy":
+        words += [chance.choice(("check", "ros2")), chance.choice(runs)]
+    positional = {"run", "runs", "teacher", "space", "how", "policy"} | ({"robot"} if verb == "robot" else set())
     free = sorted(kinds.keys() - positional - {"open"} - ({"resume"} if chance.random() < SOUND else set()))
     for name in chance.sample(free, min(chance.choice([0, 1, 2, 3, 5, 8]), len(free))):
         flag, value = f"--{name.replace('_', '-')}", values(name, kinds[name], chance, sound=sound)

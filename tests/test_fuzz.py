@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import random
+
 import pytest
 
-from fuzz_commands import fuzz, senseless
+from fuzz_commands import command, fuzz, senseless
+from reachlab.cli.verbs import VERBS
 
 pytestmark = pytest.mark.slow
 
@@ -16,6 +19,11 @@ def test_random_commands_end_in_order() -> None:
     outcomes = fuzz(60, 1, QUICK)
     assert [(outcome.words, outcome.problem) for outcome in outcomes if outcome.problem] == []
     assert {outcome.status for outcome in outcomes} >= {0, 2}
+
+
+def test_there_are_values_of_every_flag_to_try() -> None:
+    tried = [word for seed in range(3000) for word in command(random.Random(seed), tuple(VERBS))]
+    assert {"--frame", "--joint-names", "--limits", "--randomise"} <= set(tried)
 
 
 @pytest.mark.parametrize(
