@@ -152,8 +152,17 @@ def test_mujoco_joints_follow_a_fifth_to_one_and_a_half_times_as_late_where_that
 
 @pytest.mark.parametrize("robot", tried(ROBOTS, ["panda", "so101"]))
 def test_arms_that_come_with_it_rest_however_soon_they_follow(robot: str):
-    for varied, lag in (("lag", "dynamics"), None), ((), 0.02):
-        Env(configure("precise", robot=robot, randomise=varied, servo_lag=lag), 2).close()
+    env, arms = Env(configure("precise", robot=robot, randomise=("dynamics", "lag")), 8), 8
+    home = np.tile(np.array(env.setup.robot.home, np.float32), (arms, 1))
+    dynamics = np.random.default_rng(0).choice([-1.0, 1.0], (arms, 2 * home.shape[1] + 2))
+    dynamics[:, -1] = -1  # as soon as any
+    state = env.simulator.reset(None, begin(home)._replace(dynamics=dynamics), None)
+    away = home + 0.2 * np.sign(np.mean([env.setup.robot.chain.lower, env.setup.robot.chain.upper], axis=0) - home)
+    for _ in range(100):
+        state = env.simulator.step(state, away.astype(np.float32))
+    assert np.abs(np.asarray(state.qd)).max() < 0.02
+    soon = Env(configure("precise", robot=robot, randomise=(), servo_lag=0.02), 1)
+    assert np.allclose(soon.setup.lag, 0.02)
 
 
 def test_servos_that_would_swing_are_refused():
