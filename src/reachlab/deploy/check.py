@@ -27,6 +27,9 @@ from reachlab.settings.validation import InputError
 READY = "ready"
 """Answer of a controller that has been reset; any other text says why it was not."""
 
+EARLY = 0.25
+"""Share of a control period by which a measurement may come before its time and still begins a control step."""
+
 PATIENCE = 60.0
 """Time in which a controller has to be ready [s]."""
 
@@ -171,29 +174,34 @@ def serve(folder: Path, pipe: Connection) -> None:
         pipe.recv()
         pipe.send(str(error))
         return
-    period, measured, due = controller.period, None, time.perf_counter()
+    period, measured, fresh, due = controller.period, None, False, 0.0
     with contextlib.suppress(EOFError, BrokenPipeError, ConnectionResetError):
         while True:
-            q, qd = None, None
-            if measured is None:
-                pipe.poll(None)
-            # A measurement is used as it comes; where none comes in a period and a half, there is none.
-            came = pipe.poll(max(0.0, due + 0.5 * period - time.perf_counter()))
-            while came and pipe.poll():
-                message = pipe.recv()
-                if isinstance(message, Measurement):
-                    measured, q, qd = message, message.q, message.qd
-                else:
-                    measured, q, answer = None, None, READY
-                    try:
-                        controller.reset(message)
-                    except ValueError as error:
-                        answer = str(error)
-                    pipe.send(answer)
-                    break
-            if measured is None:
+            # A measurement is used as it comes, but never twice in a period: the last one then. Where none comes in a
+            # period and a half, there is none.
+            left = due + period * (-EARLY if fresh else 0.5) - time.perf_counter()
+            if measured is None or left > 0:
+                pipe.poll(None if measured is None else left)
+                while pipe.poll():
+                    measured = _heard(pipe, controller)
+                    fresh = measured is not None
                 continue
-            now = time.perf_counter()
-            due = now + period
+            due = (now := time.perf_counter()) + period
+            q, qd = (measured.q, measured.qd) if fresh else (None, None)
+            fresh = False
             command = controller.step(q, qd, measured.goal, now, **measured.beside)
             pipe.send((command, controller.problem))
+
+
+def _heard(pipe: Connection, controller: Any) -> Measurement | None:
+    """The measurement that comes next; None where a reset does, which is answered."""
+    message = pipe.recv()
+    if isinstance(message, Measurement):
+        return message
+    answer = READY
+    try:
+        controller.reset(message)
+    except ValueError as error:
+        answer = str(error)
+    pipe.send(answer)
+    return None
