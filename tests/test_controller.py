@@ -465,6 +465,59 @@ def test_numbers_are_printed_to_four_digits(precise: Path) -> None:
     assert not re.search(r"\d\.\d{5}", problem)
 
 
+def arrive(controller: Any, goal: Any, steps: int, begun: int = 0, **more: Any) -> list[tuple[bool, bool, str]]:
+    """Of each step: whether the goal is reached, whether it could be and the arm rests, and what was said.
+
+    The arm follows by 0.1 s, as in training.
+    """
+    q, qd, seen = controller.motion.position, np.zeros(7), list[tuple[bool, bool, str]]()
+    for number in range(begun, begun + steps):
+        command = controller.step(q, qd, goal, number * controller.period, **more)
+        away = np.linalg.norm(np.subtract(controller._tool(q.tolist())[0], goal[:3]))
+        assert controller.arrival.distance == pytest.approx(away)
+        seen.append((controller.arrival.reached, bool(away < 0.01 and np.abs(qd).max() < 0.05), controller.problem))
+        moved = (command - q) * (1 - np.exp(-controller.period / 0.1))
+        q, qd = q + moved, moved / controller.period
+    return seen
+
+
+def test_a_goal_is_reached_once_the_tool_was_held_there_and_not_before(precise: Path) -> None:
+    controller = Controller(precise)
+    controller.reset(controller.home)
+    reached, held, said = zip(*arrive(controller, GOAL, 200), strict=True)
+    assert set(said) == {""}
+    since = 10  # steps of 0.02 s, which are those of the task
+    assert list(reached) == [step >= since and all(held[step - since : step + 1]) for step in range(200)]
+    assert reached[-1]
+    play(controller, 1, first=200, goal=None)
+    assert (controller.arrival.distance, controller.arrival.reached) == (np.inf, False)
+    play(controller, 1, first=201, goal=np.add(GOAL, [0.0, 0.02, 0.0]))
+    assert not controller.arrival.reached
+
+
+def test_a_goal_that_is_not_come_nearer_to_is_told_until_there_is_another(precise: Path) -> None:
+    controller = Controller(precise)
+    controller.reset(controller.home)
+    beyond = controller.goal_box[1] + 0.09
+    reached, _, said = zip(*arrive(controller, beyond, 300), strict=True)
+    assert not any(reached)
+    (sentence,) = set(said) - {""}
+    assert re.search(r"the tool comes no nearer to the goal, [\d.]+ mm away: is it out of reach", sentence)
+    assert not controller.braking
+    assert said.index(sentence) > 150
+    assert not any(said for _, _, said in arrive(controller, GOAL, 150, begun=300))
+
+
+def test_where_an_object_is_moved_it_is_what_comes_to_the_goal(tmp_path: Path) -> None:
+    controller = Controller(written(tmp_path / "policy", "push", robot="panda"))
+    goal = np.mean(controller.goal_box, axis=0)
+    near = [{"position": np.add(goal, [0.015, 0.0, 0.0]), "quaternion": [1.0, 0.0, 0.0, 0.0]}]
+    play(controller, 12, goal=goal, objects=near)
+    assert controller.arrival.distance == pytest.approx(0.015)
+    play(controller, 1, first=12, goal=goal, objects="there")
+    assert controller.arrival.distance == np.inf
+
+
 def test_the_node_says_that_no_goal_has_come(precise: Path) -> None:
     pytest.importorskip("rclpy")
     from geometry_msgs.msg import PoseStamped

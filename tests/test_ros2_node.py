@@ -13,6 +13,7 @@ from faults.controllers import broken, written
 from reachlab.deploy.markers import to_markers
 from reachlab.deploy.onboard.controller import Controller
 from reachlab.deploy.ros2 import PolicyNode, run_node
+from reachlab.deploy.said import Said
 from reachlab.deploy.topics import Topics
 from reachlab.settings.validation import InputError
 
@@ -41,8 +42,13 @@ class Driver:
     def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch, **more: Any) -> None:
         self.controller = Controller(folder)
         self.said, self.commands, self.topics, self.now = list[str](), list[np.ndarray](), dict[str, Any](), 5.0
+        self.reached = list[Any]()
         node = SimpleNamespace(
-            create_publisher=lambda *_: SimpleNamespace(publish=lambda told: self.commands.append(np.array(told.data))),
+            create_publisher=lambda _, topic, __: SimpleNamespace(
+                publish=self.reached.append
+                if topic == Topics().reached
+                else lambda told: self.commands.append(np.array(told.data))
+            ),
             create_subscription=lambda _, topic, act, __: self.topics.update({topic: act}),
             create_timer=lambda *_: None,
             get_logger=lambda: SimpleNamespace(warning=self.said.append),
@@ -92,6 +98,39 @@ class Driver:
     def aside(self) -> np.ndarray:
         """A goal beside the middle of those that were trained."""
         return np.mean(self.controller.goal_box, axis=0) + np.array([0.05, 0.1, 0.0])
+
+
+# --- what it tells --------------------------------------------------------------------------------
+
+
+def test_each_goal_that_is_reached_is_published_once(precise: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    driver = Driver(precise, monkeypatch)
+    driver.run(2)
+    stamps = []
+    for number, goal in enumerate((driver.aside, driver.aside - [0.0, 0.1, 0.0]), 1):
+        driver.ask(goal, "base")
+        stamps.append(STAMPED + driver.now)
+        assert len(driver.reached) == number - 1
+        driver.run(120)
+        assert len(driver.reached) == number
+    told = [one.header for one in driver.reached]
+    assert [one.frame_id for one in told] == ["base", "base"]
+    seconds = [one.stamp.sec + one.stamp.nanosec / 1e9 for one in told]
+    np.testing.assert_allclose(seconds, stamps, atol=1e-6)
+
+
+def test_what_is_no_reason_to_brake_is_told_once_it_lasts() -> None:
+    said = list[str]()
+    log = Said(said.append)
+    for wrong in ["joint 'joint_1' lags", "", "joint 'joint_1' lags"] * 5:
+        log.step(wrong, at_once=False)
+    assert not said
+    for step in range(60):
+        log.step(f"called at {step} Hz", at_once=False)
+    log.step("joint 'joint_1' jumped")
+    log.step("joint 'joint_2' jumped")
+    log.step("")
+    assert said == ["called at 24 Hz", "joint 'joint_1' jumped", "joint 'joint_2' jumped", "all is well again"]
 
 
 # --- which messages are believed ------------------------------------------------------------------

@@ -21,6 +21,7 @@ for step in range({steps}):
     command = controller.step(q, qd, {goal}, step * controller.period{beside})
     q, qd = command, (command - q) / controller.period
 print(dict(zip(controller.joints, command.round(3).tolist())), controller.problem or "no problem")
+print(f"{{controller.arrival.distance:.4f}} m from the goal")
 ```"""
 
 

@@ -116,5 +116,6 @@ def _goal(setup: TaskSetup) -> dict[str, Any]:
         "hidden": rules.hides_goal,
         "success_distance": rules.success_distance,
         "success_turn": rules.success_distance / rules.success_angle if rules.asks_orientation else 0.0,
+        "held": [rules.hold_steps * setup.period if rules.holds else 0.0, rules.hold_speed],
         "asks": setup.task.asks(rules, setup.period),
     }

@@ -14,6 +14,7 @@ import numpy as np
 from reachlab.deploy.card import sees
 from reachlab.deploy.check import read_facts, start_controller
 from reachlab.deploy.markers import from_markers
+from reachlab.deploy.said import Said
 from reachlab.deploy.seen import RECENT, seen
 from reachlab.deploy.topics import Topics
 from reachlab.settings.validation import InputError, needing
@@ -113,7 +114,7 @@ class PolicyNode:
             fastest: its goals move, and so fast at most [m/s]; one that was faster has jumped.
         """
         from geometry_msgs.msg import PoseStamped, WrenchStamped
-        from rclpy.qos import qos_profile_sensor_data
+        from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
         from sensor_msgs.msg import JointState
         from std_msgs.msg import Empty, Float64MultiArray
         from trajectory_msgs.msg import JointTrajectory
@@ -125,11 +126,13 @@ class PolicyNode:
         self._obstacles: list[dict[str, Any]] | None = None if sees else []
         self._measured: tuple[np.ndarray, np.ndarray] | None = None
         self._wrench: tuple[float, list[float]] | None = None
-        self._due, self._told, self._warned, self._start = 0.0, "", set[str](), time.monotonic()
+        self._said, self._due, self._start = Said(node.get_logger().warning), 0.0, time.monotonic()
         self._resets, self._begun, self._stops = True, False, False  # commands begin where the arm is
         self._sent, self._rests = controller.home, True
         kind, topic = (JointTrajectory, topics.trajectories) if trajectory else (Float64MultiArray, topics.commands)
-        self._publisher = node.create_publisher(kind, topic, 1)
+        self._publisher, self._asked = node.create_publisher(kind, topic, 1), None
+        kept = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self._reached = node.create_publisher(PoseStamped, topics.reached, kept)
         node.create_subscription(JointState, topics.joint_states, self._on_joints, qos_profile_sensor_data)
         node.create_subscription(PoseStamped, topics.goals, self._on_goal, 1)
         node.create_subscription(PoseStamped, topics.objects, self._on_object, qos_profile_sensor_data)
@@ -145,7 +148,8 @@ class PolicyNode:
 
     def _on_reset(self, _: Any) -> None:
         """Begin anew once the arm rests, to which it is brought if it moves."""
-        self._resets, self._stops, self._measured, self._goal, self._goal_seen = True, False, None, None, None
+        self._resets, self._stops, self._measured = True, False, None
+        self._goal = self._goal_seen = self._asked = None
         self._controller.stop()
 
     def _on_stop(self, _: Any) -> None:
@@ -164,7 +168,7 @@ class PolicyNode:
         self._frame = self._frame or named
         if foreign := named not in {"", self._frame}:
             said = f"places in frame '{named}' are not used, but those in '{self._frame}': see --frame"
-            self._warn_once(named, said)
+            self._said.once(named, said)
         return foreign
 
     def _on_goal(self, message: Any) -> None:
@@ -176,7 +180,7 @@ class PolicyNode:
             self._goal_seen = seen(goal, time.monotonic() - self._age(message.header.stamp), self._goal_seen)
         if self._controller.asks_orientation:
             goal += [turn.w, turn.x, turn.y, turn.z]
-        self._goal = goal
+        self._goal, self._asked = goal, message
 
     def _on_object(self, message: Any) -> None:
         """Keep where the object was seen, and its velocity if it was seen just before."""
@@ -197,7 +201,7 @@ class PolicyNode:
             self._obstacles = from_markers(message, time.monotonic())
         except ValueError as error:
             self._obstacles = None
-            self._warn_once("marker", f"obstacles are spheres, cubes and cylinders, and {error}: none of them is used")
+            self._said.once("marker", f"obstacles are spheres, cubes and cylinders, and {error}: none of them is used")
 
     def _on_wrench(self, message: Any) -> None:
         force, torque = message.wrench.force, message.wrench.torque
@@ -211,10 +215,10 @@ class PolicyNode:
         lacking = ", ".join(name for name in self._names if name not in places)
         if lacking:
             said = f"joint states without {lacking} are not used: are joints called otherwise, see --joint-names?"
-            self._warn_once(lacking, said)
+            self._said.once(lacking, said)
             return
         if age > OLD:
-            self._warn_once("old", f"joint states are {age:.2g} s old by their stamps, and not used: do clocks differ?")
+            self._said.once("old", f"joint states are {age:.2g} s old by their stamps, and not used: do clocks differ?")
             return
         self._joints_seen = seen([places[name] for name in self._names], now - age, self._joints_seen)
         told = np.array([speeds.get(name, np.nan) for name in self._names])
@@ -222,15 +226,10 @@ class PolicyNode:
         if now >= self._due - EARLY * self._controller.period:
             self._step()
 
-    def _warn_once(self, kind: str, what: str) -> None:
-        if kind not in self._warned:
-            self._warned.add(kind)
-            self.node.get_logger().warning(what)
-
     def _on_tick(self) -> None:
         if self._joints_seen is None and time.monotonic() > self._start + SILENT:
             said = f"no joint states have come on '{self._topics.joint_states}': is it called otherwise, or its domain?"
-            self._warn_once("silent", said)
+            self._said.once("silent", said)
         if self._due and time.monotonic() >= self._due + EARLY * self._controller.period:
             self._step()
 
@@ -242,7 +241,7 @@ class PolicyNode:
         q, qd = measured or (None, None)
         waits = self._begin(q, qd) if self._resets else ""
         if not self._begun:
-            self._tell(waits)
+            self._said.step(waits)
             return
         beside: dict[str, Any] = {"objects": self._objects} if self._objects else {}
         if self._sees and self._obstacles is not None:
@@ -255,16 +254,13 @@ class PolicyNode:
             beside["velocity"] = velocity * moves
         command = controller.step(q, qd, None if self._obstacles is None else self._goal, now, **beside)
         self._rests, self._sent = np.array_equal(command, self._sent), command
-        missing = "" if self._goal else f"goal has come on '{self._topics.goals}'"
-        missing = f"obstacles have come on '{self._topics.obstacles}'" if self._obstacles is None else missing
-        waiting = missing and f"no {missing}, and the arm is held where it is"
-        self._tell(waits or (controller.problem if controller.braking else waiting))
+        self._tell(waits)
         self._publish(command)
 
     def _begin(self, q: np.ndarray | None, qd: np.ndarray | None) -> str:
         """Begin anew where the arm is measured to rest; why that is not done yet, if so."""
         if q is None or qd is None:
-            return self._told
+            return self._said.state
         if not (self._rests and np.abs(qd).max() <= SLOW):
             return "waiting: the arm is not measured to rest"
         try:
@@ -273,14 +269,21 @@ class PolicyNode:
             return f"waiting: {error}"
         if self._stops:
             self._controller.stop()
-        self._resets, self._begun, self._told, self._sent = False, True, "", q
+        self._resets, self._begun, self._said.state, self._sent = False, True, "", q
         return ""
 
-    def _tell(self, problem: str) -> None:
-        """Write into the log what is wrong, once."""
-        if problem != self._told:
-            self._told = problem
-            self.node.get_logger().warning(problem or "all is well again")
+    def _tell(self, waits: str) -> None:
+        """Write into the log what is wrong, and publish a goal that is reached, once."""
+        controller = self._controller
+        missing = "" if self._goal else f"goal has come on '{self._topics.goals}'"
+        missing = f"obstacles have come on '{self._topics.obstacles}'" if self._obstacles is None else missing
+        if missing and not (waits or controller.braking):
+            waits = f"no {missing}, and the arm is held where it is"
+        self._said.step(waits or controller.problem, at_once=controller.braking or bool(waits))
+        arrival = getattr(controller, "arrival", None)  # the folder's own controller may be an old one
+        if self._asked and arrival and arrival.reached:
+            self._reached.publish(self._asked)
+            self._asked = None
 
     def _publish(self, command: np.ndarray) -> None:
         if not self._trajectory:

@@ -13,6 +13,8 @@ class Topics:
     """Measured joints, `sensor_msgs/JointState`, in any order."""
     goals: str = "reachlab/goal"
     """Goals, `geometry_msgs/PoseStamped`, in the frame of `goal.frame` in policy.json."""
+    reached: str = "reachlab/reached"
+    """Each goal, as it was asked for, `geometry_msgs/PoseStamped`, once it is reached and held as for a success."""
     objects: str = "reachlab/object"
     """Where the object is, `geometry_msgs/PoseStamped`, in the same frame; its header says when it was seen there."""
     obstacles: str = "reachlab/obstacles"

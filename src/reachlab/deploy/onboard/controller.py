@@ -19,6 +19,7 @@ import numpy as np
 
 from reachlab.control.motion_limits import MotionLimits
 from reachlab.deploy.onboard.aiming import Aim
+from reachlab.deploy.onboard.arrival import Arrival
 from reachlab.deploy.onboard.bodies import Beside
 from reachlab.deploy.onboard.folder import FORMAT, limits_of, read_folder
 from reachlab.deploy.onboard.log import KEPT, read_log, write_log
@@ -46,6 +47,7 @@ class Controller:
         home: joints `[n]` in which episodes began in training [rad or m].
         period: time from one control step to the next [s].
         limits: of position, speed, acceleration and jerk: `limits` of `policy.json`, where they may be lowered.
+        arrival: how far what it moves is from the goal, and whether that is reached.
         problem: what is wrong, or that there is no goal, in words; empty where neither is so.
         braking: the arm is brought to rest, or rests because it has to.
         asks_orientation: goals are poses.
@@ -78,6 +80,7 @@ class Controller:
         self._decide, self._tool = step["decide"], step["tool"]
         self._aim = Aim(facts["goal"], (self._lower, self._upper), step)
         self.asks_orientation, self.goal_box = self._aim.poses, self._aim.box
+        self.arrival = Arrival(facts, self._tool)
         self.home_quaternion = np.array(self._tool(self.home.tolist())[1])
         plans = planner and "planner" in facts
         self._way = Way(facts, PlannerProcess(folder), self._tool) if plans else None
@@ -115,8 +118,7 @@ class Controller:
     def _start(self, q: np.ndarray) -> None:
         self.motion = self.limits.at_rest(np.clip(q, self._lower, self._upper))
         self._watch.reset(q)
-        self._aim.clear()
-        for kept in filter(None, (self._beside, self._way)):
+        for kept in filter(None, (self._aim, self.arrival, self._beside, self._way)):
             kept.clear()
         self._action, self.problem = [0.0] * self._inputs["last_action"][0], ""
         self._memory = [0.0] * self._inputs.get("memory", [0])[0]
@@ -184,8 +186,11 @@ class Controller:
             except Exception as error:  # whatever it is, an arm in motion is brought to rest
                 refused = f"{type(error).__name__}: {error}"
         aimless = goal is None and self._aim.goal is None
-        self.problem = refused or problem or (self.problem if was else "") or (NO_GOAL if aimless else "")
-        self.braking = bool(refused or brake) or was
+        self.braking, away = bool(refused or brake) or was, ""
+        if seconds is not None:
+            waits, arm = self.braking or self.waits, (self._watch.q, self._watch.qd)
+            away = self.arrival.look(arm, goal, things, seconds, waits=waits)
+        self.problem = refused or problem or (self.problem if was else "") or (NO_GOAL if aimless else away)
         self.motion = self.limits.advance(self.motion, wanted, self.braking)
         command = self.motion.position
         told = self._watch.waited, command, self.problem, self._way.ask(self.limits, self.motion) if self._way else None
