@@ -337,6 +337,7 @@ def test_a_planner_that_does_not_answer_is_not_waited_for_in_a_step(controller: 
         longest = max(longest, time.perf_counter() - begun)
     assert controller.problem == "the planner has not answered for 5 s"
     assert controller.braking
+    assert longest < DEADLINE / 2
 
 
 def test_its_process_ends_with_the_controller_and_with_its_parent(folder: Path) -> None:
