@@ -12,15 +12,12 @@ from typing import Any
 import numpy as np
 
 from reachlab.deploy.card import sees
-from reachlab.deploy.check import read_facts, start_controller
+from reachlab.deploy.check import EARLY, read_facts, start_controller
 from reachlab.deploy.markers import from_markers
 from reachlab.deploy.said import Said
 from reachlab.deploy.seen import RECENT, seen
 from reachlab.deploy.topics import Topics
 from reachlab.settings.validation import InputError, needing
-
-EARLY = 0.25
-"""Share of a control period by which a measurement may come before its time and still begins a control step."""
 
 SLOW = 0.1
 """Speed below which an arm is measured to rest [rad/s or m/s]."""
