@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from reachlab.deploy.onboard.watching import Watch
+
 TRIED, NEARER = 3.0, 0.002
 """Time in which what is moved has to come so much nearer to its goal [s, m], or it is said that it does not."""
 
@@ -40,22 +42,22 @@ class Arrival:
         self._place: list[float] | None = None
         self._nearest, self._came, self._said = inf, 0.0, ""
 
-    def look(self, arm: tuple[Any, Any], goal: Any, objects: Any, time: float, *, waits: bool) -> str:
+    def look(self, watch: Watch, goal: Any, objects: Any, time: float | None, *, waits: bool) -> str:
         """What is wrong, where the goal is not come nearer to for long; empty where nothing is.
 
         Args:
-            arm: joints and their speeds `[n]`, as they were measured last.
+            watch: it knows how the joints were measured last.
             goal: as `read_numbers` gives it; None where there is none.
             objects: as `read_bodies` gives them.
-            time: of this control step [s].
+            time: of this control step, as `read_seconds` gives it [s].
             waits: the arm is held for another reason.
         """
-        if not isinstance(goal, np.ndarray) or goal.shape != (7 if self._turn else 3,):
+        if time is None or not isinstance(goal, np.ndarray) or goal.shape != (7 if self._turn else 3,):
             self.clear()
             return ""
         place = goal[:3].tolist()
-        self._measure(arm[0], goal, objects)
-        slow = bool((np.abs(arm[1]) < self._slow).all())
+        self._measure(watch.q, goal, objects)
+        slow = bool((np.abs(watch.qd) < self._slow).all())
         near = self.distance < self._near and self.angle < self._most
         if near and (slow or not self._hold):
             self._since = time if self._since is None else min(self._since, time)

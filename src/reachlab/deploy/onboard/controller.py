@@ -186,10 +186,8 @@ class Controller:
             except Exception as error:  # whatever it is, an arm in motion is brought to rest
                 refused = f"{type(error).__name__}: {error}"
         aimless = goal is None and self._aim.goal is None
-        self.braking, away = bool(refused or brake) or was, ""
-        if seconds is not None:
-            waits, arm = self.braking or self.waits, (self._watch.q, self._watch.qd)
-            away = self.arrival.look(arm, goal, things, seconds, waits=waits)
+        self.braking = bool(refused or brake) or was
+        away = self.arrival.look(self._watch, goal, things, seconds, waits=self.braking or self.waits)
         self.problem = refused or problem or (self.problem if was else "") or (NO_GOAL if aimless else away)
         self.motion = self.limits.advance(self.motion, wanted, self.braking)
         command = self.motion.position
