@@ -30,7 +30,7 @@ from reachlab.control.situation import Situation
 from reachlab.deploy import weights
 from reachlab.deploy.bundle import controller_source
 from reachlab.deploy.card import model_card
-from reachlab.deploy.check import check, load_controller
+from reachlab.deploy.check import check, load_controller, settings_of
 from reachlab.deploy.export import export
 from reachlab.deploy.markers import from_markers, to_markers
 from reachlab.deploy.onboard.bodies import placed
@@ -564,6 +564,27 @@ def test_a_command_that_is_lost_on_its_way_breaks_no_limit_and_one_that_is_too_f
     plant.close()
     assert (outcome.cycles, outcome.in_time) == (20, 14)
     assert outcome.broken == (0 if kept else outcome.in_time)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "least"), [("panda/push", 2), ("panda/place", 0), ("so101/pose", 3)])
+def test_a_controller_judges_every_step_as_the_task_does(name: str, least: int, tmp_path: Path) -> None:
+    export(name, tmp_path / "policy")
+    controller, plant = Controller(tmp_path / "policy"), Plant(settings_of(tmp_path / "policy", None), seed=5000)
+    successes = 0
+    for number in range(3):
+        plant.begin(number)
+        controller.reset(plant.q)
+        done = success = False
+        for step in range(plant.steps):
+            told = plant.measure()
+            controller.step(told.q, told.qd, told.goal, step * plant.period, **told.beside)
+            assert controller.arrival.reached == success
+            done, success = plant.step(controller.motion.position)
+        assert done
+        successes += success
+    plant.close()
+    assert successes >= least
 
 
 @pytest.mark.slow

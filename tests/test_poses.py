@@ -178,6 +178,25 @@ def test_a_hinge_that_turns_further_than_once_goes_the_short_way(name: str) -> N
         assert np.abs(np.asarray(found) - near).max() < 0.3
 
 
+def test_a_pose_that_an_arm_of_five_joints_can_have_is_placed_as_it_is_asked_for() -> None:
+    setup = make_setup(configure("pose", robot="so101"))
+    chain, home = setup.robot.chain, jnp.array(setup.robot.home)
+    random = np.random.default_rng(5)
+    q = np.clip(random.normal(setup.robot.home, 0.5, (COUNT, chain.n)), chain.lower, chain.upper).astype(np.float32)
+    asked = forward_kinematics(chain, jnp.array(q))
+    before = Goal.at(asked.position[:1], quaternion=asked.quaternion[:1], joints=home[None])
+    place = jit(jax.vmap(lambda position, turn: setup.task.place(setup, before, position, turn, home)))
+    placed, reached = place(asked.position, asked.quaternion)
+    assert np.asarray(reached).mean() > 0.8, "some of them touch"
+    had = np.asarray(reached)
+    assert angle_between(np.asarray(placed.quaternion)[had, 0], np.asarray(asked.quaternion)[had]).max() < 0.002
+    assert np.linalg.norm(np.asarray(placed.position)[had, 0] - asked.position[had], axis=-1).max() < 2e-4
+    flat = jnp.array([[0.5, 0.5, 0.5, 0.5]]) * jnp.ones((COUNT, 1))  # a turn that hardly any place allows
+    tilted, reached = place(asked.position, flat)
+    assert np.asarray(reached).any(), "position and tilt are"
+    assert angle_between(np.asarray(tilted.quaternion)[:, 0], np.asarray(flat)).max() > 0.1
+
+
 # --- held, judged and told ------------------------------------------------------------------------
 
 

@@ -42,12 +42,11 @@ class Driver:
     def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch, **more: Any) -> None:
         self.controller = Controller(folder)
         self.said, self.commands, self.topics, self.now = list[str](), list[np.ndarray](), dict[str, Any](), 5.0
-        self.reached = list[Any]()
+        self.reached, self.problems = list[Any](), list[Any]()
+        kept = {Topics().reached: self.reached.append, Topics().problems: lambda told: self.problems.append(told.data)}
         node = SimpleNamespace(
             create_publisher=lambda _, topic, __: SimpleNamespace(
-                publish=self.reached.append
-                if topic == Topics().reached
-                else lambda told: self.commands.append(np.array(told.data))
+                publish=kept.get(topic, lambda told: self.commands.append(np.array(told.data)))
             ),
             create_subscription=lambda _, topic, act, __: self.topics.update({topic: act}),
             create_timer=lambda *_: None,
@@ -120,17 +119,28 @@ def test_each_goal_that_is_reached_is_published_once(precise: Path, monkeypatch:
 
 
 def test_what_is_no_reason_to_brake_is_told_once_it_lasts() -> None:
-    said = list[str]()
-    log = Said(said.append)
+    said, states = list[str](), list[str]()
+    log = Said(said.append, states.append)
     for wrong in ["joint 'joint_1' lags", "", "joint 'joint_1' lags"] * 5:
         log.step(wrong, at_once=False)
     assert not said
     for step in range(60):
         log.step(f"called at {step} Hz", at_once=False)
-    log.step("joint 'joint_1' jumped")
+    for _ in range(40):
+        log.step("joint 'joint_1' jumped")
     log.step("joint 'joint_2' jumped")
     log.step("")
     assert said == ["called at 24 Hz", "joint 'joint_1' jumped", "joint 'joint_2' jumped", "all is well again"]
+    assert states == [*said[:-1], ""]
+
+
+def test_two_reasons_in_turns_do_not_fill_the_log() -> None:
+    said = list[str]()
+    log = Said(said.append, said.append)
+    for _ in range(50):
+        log.step("the measurement is not finite")
+        log.step("no measurement has come")
+    assert 1 <= len(said) / 2 <= 5
 
 
 # --- which messages are believed ------------------------------------------------------------------

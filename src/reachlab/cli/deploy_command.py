@@ -97,7 +97,7 @@ def deploy(arguments: Deploy) -> None:
     if not outcome["in_time"]:
         say("The controller gave no command: no measurement came to it.")
     for example, count in _by_kind(outcome["problems"]).items():
-        say(f"The controller said in {count:,} cycles: {example}.")
+        say(f"The controller said in {count:,} cycles: {example}{'' if example.endswith('?') else '.'}")
     if arguments.faults.delay and outcome["success_rate"] < FAILED:
         say(
             "An arm swings about its goal where measurements are later than its policy knows them: --randomise delay in"

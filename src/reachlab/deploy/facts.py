@@ -55,6 +55,12 @@ def describe(env: Env, policy: Policy, step: Behaviour) -> dict[str, Any]:
             "low": low.tolist(),
             "high": high.tolist(),
         },
+        "judge": step.judge
+        and {
+            "inputs": [one.name for one in step.judge.inputs],
+            "outputs": [one.name for one in step.judge.outputs],
+            "begun": step.begun,
+        },
         "arm": {
             "home": list(robot.at_home),
             "lag": [*setup.lag, *[0.0] * (len(rows) - robot.chain.n)],
@@ -116,6 +122,5 @@ def _goal(setup: TaskSetup) -> dict[str, Any]:
         "hidden": rules.hides_goal,
         "success_distance": rules.success_distance,
         "success_turn": rules.success_distance / rules.success_angle if rules.asks_orientation else 0.0,
-        "held": [rules.hold_steps * setup.period if rules.holds else 0.0, rules.hold_speed],
         "asks": setup.task.asks(rules, setup.period),
     }

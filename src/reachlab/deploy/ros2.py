@@ -113,7 +113,7 @@ class PolicyNode:
         from geometry_msgs.msg import PoseStamped, WrenchStamped
         from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
         from sensor_msgs.msg import JointState
-        from std_msgs.msg import Empty, Float64MultiArray
+        from std_msgs.msg import Empty, Float64MultiArray, String
         from trajectory_msgs.msg import JointTrajectory
 
         self.node, self._controller, self._trajectory = node, controller, trajectory
@@ -123,13 +123,15 @@ class PolicyNode:
         self._obstacles: list[dict[str, Any]] | None = None if sees else []
         self._measured: tuple[np.ndarray, np.ndarray] | None = None
         self._wrench: tuple[float, list[float]] | None = None
-        self._said, self._due, self._start = Said(node.get_logger().warning), 0.0, time.monotonic()
+        self._due, self._start = 0.0, time.monotonic()
         self._resets, self._begun, self._stops = True, False, False  # commands begin where the arm is
         self._sent, self._rests = controller.home, True
         kind, topic = (JointTrajectory, topics.trajectories) if trajectory else (Float64MultiArray, topics.commands)
         self._publisher, self._asked = node.create_publisher(kind, topic, 1), None
         kept = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._reached = node.create_publisher(PoseStamped, topics.reached, kept)
+        problems = node.create_publisher(String, topics.problems, kept)
+        self._said = Said(node.get_logger().warning, lambda problem: problems.publish(String(data=problem)))
         node.create_subscription(JointState, topics.joint_states, self._on_joints, qos_profile_sensor_data)
         node.create_subscription(PoseStamped, topics.goals, self._on_goal, 1)
         node.create_subscription(PoseStamped, topics.objects, self._on_object, qos_profile_sensor_data)
@@ -266,7 +268,7 @@ class PolicyNode:
             return f"waiting: {error}"
         if self._stops:
             self._controller.stop()
-        self._resets, self._begun, self._said.state, self._sent = False, True, "", q
+        self._resets, self._begun, self._sent = False, True, q
         return ""
 
     def _tell(self, waits: str) -> None:

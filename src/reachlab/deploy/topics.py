@@ -15,6 +15,8 @@ class Topics:
     """Goals, `geometry_msgs/PoseStamped`, in the frame of `goal.frame` in policy.json."""
     reached: str = "reachlab/reached"
     """Each goal, as it was asked for, `geometry_msgs/PoseStamped`, once it is reached and held as for a success."""
+    problems: str = "reachlab/problem"
+    """What is wrong, in words, `std_msgs/String`, when that begins; empty when all is well again."""
     objects: str = "reachlab/object"
     """Where the object is, `geometry_msgs/PoseStamped`, in the same frame; its header says when it was seen there."""
     obstacles: str = "reachlab/obstacles"

@@ -21,6 +21,7 @@ from reachlab.envs.core import Env
 from reachlab.envs.functions import EnvFunctions, EnvState
 from reachlab.robots.kinematics.forward import Pose, forward_kinematics
 from reachlab.sims.simulator import Begin, SimState
+from reachlab.tasks.judging import judge as judged
 from reachlab.tasks.schema import SIZE
 
 GOAL, BODIES, MOTION = "goal_", "bodies_", "motion_"
@@ -31,6 +32,9 @@ MEMORY, AFTER = "memory", "wanted_memory"
 
 FELT = "wrench"
 """Name of the wrench that is measured at the wrist, as an input."""
+
+KEPT = "kept_"
+"""Begin of the names of what a task keeps of the steps before, to judge."""
 
 Shapes = dict[str, ShapeDtypeStruct]
 
@@ -46,17 +50,23 @@ class Behaviour:
         tool: position `[3]` m and quaternion `[4]` wxyz of the tool, of what is measured.
         place: the goal put at a position and in an orientation with joints that have it, and whether there are any;
             None where goals need no joints.
+        judge: what the task makes of what is measured: distance and angle from the goal, both as one number, whether
+            these are near enough and whether that is a success, and what of it counts later; None where a picture
+            alone shows it.
+        begun: what counts later at the begin of an episode, by name.
     """
 
     inputs: dict[str, list[int]]
     decide: Program
     tool: Program
     place: Program | None
+    judge: Program | None
+    begun: dict[str, list[float]]
 
     @property
     def programs(self) -> list[Program]:
         """All of them."""
-        return [one for one in (self.decide, self.tool, self.place) if one is not None]
+        return [one for one in (self.decide, self.tool, self.place, self.judge) if one is not None]
 
 
 def behaviour(env: Env, policy: Policy, constants: Mapping[str, np.ndarray]) -> Behaviour:
@@ -90,12 +100,40 @@ def behaviour(env: Env, policy: Policy, constants: Mapping[str, np.ndarray]) -> 
     if env.pictured and not decided.reads(BODIES):  # it looks at them
         shapes = {name: shape for name, shape in shapes.items() if not name.startswith(BODIES)}
         decided = trace("decide", decide, shapes, constants)
+    judge, begun = _judge(functions, like, shapes)
     return Behaviour(
         {name: list(shape.shape) for name, shape in shapes.items()},
         decided,
         trace("tool", tool, {"q": joints}),
         trace("place", place, asked) if "joints" in goal else None,
+        judge,
+        begun,
     )
+
+
+def _judge(functions: EnvFunctions, like: EnvState, inputs: Shapes) -> tuple[Program | None, dict[str, list[float]]]:
+    """The program `judge` of a controller with such inputs, and what it begins with, see `Behaviour`."""
+    setup = functions.setup
+    begin = setup.task.begin(setup, jax.tree.map(jnp.asarray, like.errors))
+    leaves, form = jax.tree.flatten(begin)
+    kept = {f"{KEPT}{number:02}": leaf[0] for number, leaf in enumerate(leaves) if leaf.size}
+    idle = {name: jnp.zeros(inputs[name].shape) for name in ("command", "last_action")}
+    seen = {name: shape for name, shape in inputs.items() if name in ("q", "qd") or name.startswith((GOAL, BODIES))}
+
+    def judge(**given: Array) -> dict[str, Array]:
+        state = measured_state(functions, like, idle | given)
+        before = [given[f"{KEPT}{i:02}"][None] if leaf.size else leaf for i, leaf in enumerate(leaves)]
+        now = functions.situation(state)._replace(contact=jnp.zeros(1, bool))  # which is not measured
+        found = judged(setup, state.errors, jax.tree.unflatten(form, before), now, jnp.ones(1, jnp.int32))
+        after = {f"{KEPT}{i:02}": leaf[0] for i, leaf in enumerate(jax.tree.leaves(found.progress)) if leaf.size}
+        told = {"distance": found.errors.distance, "gap": found.gap, "near": found.near, "success": found.success}
+        angle = {"angle": found.errors.angle} if found.errors.angle.size else {}
+        return after | told | angle
+
+    shapes = seen | {name: ShapeDtypeStruct(leaf.shape, leaf.dtype) for name, leaf in kept.items()}
+    program = trace("judge", judge, shapes)
+    unseen = program.reads(BODIES) and not any(name.startswith(BODIES) for name in inputs)
+    return None if unseen else program, {name: np.asarray(leaf).ravel().tolist() for name, leaf in kept.items()}
 
 
 def as_measured(functions: EnvFunctions) -> EnvFunctions:

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from reachlab.control.situation import Goal
+from reachlab.robots.kinematics.chain import PosedChain
 from reachlab.robots.kinematics.forward import Pose, forward_kinematics
 from reachlab.robots.kinematics.inverse import ik_point_step
 from reachlab.robots.shapes.clearance import free_of_contact
@@ -46,9 +47,16 @@ def place_free_point(
 
 
 def place_pose(setup: TaskSetup, goal: Goal, position: Array, quaternion: Array, near: Array) -> tuple[Goal, Array]:
-    """A pose with the joints nearest to the arm's that have it, see `Task.place`; exactly the pose of these joints."""
+    """A pose with the joints nearest to the arm's that have it, see `Task.place`; exactly the pose of these joints.
+
+    Where an arm with fewer than six joints has none, it is one of the same position and tilt.
+    """
+    chain, starts = setup.robot.chain, (near, goal.joints[0], jax.random.key(0))
     pose = Pose(position, quaternion / jnp.linalg.norm(quaternion))
-    q, found = nearest_joints(setup, pose, near, goal.joints[0], jax.random.key(0))
+    q, found = nearest_joints(setup, pose, *starts)
+    if not chain.poses:
+        whole, exact = nearest_joints(setup, pose, *starts, PosedChain(**vars(chain)))
+        q, found = jnp.where(exact, whole, q), found | exact
     reached = forward_kinematics(setup.robot.chain, q[None])
     placed = replace(goal, position=reached.position, quaternion=reached.quaternion, joints=q[None])
     return placed, found & _free(setup, q)

@@ -13,6 +13,7 @@ from jax import Array
 from jax.scipy.spatial.transform import Rotation
 
 from reachlab.control.situation import Goal
+from reachlab.robots.kinematics.chain import Chain
 from reachlab.robots.kinematics.forward import Pose, forward_kinematics
 from reachlab.robots.kinematics.inverse import inverse_kinematics
 from reachlab.robots.shapes.clearance import free_of_contact
@@ -146,13 +147,16 @@ def _any_pose(setup: TaskSetup, key: Array) -> Drawn:
     return Drawn(key, nearest, reached, jnp.zeros((), jnp.int32))
 
 
-def nearest_joints(setup: TaskSetup, pose: Pose, near: Array, start: Array, key: Array) -> tuple[Array, Array]:
+def nearest_joints(
+    setup: TaskSetup, pose: Pose, near: Array, start: Array, key: Array, chain: Chain | None = None
+) -> tuple[Array, Array]:
     """Joints `[n]` of a pose: of all solutions that are found that soonest reached from `near [n]`; and if any was.
 
     Solved for from there, from `start [n]` and from random joints. How soon is told by the joint that takes longest at
-    full speed. An arm with fewer than six joints has the position and the tilt of the pose alone.
+    full speed. An arm with fewer than six joints has the position and the tilt of the pose alone, but by a `chain` that
+    is asked for poses.
     """
-    chain = setup.robot.chain
+    chain = chain or setup.robot.chain
     random = jax.random.uniform(key, (STARTS, chain.n), minval=jnp.array(chain.lower), maxval=jnp.array(chain.upper))
     starts = jnp.concatenate([near[None], start[None], random])
     found = inverse_kinematics(

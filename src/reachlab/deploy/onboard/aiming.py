@@ -71,6 +71,11 @@ class Aim:
         self._refused, self._dropped = "", 0
         self._seen: tuple[np.ndarray, float, float, np.ndarray] | None = None
 
+    @property
+    def seeks(self) -> bool:
+        """Joints of the goal that was asked for are still looked for."""
+        return self._search is not None
+
     def take(self, goal: Any, time: float, velocity: Any, joints: Any, near: np.ndarray) -> str:
         """Take a goal, and give why it is refused, if it is.
 
@@ -115,7 +120,7 @@ class Aim:
         before = self._sought
         if before is None or np.linalg.norm(goal[:3] - before[:3]) > BESIDE:
             return False
-        return not self.poses or abs(float(goal[3:] @ before[3:])) >= cos(BESIDE_TURN / 2)
+        return not self.poses or _alike(goal[3:], before[3:]) >= cos(BESIDE_TURN / 2)
 
     def _wrong(self, goal: Any, velocity: Any, joints: Any) -> str:
         wanted = {
@@ -160,8 +165,7 @@ class Aim:
             return f"the goal's joints {in_words(joints)} are out of the limits, {in_words(low)} to {in_words(high)}"
         if float(np.linalg.norm(goal[:3] - position)) > THERE:
             return f"the goal's joints have the tool at {in_words(position)}, and not at the goal"
-        alike = abs(float(goal[3:] @ quaternion)) if self.poses else 1.0
-        if alike < cos(TURNED / 2):
+        if self.poses and _alike(goal[3:], quaternion) < cos(TURNED / 2):
             return f"the goal's joints have the tool turned to {in_words(quaternion)}, and not as the goal"
         return ""
 
@@ -198,3 +202,8 @@ class Aim:
             else:
                 self._refused = "the goal is out of reach: no joints are found at which the tool is there freely"
         return self._refused
+
+
+def _alike(one: np.ndarray, other: np.ndarray) -> float:
+    """Cosine of half the angle between orientations, quaternions `[4]` of about unit length."""
+    return abs(float(one @ other)) / float(np.linalg.norm(one) * np.linalg.norm(other))

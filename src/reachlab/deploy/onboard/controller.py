@@ -19,7 +19,7 @@ import numpy as np
 
 from reachlab.control.motion_limits import MotionLimits
 from reachlab.deploy.onboard.aiming import Aim
-from reachlab.deploy.onboard.arrival import Arrival
+from reachlab.deploy.onboard.arrival import Arrival, slowness
 from reachlab.deploy.onboard.bodies import Beside
 from reachlab.deploy.onboard.folder import FORMAT, limits_of, read_folder
 from reachlab.deploy.onboard.log import KEPT, read_log, write_log
@@ -80,11 +80,12 @@ class Controller:
         self._decide, self._tool = step["decide"], step["tool"]
         self._aim = Aim(facts["goal"], (self._lower, self._upper), step)
         self.asks_orientation, self.goal_box = self._aim.poses, self._aim.box
-        self.arrival = Arrival(facts, self._tool)
+        widest = limits_of(facts, widest=True)
+        self.arrival = Arrival(facts, step.get("judge"), slowness(limits, widest))
         self.home_quaternion = np.array(self._tool(self.home.tolist())[1])
         plans = planner and "planner" in facts
         self._way = Way(facts, PlannerProcess(folder), self._tool) if plans else None
-        self._watch = Watch(facts, limits_of(facts, widest=True))
+        self._watch = Watch(facts, widest)
         self.limits = MotionLimits(**limits, period=self.period)
         self._log: deque[Any] = deque(maxlen=KEPT)  # of numbers as `reading` gives them, all of them its own
         self._make_anew()
@@ -172,9 +173,7 @@ class Controller:
         q, qd, goal, velocity, joints, wrench = map(read_numbers, (q, qd, goal, velocity, joints, wrench))
         seconds, around, things = read_seconds(time), read_bodies(obstacles), read_bodies(objects)
         problem, brake = self._look(q, qd, seconds)
-        problem = problem or self._beside.unknown(around)
-        before = self.motion.position
-        wanted, refused = before, self._stopped
+        wanted, refused, away = (before := self.motion.position), self._stopped, ""
         was = self.braking and not bool((self.motion.stop_step >= self.limits.steps).all())
         if not refused and seconds is not None:
             try:
@@ -182,13 +181,15 @@ class Controller:
                 # An arm that rests because it has to finds out in every step whether it still has to.
                 if self._aim.goal is not None and not (refused or brake or was):
                     bodies = around, things or [], seconds
-                    wanted, refused = self._command(self._aim.goal, bodies, picture, wrench)
+                    wanted, refused, away = self._command(self._aim.goal, bodies, picture, wrench)
             except Exception as error:  # whatever it is, an arm in motion is brought to rest
                 refused = f"{type(error).__name__}: {error}"
-        aimless = goal is None and self._aim.goal is None
         self.braking = bool(refused or brake) or was
-        away = self.arrival.look(self._watch, goal, things, seconds, waits=self.braking or self.waits)
-        self.problem = refused or problem or (self.problem if was else "") or (NO_GOAL if aimless else away)
+        if self.braking or self._aim.goal is None:
+            self.arrival.clear()
+        away = NO_GOAL if goal is None and self._aim.goal is None else away
+        braked = refused or (problem if brake else "") or (self.problem if was else "")
+        self.problem = braked or away or problem or self._beside.unknown(around)
         self.motion = self.limits.advance(self.motion, wanted, self.braking)
         command = self.motion.position
         told = self._watch.waited, command, self.problem, self._way.ask(self.limits, self.motion) if self._way else None
@@ -230,29 +231,29 @@ class Controller:
         goal = self._aim.goal or {}
         return np.array(goal["joints"]) if "joints" in goal else None
 
-    def _command(self, goal: dict[str, Any], bodies: Any, picture: Any, wrench: Any) -> tuple[np.ndarray, str]:
-        """The command `[m]` with which the policy goes to a goal, and why there is none, if so.
-
-        Bodies are obstacles, objects and the time [s].
-        """
+    def _command(self, goal: dict[str, Any], bodies: Any, picture: Any, wrench: Any) -> tuple[np.ndarray, str, str]:
+        """The command `[m]` to a goal, why there is none, if so, and what else is wrong; bodies with the time [s]."""
         rest, inputs = self.motion.position, self._inputs
         given = {"q": self._watch.q.tolist(), "qd": self._watch.qd.tolist(), "command": rest.tolist()}
         given.update({"last_action": self._action, "memory": self._memory})
         given.update({f"goal_{name}": part for name, part in goal.items()})
-        if goal["position"] is None:
+        if hidden := goal["position"] is None:
             given["goal_position"], _ = self._tool(given["q"])
+            self.arrival.clear()
         if refused := self._look_around(given, bodies, picture, wrench):
-            return rest, refused
+            return rest, refused, ""
+        known = {"sure": not self._aim.seeks, "waits": self._way is not None}
+        away = "" if hidden else self.arrival.look(given, bodies[2], **known)
         if self._way:
             planned, refused = self._way.command(goal, given, bodies[2])
             if planned is not None:
-                return planned, refused
+                return planned, refused, away
         with np.errstate(all="ignore"):  # what is not finite is refused below
             action, wanted, memory = (*self._decide(**{name: given[name] for name in inputs}), [])[:3]
         if not all(map(isfinite, (*wanted, *memory))):
-            return rest, "the policy's command is not finite"
+            return rest, "the policy's command is not finite", ""
         self._action, self._memory = action, memory
-        return np.array(wanted), ""
+        return np.array(wanted), "", away
 
     def _look_around(self, given: dict[str, Any], bodies: Any, picture: Any, wrench: Any) -> str:
         """Add what is seen and felt to what is given, as the policy needs it, and say what is wrong with it."""

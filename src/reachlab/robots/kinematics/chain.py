@@ -92,6 +92,15 @@ class Chain:
         return np.stack([base, *moved_links(self.between, self.slides, values)], axis=-3)
 
 
+class PosedChain(Chain):
+    """The same, of which whole orientations are asked also where there are fewer than six joints: some can be had."""
+
+    @property
+    def poses(self) -> bool:
+        """Whether it is asked for orientations."""
+        return True
+
+
 DIGITS = 6
 """Significant digits of what is derived and then kept, compared or printed: its last bits depend on the CPU."""
 
