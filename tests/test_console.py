@@ -20,6 +20,7 @@ from reachlab.envs.presets import configure
 from reachlab.evaluation.intervals import mean_report
 from reachlab.learn.loop import Progress
 from reachlab.settings.config import RunConfig
+from reachlab.settings.json_form import override
 
 
 def progress(steps: int, elapsed_s: float, **metrics: float) -> Progress:
@@ -130,6 +131,17 @@ def test_a_table_of_episodes_that_end_once_the_tool_was_held(capsys: pytest.Capt
     assert "for 2 steps (0.0083 s), no joint faster than 0.05 rad/s, which ends the episode." in out
     assert "median error" in out
     assert "2.0 mm" in out
+    assert "added to a controller's" not in out
+
+
+def test_agents_that_look_at_nothing_are_no_baselines_where_they_correct_a_controller(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    blind = [REPORT | {"agent": agent} for agent in ("trained", "zero", "random", "zero")]
+    print_reports(blind, HELD)
+    assert "Actions of zero and random are added to a controller's here" in capsys.readouterr().out
+    print_reports(blind, override(HELD, action="joint_delta"))
+    assert "added to a controller's" not in capsys.readouterr().out
 
 
 def test_reports_of_several_runs_are_told_with_the_mean_of_their_seeds(capsys: pytest.CaptureFixture[str]) -> None:

@@ -14,19 +14,24 @@ class AgentEntry(Lazy):
     Attributes:
         trained: it needs a policy, and is given the observation's picture.
         remembers: it knows more of an episode than its state: a function that gives an `acting.Act` for an environment.
+        blind: it looks at nothing; where its actions correct a controller, it is that which comes to the goal.
     """
 
     trained: bool = False
     remembers: bool = False
+    blind: bool = False
 
 
 AGENTS: dict[str, AgentEntry] = Table(
     {
         "trained": AgentEntry("the trained policy, without noise", "reachlab.agents.acting:trained", trained=True),
-        "random": AgentEntry("actions sampled uniformly from their box", "reachlab.agents.baselines:random"),
+        "random": AgentEntry(
+            "actions sampled uniformly from their box", "reachlab.agents.baselines:random", blind=True
+        ),
         "zero": AgentEntry(
             "actions of zero; where they correct a controller, as joint_residual, what that does alone",
             "reachlab.agents.baselines:zero",
+            blind=True,
         ),
         "ik": AgentEntry(
             "inverse kinematics in a closed loop: to the target from where the tool is measured, at every step",

@@ -10,6 +10,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Column, Table
 
+from reachlab.agents import AGENTS
 from reachlab.settings.config import RunConfig
 
 PLAIN_WIDTH = 120
@@ -91,6 +92,7 @@ def print_reports(reports: Sequence[dict[str, Any]], config: RunConfig) -> None:
         success = _percent(report["success_rate"]), interval
         table.add_row(*(report.get(name, "") for name in runs), report["agent"], report["sim"], *success, *row.values())
     console.print(table)
+    _say_blind(reports, config)
     _say_steps(reports)
     _say_ends(reports)
     met = "links of the arm met, by the shapes in its file"
@@ -109,6 +111,15 @@ def print_reports(reports: Sequence[dict[str, Any]], config: RunConfig) -> None:
     if (straight := first.get("straight")) is not None:
         free = "the straight way of the joints is free, if by little"
         say(f"{_percent(straight)} of the episodes need no avoiding: {free}.")
+
+
+def _say_blind(reports: Sequence[dict[str, Any]], config: RunConfig) -> None:
+    """Print that agents that look at nothing are no baselines where their actions correct a controller's."""
+    from reachlab.tasks.actions import ACTIONS
+
+    blind = dict.fromkeys(name for report in reports if (name := report["agent"]) in AGENTS and AGENTS[name].blind)
+    if blind and ACTIONS[config.rules.action].whole:
+        say(f"Actions of {' and '.join(blind)} are added to a controller's here: what they come to is its doing.")
 
 
 def _say_steps(reports: Sequence[dict[str, Any]]) -> None:
