@@ -96,11 +96,11 @@ def behaviour(env: Env, policy: Policy, constants: Mapping[str, np.ndarray]) -> 
 
     joints = shapes["q"]
     asked = {name: goal[name] for name in ("position", "quaternion") if name in goal} | {"near": joints}
-    decided = trace("decide", decide, shapes, constants)
+    decided, (judge, begun) = trace("decide", decide, shapes, constants), _judge(functions, like, shapes)
     if env.pictured and not decided.reads(BODIES):  # it looks at them
         shapes = {name: shape for name, shape in shapes.items() if not name.startswith(BODIES)}
         decided = trace("decide", decide, shapes, constants)
-    judge, begun = _judge(functions, like, shapes)
+        judge = None if judge.reads(BODIES) else _judge(functions, like, shapes)[0]
     return Behaviour(
         {name: list(shape.shape) for name, shape in shapes.items()},
         decided,
@@ -111,7 +111,7 @@ def behaviour(env: Env, policy: Policy, constants: Mapping[str, np.ndarray]) -> 
     )
 
 
-def _judge(functions: EnvFunctions, like: EnvState, inputs: Shapes) -> tuple[Program | None, dict[str, list[float]]]:
+def _judge(functions: EnvFunctions, like: EnvState, inputs: Shapes) -> tuple[Program, dict[str, list[float]]]:
     """The program `judge` of a controller with such inputs, and what it begins with, see `Behaviour`."""
     setup = functions.setup
     begin = setup.task.begin(setup, jax.tree.map(jnp.asarray, like.errors))
@@ -131,9 +131,7 @@ def _judge(functions: EnvFunctions, like: EnvState, inputs: Shapes) -> tuple[Pro
         return after | told | angle
 
     shapes = seen | {name: ShapeDtypeStruct(leaf.shape, leaf.dtype) for name, leaf in kept.items()}
-    program = trace("judge", judge, shapes)
-    unseen = program.reads(BODIES) and not any(name.startswith(BODIES) for name in inputs)
-    return None if unseen else program, {name: np.asarray(leaf).ravel().tolist() for name, leaf in kept.items()}
+    return trace("judge", judge, shapes), {name: np.asarray(leaf).ravel().tolist() for name, leaf in kept.items()}
 
 
 def as_measured(functions: EnvFunctions) -> EnvFunctions:
