@@ -53,7 +53,7 @@ PLANAR = """<mujoco><compiler angle="radian"/><worldbody>
   <body name="lower" pos="0.4 0 0"><joint name="b" axis="0 1 0" range="-2 2.4"/><geom size="0.02"/>
     <site name="tcp" pos="0.3 0 0"/></body></body></worldbody></mujoco>"""
 
-ARMS = {"five": FIVE, "six": SIX}
+ARMS = {"five": FIVE, "six": SIX, "hanging": SIX.replace('name="base"', 'name="base" pos="0 0 1.5" quat="0 1 0 0"')}
 
 
 @pytest.fixture(scope="module")
@@ -183,6 +183,20 @@ def test_without_a_cache_that_can_be_written_an_arm_loads(
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     _load.cache_clear()
     assert load_robot(str(folder / "planar.xml")).chain.n == 2
+
+
+def test_an_arm_that_hangs_works_below_its_base_in_as_large_boxes(folder: Path) -> None:
+    standing, hanging = (load_robot(str(folder / f"{name}.xml")) for name in ("six", "hanging"))
+    for one, other in ((standing.workspace, hanging.workspace), (standing.goal_box, hanging.goal_box)):
+        assert other[1][2] <= 1.5
+        sizes = [np.prod(np.subtract(high, low)) for low, high in (one, other)]
+        assert sizes[1] > 0.5 * sizes[0]
+    assert set(hanging.shares) == {"workspace", "goal_box"}
+    assert min(hanging.shares.values()) >= 0.999
+    (home,) = tool(hanging, np.array(hanging.home))
+    assert (np.array(hanging.workspace[0]) < home).all()
+    assert (home < hanging.workspace[1]).all()
+    assert survey(make_setup(configure("precise", robot=str(folder / "hanging.xml")))).reached > 0.99
 
 
 # --- arms that reach no box --------------------------------------------------------------------------

@@ -54,7 +54,7 @@ HUGE = 10.0
 PARALLEL = "parallel"
 """The gripper that is mounted where a file has none."""
 
-VERSION = 8
+VERSION = 9
 """Of the derivation of home and boxes: what an older one left in the cache is derived again."""
 
 

@@ -31,6 +31,10 @@ PLACE, SPREAD = (0.5, 0.0, 0.3), 0.3
 """Where the tool is best at home, in front of the base and above it, and how far from there it is half as good: in
 shares of the reach."""
 
+BELOW = (0.5, 0.0, 0.6)
+"""The same of an arm that hangs, whose hand points away from its base there; of 0.3 to 0.75 below it, those from 0.5 on
+gave four arms the largest boxes."""
+
 NEAREST, LOWEST, ASIDE = 0.2, 0.05, 0.5
 """Where it has to be: so far in front of the base and above it, and aside by no more than this share of the way."""
 
@@ -45,6 +49,11 @@ BENT = 0.5
 
 HANGING = 0.05
 """Joints may be so far below the second one, which is the shoulder of most arms [share of the reach]."""
+
+DOWNWARD = 0.2
+"""An arm whose tool is below its base by more than this share of the reach, in the median of the sampled joint vectors,
+hangs from a ceiling: what is said of above the base holds below it. Of arms that stand or are on a wall it is -0.05 to
+0.55, and of these upside down -0.3 to -0.45."""
 
 APART = 0.6
 """Homes that are tried differ in a joint by at least this [rad or m]."""
@@ -63,6 +72,7 @@ class Candidates:
 
     Attributes:
         reach: how far from its base the tool comes [m].
+        up: 1 of an arm that stands, -1 of one that hangs.
     """
 
     def __init__(self, chain: Chain, base: np.ndarray, tilts: Sequence[float]) -> None:
@@ -72,8 +82,9 @@ class Candidates:
         middle = (lower + upper) / 2
         lower, upper = np.maximum(lower, middle - WIDEST), np.minimum(upper, middle + WIDEST)
         sampled = np.random.default_rng(0).uniform(lower, upper, (SAMPLES, chain.n))
-        distance = np.linalg.norm(_posture(chain, sampled)[1] - base, axis=1)
-        self.reach = max(float(np.quantile(distance, REACH)), TINY)
+        away = _posture(chain, sampled)[1] - base
+        self.reach = max(float(np.quantile(np.linalg.norm(away, axis=1), REACH)), TINY)
+        self.up = -1.0 if np.median(away[:, 2]) < -DOWNWARD * self.reach else 1.0
         self._tilt = np.repeat(tilts, SAMPLES)
         q, off = map(np.concatenate, zip(*(_turned(chain, base, sampled, tilt) for tilt in tilts), strict=True))
         if not (off < TURNED).any():  # an arm that cannot turn its tool so stays off its limits
@@ -81,7 +92,7 @@ class Candidates:
         links, self._position, _ = _posture(chain, q)
         columns, _ = motions(links[:, 1:], chain.slides, self._position)
         gram = np.swapaxes(columns, 1, 2) @ columns
-        heights = links[:, 1:, 2, 3]
+        heights = self.up * links[:, 1:, 2, 3]
         hangs = heights[:, min(1, chain.n - 1)] - heights[:, min(1, chain.n - 1) :].min(axis=1)
         half = np.maximum((np.array(chain.upper) - np.array(chain.lower)) / 2, TINY)
         to_limit = np.minimum(q - chain.lower, chain.upper - q) / half
@@ -97,9 +108,10 @@ class Candidates:
     def best(self, turn: float, tilt: float, free: Callable[[np.ndarray], bool], most: int) -> list[np.ndarray]:
         """The best joint vectors `[n]`, unlike each other, with the front turned by an angle about the vertical."""
         cos, sin = np.cos(turn), np.sin(turn)
-        x, y, z = (self._position - self._base).T / self.reach
+        x, y, z = (self._position - self._base).T / self.reach * [[1.0], [1.0], [self.up]]
         x, y = cos * x + sin * y, cos * y - sin * x
-        worth = self._worth / (1 + np.square((np.stack([x, y, z], axis=1) - PLACE) / SPREAD).sum(axis=1))
+        place = PLACE if self.up > 0 else BELOW
+        worth = self._worth / (1 + np.square((np.stack([x, y, z], axis=1) - place) / SPREAD).sum(axis=1))
         worth[(self._tilt != tilt) | (x < NEAREST) | (z < LOWEST) | (np.abs(y) > ASIDE * x)] = 0.0
         found: list[np.ndarray] = []
         for index in np.argsort(-worth)[:TRIED]:

@@ -71,9 +71,9 @@ def derive(
 ) -> Derived:
     """Home and boxes of an arm.
 
-    The workspace is the largest box of the tutorial's proportions, in front of and above the base, that the tool can be
-    displaced to from home on straight ways, held as it is at home. The box of goals in the air is the largest that it
-    comes to in any orientation.
+    The workspace is the largest box of the tutorial's proportions, in front of the base and above it, or below it where
+    the arm hangs, that the tool can be displaced to from home on straight ways, held as it is at home. The box of goals
+    in the air is the largest that it comes to in any orientation.
 
     Args:
         chain: the arm.
@@ -85,7 +85,7 @@ def derive(
     program(chain)  # is compiled meanwhile
     tilts = TILTS[:1] if chain.poses else TILTS
     candidates = Candidates(chain, base, tilts)
-    search = _Search(chain, speed, base, candidates.reach)
+    search = _Search(chain, speed, base, candidates.reach, candidates.up)
     tried = [(np.array(home), turn, FAR_BETTER**2) for turn in QUARTERS] if home else []
     for turn, tilt in itertools.product(QUARTERS, tilts):
         favour = FAR_BETTER ** ((turn == 0.0) + (tilt == 0.0))
@@ -95,7 +95,7 @@ def derive(
         boxes = pool.map(lambda one: search.about(*one[:2]), tried)
         found = [(favour * box[1], q, turn, box[0]) for (q, turn, favour), box in zip(tried, boxes, strict=True) if box]
     if not found:
-        return _around(chain, base, np.array(home) if home else rounded(chain, candidates.any()))
+        return _around(chain, base, candidates.up, np.array(home) if home else rounded(chain, candidates.any()))
     _, q, turn, box = max(found, key=lambda one: one[0])
     if home is None or not np.array_equal(q, home):
         moved = rounded(chain, search.start(q, box, turn))
@@ -121,6 +121,7 @@ class _Search:
     speed: np.ndarray
     base: np.ndarray
     reach: float
+    up: float
 
     def held(self, q: np.ndarray, points: np.ndarray) -> np.ndarray:
         """Which of `points [m, 3]` the tool reaches from home `q`, held as it is there."""
@@ -153,11 +154,11 @@ class _Search:
         x, y, z = (
             np.linspace(NEAREST, 1.0, NODES[0]) * self.reach,
             np.linspace(-WIDEST, WIDEST, 2 * NODES[1] - 1) * self.reach,
-            np.linspace(0.0, HIGHEST, NODES[2]) * self.reach,
+            np.sort(self.up * np.linspace(0.0, HIGHEST, NODES[2])) * self.reach,
         )
         grid = np.stack(np.meshgrid(x, y, z, indexing="ij"), axis=-1)
         inside = reached(grid.reshape(-1, 3) @ _about_z(turn).T + self.base).reshape(grid.shape[:3]).copy()
-        inside[:, :, : int(np.searchsorted(z, lowest * self.reach))] = False
+        inside[:, :, self.up * z < lowest * self.reach] = False
         half = NODES[1] - 1
         both = inside[:, half:] & inside[:, half::-1]  # [x, |y|, z]
         home = None if holds is None else (holds - self.base) @ _about_z(turn)
@@ -232,7 +233,7 @@ QUANTILES, MARGIN = (0.1, 0.9), 0.01
 how much larger the box is, so that the plane is not a face [m]."""
 
 
-def _around(chain: Chain, base: np.ndarray, home: np.ndarray) -> Derived:
+def _around(chain: Chain, base: np.ndarray, up: float, home: np.ndarray) -> Derived:
     """Of an arm that reaches no box: that around the middle of the points it reaches above its base, and home.
 
     Raises:
@@ -246,7 +247,10 @@ def _around(chain: Chain, base: np.ndarray, home: np.ndarray) -> Derived:
         )
     there = chain.tool_at(home)[0]
     low, high = np.minimum(low, there) - MARGIN, np.maximum(high, there) + MARGIN
-    low[2] = min(max(low[2], base[2]), there[2] - MARGIN)
+    if up > 0:
+        low[2] = min(max(low[2], base[2]), there[2] - MARGIN)
+    else:
+        high[2] = max(min(high[2], base[2]), there[2] + MARGIN)
     box = tuple(map(significant, low.tolist())), tuple(map(significant, high.tolist()))
     start = tuple(home.tolist())
     return Derived(start, orientation(chain, start), box, box, {})
