@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import json
+import os
 import re
 import subprocess
 import sys
@@ -39,6 +40,7 @@ from reachlab.deploy.onboard.reading import read_bodies
 from reachlab.deploy.plant import Measurement, Plant, drive
 from reachlab.deploy.plant_faults import Faults
 from reachlab.deploy.ros2 import PolicyNode
+from reachlab.deploy.ros2_check import own_topics
 from reachlab.deploy.topics import Topics
 from reachlab.envs.core import Env
 from reachlab.envs.presets import configure
@@ -585,6 +587,12 @@ def test_a_controller_judges_every_step_as_the_task_does(name: str, least: int, 
         successes += success
     plant.close()
     assert successes >= least
+
+
+def test_a_check_over_ros_2_is_heard_by_no_arm_and_no_other_check() -> None:
+    own, usual = set(vars(own_topics()).values()), set(vars(Topics()).values())
+    assert len(own) == len(usual)
+    assert all(name.startswith(f"reachlab_check_{os.getpid()}/") for name in own)
 
 
 @pytest.mark.slow

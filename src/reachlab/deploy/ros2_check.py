@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import subprocess
 import sys
 import threading
@@ -35,7 +36,7 @@ def check_over_ros2(folder: Path, *, sim: str | None, episodes: int, seed: int, 
         InputError: ROS 2 is missing, or the policy's node does not start.
     """
     config, facts = settings_of(folder, sim), read_facts(folder)
-    topics = Topics()
+    topics = own_topics()
     with ros2() as rclpy:
         plant = Plant(config, seed)
         node = rclpy.create_node("reachlab_plant")
@@ -45,7 +46,7 @@ def check_over_ros2(folder: Path, *, sim: str | None, episodes: int, seed: int, 
         spinning = threading.Thread(target=executor.spin, daemon=True)
         spinning.start()
         try:
-            with _policy_node(folder):
+            with _policy_node(folder, topics):
                 return drive(plant, link, faults, episodes)
         finally:
             executor.shutdown()
@@ -53,10 +54,16 @@ def check_over_ros2(folder: Path, *, sim: str | None, episodes: int, seed: int, 
             plant.close()
 
 
+def own_topics() -> Topics:
+    """Topics of this process alone: neither an arm that is there nor another check hears of them."""
+    return Topics(**{name: f"reachlab_check_{os.getpid()}/{topic}" for name, topic in vars(Topics()).items()})
+
+
 @contextlib.contextmanager
-def _policy_node(folder: Path) -> Iterator[None]:
+def _policy_node(folder: Path, topics: Topics) -> Iterator[None]:
     """The policy's node as a user starts it."""
-    words = [sys.executable, "-m", "reachlab", "deploy", "ros2", str(folder)]
+    named = [word for name, topic in vars(topics).items() for word in (f"--{name.replace('_', '-')}", topic)]
+    words = [sys.executable, "-m", "reachlab", "deploy", "ros2", str(folder), *named]
     process = subprocess.Popen(words)  # noqa: S603
     try:
         yield
